@@ -1,0 +1,1 @@
+"""Localizers to beat, all behind ``scene.localizer.Localizer``."""

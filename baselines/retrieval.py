@@ -1,0 +1,89 @@
+"""Which photographs of the map to look at: by the pose prior, or by appearance.
+
+Appearance is a VLAD of the map's own descriptors (Jegou et al., "Aggregating local descriptors
+into a compact image representation", CVPR 2010) with the power and intra-normalisation of
+Arandjelovic and Zisserman ("All about VLAD", CVPR 2013): nothing to download and nothing trained
+elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_WORDS = 64
+_TRAINING_DESCRIPTORS = 40_000
+
+
+@dataclass(frozen=True)
+class VladIndex:
+    """Global descriptors of the photographs of a map.
+
+    Attributes:
+        words: (K, D) visual words.
+        vectors: (N, K*D) unit vectors, one per photograph.
+    """
+
+    words: NDArray[np.float32]
+    vectors: NDArray[np.float32]
+
+    @staticmethod
+    def build(descriptors: Sequence[NDArray[np.float32]]) -> VladIndex:
+        """Cluster the descriptors of all photographs and describe each by its residuals.
+
+        Args:
+            descriptors: per photograph (n, D), unit length.
+        """
+        stacked = np.concatenate(descriptors)
+        rng = np.random.default_rng(0)
+        if len(stacked) > _TRAINING_DESCRIPTORS:
+            stacked = stacked[rng.choice(len(stacked), _TRAINING_DESCRIPTORS, replace=False)]
+        words = _cluster(stacked, min(_WORDS, len(stacked)))
+        vectors = np.stack([_vlad(d, words) for d in descriptors])
+        return VladIndex(words, vectors)
+
+    def rank(self, descriptors: NDArray[np.float32], k: int) -> NDArray[np.int64]:
+        """Rows of the ``k`` most similar photographs, best first."""
+        similarity = self.vectors @ _vlad(descriptors, self.words)
+        return np.argsort(-similarity, kind="stable")[:k]
+
+
+def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
+    cv2.setRNGSeed(0)
+    criteria = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, 15, 1e-3)
+    _, _, words = cv2.kmeans(descriptors, k, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
+    return np.asarray(words, np.float32)
+
+
+def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
+    if not len(descriptors):
+        return np.zeros(words.size, np.float32)
+    # Nearest word by squared distance; the descriptor's own length does not change the order.
+    nearest = (descriptors @ words.T - 0.5 * (words**2).sum(1)).argmax(1)
+    vlad = np.zeros_like(words)
+    np.add.at(vlad, nearest, descriptors - words[nearest])
+    vlad = np.sign(vlad) * np.sqrt(np.abs(vlad))
+    vlad /= np.maximum(np.linalg.norm(vlad, axis=1, keepdims=True), 1e-12)
+    flat = vlad.ravel()
+    return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-12), np.float32)
+
+
+def nearest_by_position(
+    centres: NDArray[np.float64], position: NDArray[np.float64], k: int
+) -> NDArray[np.int64]:
+    """Rows of the ``k`` cameras nearest to a position, horizontally, nearest first.
+
+    Altitude is left out: it says little about what a camera over the same ground sees, and GNSS
+    altitude is the least reliable axis.
+
+    Args:
+        centres: (N, 3) world metres.
+        position: (3,) world metres.
+        k: how many.
+    """
+    distance = np.linalg.norm(centres[:, :2] - position[:2], axis=1)
+    return np.argsort(distance, kind="stable")[:k]

@@ -1,0 +1,136 @@
+"""A scene on disk (DESIGN: "A scene on disk").
+
+``scene.json`` is written last, so a folder without it is an unfinished scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from scene.colmap import read_map
+from scene.errors import InputError
+from scene.files import sha256_of
+from scene.frames import DenseLayers, Frames, dense_layers, read_frames
+from scene.manifest import Manifest, Objects, Session, Splits, read_json, write_json
+from scene.sparse_map import SparseMap
+
+MANIFEST = "scene.json"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A finished scene, read lazily.
+
+    Attributes:
+        path: of the folder.
+        manifest: its ``scene.json``.
+    """
+
+    path: Path
+    manifest: Manifest
+
+    @staticmethod
+    def open(path: Path) -> Scene:
+        """Open a finished scene.
+
+        Raises:
+            InputError: no such folder, no finished scene in it, or a damaged manifest.
+        """
+        if not path.is_dir():
+            raise InputError(f"scene folder {path} does not exist")
+        if not (path / MANIFEST).is_file():
+            raise InputError(
+                f"{path} is not a finished scene: it has no {MANIFEST} (run simulate again on it "
+                "to finish it)"
+            )
+        return Scene(path, read_json(path / MANIFEST, Manifest, "scene manifest"))
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.path.resolve().name
+
+    @property
+    def sessions(self) -> dict[str, Session]:
+        """Flights by name."""
+        return self.manifest.sessions
+
+    @property
+    def images_root(self) -> Path:
+        """The folder that image names of frames, splits and map are relative to."""
+        return self.path / "sessions"
+
+    @property
+    def map_path(self) -> Path:
+        """The COLMAP model."""
+        return self.path / "map"
+
+    @cached_property
+    def splits(self) -> Splits:
+        """Map and query frames."""
+        return read_json(self.path / "splits.json", Splits, "split list")
+
+    @cached_property
+    def objects(self) -> Objects:
+        """Every object of the world, and the semantic classes."""
+        return read_json(self.path / "objects.json", Objects, "object list")
+
+    def sparse_map(self) -> SparseMap:
+        """The map.
+
+        Raises:
+            InputError: it was not built yet, or is damaged or empty.
+        """
+        if not self.map_path.is_dir():
+            raise InputError(f"scene {self.path} has no map yet: run 'objconnect map {self.path}'")
+        return read_map(self.map_path)
+
+    def frames(self, session: str) -> Frames:
+        """Poses, cameras and priors of a session."""
+        return read_frames(self._frames_path(session))
+
+    def dense(self, session: str) -> AbstractContextManager[DenseLayers]:
+        """Open the depth, instance, semantic and normal images of a session."""
+        return dense_layers(self._frames_path(session))
+
+    def _frames_path(self, session: str) -> Path:
+        if session not in self.sessions:
+            raise InputError(
+                f"scene {self.path} has no session {session!r}; it has {', '.join(self.sessions)}"
+            )
+        return self.images_root / session / "frames.h5"
+
+    def changed_files(self) -> list[str]:
+        """Files that differ from the digests of the manifest, are missing, or were added."""
+        present = digests(self.path)
+        recorded = self.manifest.sha256
+        names = sorted(present.keys() | recorded.keys())
+        return [name for name in names if present.get(name) != recorded.get(name)]
+
+
+def finish(path: Path, manifest: Manifest) -> Scene:
+    """Write the manifest with the digest of every file: from now on the scene is whole.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    complete = manifest.model_copy(update={"sha256": digests(path)})
+    write_json(path / MANIFEST, complete)
+    return Scene(path, complete)
+
+
+def digests(path: Path) -> dict[str, str]:
+    """SHA-256 of every file of a scene but the manifest and pictures made for people."""
+    return {name: sha256_of(path / name) for name in _data_files(path)}
+
+
+def _data_files(path: Path) -> Iterator[str]:
+    for file in sorted(path.rglob("*")):
+        name = file.relative_to(path).as_posix()
+        hidden = any(part.startswith(".") for part in name.split("/"))
+        if file.is_file() and not hidden and name != MANIFEST and not name.startswith("pictures/"):
+            yield name

@@ -1,0 +1,65 @@
+"""Configuration: pydantic models from YAML and from the command line; unknown keys are errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from scene.errors import InputError
+from scene.files import read_text
+
+
+class Config(BaseModel):
+    """Base of every configuration: immutable, and an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any]) -> M:
+    """Build a configuration from a YAML file, then from overrides, then from its defaults.
+
+    Args:
+        model: the configuration's class.
+        path: YAML file, or None for defaults.
+        overrides: values that win over the file; None values are ignored.
+
+    Raises:
+        InputError: unreadable file, bad YAML, unknown key or bad value; the message names the key.
+    """
+    values: dict[str, Any] = {}
+    where = "on the command line"
+    if path is not None:
+        where = f"in {path}"
+        try:
+            loaded = yaml.safe_load(read_text(path, "configuration"))
+        except yaml.YAMLError as error:
+            raise InputError(f"{path} is not valid YAML: {_one_line(error)}") from None
+        if loaded is not None and not isinstance(loaded, dict):
+            raise InputError(f"{path} must hold 'key: value' lines, not a {type(loaded).__name__}")
+        values = loaded or {}
+    values |= {key: value for key, value in overrides.items() if value is not None}
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise InputError(describe(error, model, where)) from None
+
+
+def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:
+    """The first fault of a validation error as one line a person can act on."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"]) or model.__name__
+    if first["type"] == "extra_forbidden":
+        known = ", ".join(model.model_fields)
+        return f"unknown key '{key}' {where}; known: {known}"
+    return f"bad value for '{key}' {where}: {first['msg']} (got {first['input']!r})"
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

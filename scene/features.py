@@ -1,0 +1,61 @@
+"""Local features of images, in memory and on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.errors import InputError
+from scene.files import written_whole
+
+
+@dataclass(frozen=True)
+class Features:
+    """Keypoints and descriptors of one image.
+
+    Attributes:
+        xy: (N, 2) float32 COLMAP pixels.
+        scale: (N,) float32 pixels.
+        descriptors: (N, 128) uint8 RootSIFT, of length 512 as COLMAP stores them.
+    """
+
+    xy: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
+
+
+def write_features(path: Path, features: Mapping[str, Features]) -> None:
+    """Write the features of several images by name, atomically.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+        for name, item in features.items():
+            # Names hold slashes, which HDF5 would take for groups.
+            group = file.create_group(name.replace("/", "\\"))
+            group["xy"], group["scale"] = item.xy, item.scale
+            group["descriptors"] = item.descriptors
+
+
+def read_features(path: Path) -> dict[str, Features]:
+    """Read what ``write_features`` wrote.
+
+    Raises:
+        InputError: missing or damaged file.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            return {
+                name.replace("\\", "/"): Features(
+                    group["xy"][:], group["scale"][:], group["descriptors"][:]
+                )
+                for name, group in file.items()
+            }
+    except (OSError, KeyError) as error:
+        raise InputError(f"feature file {path} is missing or damaged: {error}") from None

@@ -1,0 +1,193 @@
+"""``frames.h5``: poses, cameras, priors and dense annotations of one session."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.camera import Camera
+from scene.errors import InputError
+from scene.files import written_whole
+from scene.pose import Pose
+
+Layer = Literal["depth", "instance", "semantic", "normal"]
+LAYERS: dict[Layer, np.dtype[Any]] = {
+    "depth": np.dtype("f4"),
+    "instance": np.dtype("u2"),
+    "semantic": np.dtype("u1"),
+    "normal": np.dtype("i1"),
+}
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The frames of one session, N of them.
+
+    Attributes:
+        names: image names, relative to the scene's ``sessions`` folder.
+        cameras: one per frame.
+        cam_from_world: (N, 4, 4) float64.
+        time: (N,) seconds since 1970.
+        gps_prior: (N, 3) camera centre as GNSS measured it, world metres.
+        gps_sigma: (N, 3) its standard deviation per axis, metres.
+        attitude_prior: (N, 4) quaternions w x y z of ``cam_from_world`` as measured.
+        attitude_sigma_deg: (N,) its standard deviation, degrees.
+    """
+
+    names: tuple[str, ...]
+    cameras: tuple[Camera, ...]
+    cam_from_world: NDArray[np.float64]
+    time: NDArray[np.float64]
+    gps_prior: NDArray[np.float64]
+    gps_sigma: NDArray[np.float64]
+    attitude_prior: NDArray[np.float64]
+    attitude_sigma_deg: NDArray[np.float64]
+
+    @property
+    def poses(self) -> Pose:
+        """All poses as one batch."""
+        return Pose.from_matrix(self.cam_from_world)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+_VECTORS = (
+    "cam_from_world",
+    "time",
+    "gps_prior",
+    "gps_sigma",
+    "attitude_prior",
+    "attitude_sigma_deg",
+)
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "cam_from_world": (4, 4),
+    "time": (),
+    "gps_prior": (3,),
+    "gps_sigma": (3,),
+    "attitude_prior": (4,),
+    "attitude_sigma_deg": (),
+}
+
+
+class DenseLayers:
+    """Reads annotations frame by frame from an open file."""
+
+    def __init__(self, file: h5py.File, path: Path) -> None:
+        self._file = file
+        self._path = path
+
+    def has(self, layer: Layer) -> bool:
+        """Whether the session carries the layer at all."""
+        return layer in self._file
+
+    def read(self, layer: Layer, index: int) -> NDArray[Any]:
+        """One frame of a layer: depth and the like (H, W), normal (H, W, 3).
+
+        Raises:
+            InputError: the layer is missing or its bytes are damaged.
+        """
+        if not self.has(layer):
+            raise InputError(f"{self._path} has no {layer} layer")
+        try:
+            return np.asarray(self._file[layer][index])
+        except (OSError, ValueError, IndexError) as error:
+            raise InputError(
+                f"{self._path}: frame {index} of {layer} is damaged: {error}"
+            ) from None
+
+
+def write_frames(
+    path: Path, frames: Frames, dense: Sequence[Layer], images: Iterator[dict[Layer, NDArray[Any]]]
+) -> None:
+    """Write a session's ``frames.h5`` atomically.
+
+    Args:
+        path: of the file.
+        frames: poses and the like.
+        dense: layers to write.
+        images: one dictionary of layers per frame, in order; consumed one at a time.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    cameras = list(dict.fromkeys(frames.cameras))
+    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+        file.attrs["cameras"] = json.dumps([str(camera) for camera in cameras])
+        file["names"] = [name.encode() for name in frames.names]
+        file["camera_index"] = [cameras.index(camera) for camera in frames.cameras]
+        for key in _VECTORS:
+            file[key] = getattr(frames, key)
+        for index, layers in enumerate(images):
+            for layer in dense:
+                image = layers[layer]
+                if layer not in file:
+                    file.create_dataset(
+                        layer,
+                        (len(frames), *image.shape),
+                        LAYERS[layer],
+                        chunks=(1, *image.shape),
+                        compression="gzip",
+                        compression_opts=4,
+                        shuffle=True,
+                    )
+                file[layer][index] = image
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    if not path.is_file():
+        raise InputError(f"{path} does not exist")
+    try:
+        file = h5py.File(path, "r")
+    except OSError:
+        raise InputError(f"{path} is damaged or not an HDF5 file") from None
+    with file:
+        yield file
+
+
+@contextmanager
+def dense_layers(path: Path) -> Iterator[DenseLayers]:
+    """Open the annotations of a ``frames.h5``.
+
+    Raises:
+        InputError: missing or damaged file.
+    """
+    with _opened(path) as file:
+        yield DenseLayers(file, path)
+
+
+def read_frames(path: Path) -> Frames:
+    """Read everything but the dense layers.
+
+    Raises:
+        InputError: missing or damaged file, arrays of the wrong shape, or a number that is not
+            finite; the message names the first frame at fault.
+    """
+    with _opened(path) as file:
+        try:
+            names = tuple(name.decode() for name in file["names"][:])
+            table = [Camera.parse(text.split()) for text in json.loads(file.attrs["cameras"])]
+            cameras = tuple(table[int(k)] for k in file["camera_index"][:])
+            arrays = {key: np.asarray(file[key], np.float64) for key in _VECTORS}
+        except (KeyError, OSError, ValueError, IndexError, AttributeError, TypeError) as error:
+            raise InputError(f"{path} is damaged or incomplete: {error}") from None
+    for key, array in arrays.items():
+        if array.shape != (len(names), *_SHAPES[key]):
+            raise InputError(
+                f"{path}: {key} has shape {array.shape}, expected {(len(names), *_SHAPES[key])}"
+            )
+        finite = np.isfinite(array.reshape(len(names), -1)).all(1)
+        if not finite.all():
+            raise InputError(f"{path}: {key} of frame {names[int(finite.argmin())]} is not finite")
+    if len(cameras) != len(names):
+        raise InputError(f"{path}: {len(names)} frames but {len(cameras)} cameras")
+    return Frames(names, cameras, **arrays)

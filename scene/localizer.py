@@ -1,0 +1,151 @@
+"""The protocol every localizer speaks: a query goes in, an estimate comes out.
+
+A localizer never sees the reference pose of a query: it is not part of ``Query``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from time import perf_counter
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from scene.camera import Camera
+from scene.pose import Pose
+from scene.sparse_map import SparseMap
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What the aircraft believes about its pose before looking at the image.
+
+    Attributes:
+        position: (3,) camera centre in world metres (ENU).
+        position_sigma: (3,) one standard deviation per axis, metres; None when nobody knows it.
+        cam_from_world_rotation: (3, 3) attitude; None when unknown.
+        attitude_sigma_deg: one standard deviation of the attitude, degrees; None when unknown.
+    """
+
+    position: NDArray[np.float64]
+    position_sigma: NDArray[np.float64] | None = None
+    cam_from_world_rotation: NDArray[np.float64] | None = None
+    attitude_sigma_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class Query:
+    """One image to localize.
+
+    Attributes:
+        name: unique within its data set.
+        image: (H, W, 3) uint8 RGB, the size of ``camera``.
+        camera: calibrated.
+        prior: starting information, or None.
+    """
+
+    name: str
+    image: NDArray[np.uint8]
+    camera: Camera
+    prior: Prior | None = None
+
+
+class Status(StrEnum):
+    """How a localization ended."""
+
+    OK = "ok"
+    FALLBACK = "fallback"  # a pose is given, but only the prior or a reference's: counts as wrong
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a localizer answers.
+
+    Attributes:
+        status: ``ok``, or ``fallback`` / ``failed`` with a ``reason``.
+        cam_from_world: the pose (float64, unbatched); None when failed.
+        covariance: (6, 6) of the left tangent of ``cam_from_world``: rotation (rad) then
+            translation (m); None when unknown.
+        inliers: number of points or matches that agree with the pose.
+        iterations: of the robust estimator or the optimizer.
+        seconds: per stage.
+        reason: why there is no pose, in words.
+    """
+
+    status: Status
+    cam_from_world: Pose | None = None
+    covariance: NDArray[np.float64] | None = None
+    inliers: int = 0
+    iterations: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+    reason: str = ""
+
+    def sigma_position(self) -> float | None:
+        """Predicted standard deviation of the camera centre (m): root of the covariance's trace.
+
+        With ``exp(omega, v) @ (R, t)`` the centre ``-R^T t`` moves by ``-R^T v`` to first order, so
+        only the translation block matters.
+        """
+        if self.covariance is None:
+            return None
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+
+class Stopwatch:
+    """Seconds per stage of one localization."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to the stage ``name``."""
+        start = perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
+
+
+class Localizer(Protocol):
+    """A method that finds the pose of an image in a map."""
+
+    @property
+    def name(self) -> str:
+        """Short name, as on the command line."""
+        ...
+
+    @property
+    def config(self) -> BaseModel:
+        """Everything that changes the result; written into the results file."""
+        ...
+
+    @property
+    def weights_sha256(self) -> str | None:
+        """Digest of learned weights, None for methods without."""
+        ...
+
+    def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
+        """Build the per-map state once.
+
+        Args:
+            sparse_map: the map; image names are relative to ``images``.
+            images: folder of the map's photographs.
+            cache: folder for state that outlives the process, or None to keep none. Entries are
+                keyed by a digest of map, weights and configuration.
+
+        Raises:
+            InputError: the map is empty or a photograph is missing or broken.
+        """
+        ...
+
+    def localize(self, query: Query) -> Estimate:
+        """Find the pose. A query that cannot be localized is an answer, not an exception."""
+        ...

@@ -1,0 +1,133 @@
+"""The JSON files of a scene: ``scene.json``, ``objects.json`` and ``splits.json``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from scene.config import describe
+from scene.errors import InputError
+from scene.files import read_text, write_text
+from scene.geodesy import Geodetic
+
+Vector = Annotated[tuple[float, float, float], Field(allow_inf_nan=False)]
+SizeClass = Literal["small", "medium", "large"]
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Session(_File):
+    """One flight under one condition.
+
+    Attributes:
+        condition: season and light, as "summer-noon".
+        flight: kind of flight, as "nadir".
+        role: whether its frames build the map or are localized in it.
+    """
+
+    condition: str
+    flight: str
+    role: Literal["map", "query"]
+
+
+class Manifest(_File):
+    """``scene.json``: what the scene is and how it was made. Written last.
+
+    Attributes:
+        versions: generator, renderer and library versions by name.
+        preset: kind of world, or None for a real flight.
+        seed: of the world, or None for a real flight.
+        config: everything else that made it.
+        origin: geodetic place of the world's origin.
+        sessions: by folder name.
+        sha256: digest of every other file of the scene, by relative path.
+    """
+
+    schema_version: Literal[1] = 1
+    versions: dict[str, str]
+    preset: str | None
+    seed: int | None
+    config: dict[str, Any]
+    origin: Geodetic
+    sessions: dict[str, Session]
+    sha256: dict[str, str]
+
+
+class SceneObject(_File):
+    """One object of the world.
+
+    Attributes:
+        id: the value of its pixels in the instance images.
+        class_name: as "car".
+        centre: of the box, world metres.
+        size: of the box along its own axes, metres.
+        yaw_deg: of the box about the vertical, counter-clockwise from east.
+        size_class: small under 3 m, medium under 10 m, by the longest side.
+    """
+
+    id: int
+    class_name: str
+    centre: Vector
+    size: Vector
+    yaw_deg: float
+    size_class: SizeClass
+
+
+class Objects(_File):
+    """``objects.json``: classes of the semantic images, and every object."""
+
+    classes: dict[str, int]
+    objects: tuple[SceneObject, ...]
+
+
+class Splits(_File):
+    """``splits.json``: which frames build the map and which are queries.
+
+    Attributes:
+        map: image names, relative to the ``sessions`` folder.
+        queries: image names by session.
+    """
+
+    map: tuple[str, ...]
+    queries: dict[str, tuple[str, ...]]
+
+
+def size_class(size: tuple[float, float, float]) -> SizeClass:
+    """Size class of a box (metres) by its longest side."""
+    longest = max(size)
+    if longest < 3:
+        return "small"
+    return "medium" if longest < 10 else "large"
+
+
+F = TypeVar("F", bound=BaseModel)
+
+
+def read_json(path: Path, model: type[F], what: str) -> F:
+    """Read and check a JSON file.
+
+    Raises:
+        InputError: missing, not JSON, an unknown key or a bad value.
+    """
+    try:
+        values = json.loads(read_text(path, what))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError(f"{what} {path} is not valid JSON: {error}") from None
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise InputError(describe(error, model, f"in {path}")) from None
+
+
+def write_json(path: Path, value: BaseModel) -> None:
+    """Write a JSON file atomically.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    write_text(path, value.model_dump_json(indent=1) + "\n")

@@ -1,0 +1,161 @@
+"""Batched projection with analytic Jacobians, for every camera model of the project.
+
+All perspective models are one formula with some coefficients zero; the fisheye is another. Pixels
+are COLMAP's: the centre of the top-left pixel is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+# Points closer to the camera plane than this (in units of the point's own frame) are behind it.
+_MIN_DEPTH = 1e-6
+_NEWTON_STEPS = 30
+
+
+class Projection(NamedTuple):
+    """What ``project`` returns.
+
+    Attributes:
+        xy: (..., N, 2) pixels; finite everywhere, meaningful where ``valid``.
+        valid: (..., N) in front of the camera and inside the radius where distortion folds back.
+            A valid point can still lie outside the picture: see ``Camera.contains``.
+        jacobian: (..., N, 2, 3) d(xy) / d(point in camera frame), or None when not asked for.
+    """
+
+    xy: Tensor
+    valid: Tensor
+    jacobian: Tensor | None
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Intrinsics of one camera, or of a batch of cameras of one family.
+
+    Attributes:
+        fisheye: equidistant (OPENCV_FISHEYE) rather than perspective.
+        focal: (..., 2) pixels.
+        principal: (..., 2) pixels.
+        distortion: (..., 4) k1 k2 p1 p2, or k1 k2 k3 k4 for the fisheye.
+        limit: (...) where distortion folds back: radius x/z, or angle (rad) for the fisheye.
+    """
+
+    fisheye: bool
+    focal: Tensor
+    principal: Tensor
+    distortion: Tensor
+    limit: Tensor
+
+    def project(self, points: Tensor, jacobian: bool = False) -> Projection:
+        """Project points of the camera frame. (..., N, 3) -> Projection.
+
+        Batch dimensions of the intrinsics precede N.
+        """
+        z = points[..., 2]
+        in_front = z > _MIN_DEPTH
+        inverse_z = 1 / torch.where(in_front, z, torch.ones_like(z))
+        uv = points[..., :2] * inverse_z[..., None]
+        distorted, local, inside = self._distort(uv, jacobian)
+        focal = self.focal[..., None, :]
+        xy = focal * distorted + self.principal[..., None, :]
+        if local is None:
+            return Projection(xy, in_front & inside, None)
+        zero = torch.zeros_like(z)
+        u, v = uv.unbind(-1)
+        d_uv = torch.stack(
+            [inverse_z, zero, -u * inverse_z, zero, inverse_z, -v * inverse_z], -1
+        ).reshape(*z.shape, 2, 3)
+        return Projection(xy, in_front & inside, focal[..., None] * (local @ d_uv))
+
+    def unproject(self, xy: Tensor) -> tuple[Tensor, Tensor]:
+        """Rays with z = 1 through pixels. (..., N, 2) -> rays (..., N, 3), valid (..., N).
+
+        Newton iteration on the distortion; a pixel that no ray inside the fold-over limit reaches
+        is not valid.
+        """
+        target = (xy - self.principal[..., None, :]) / self.focal[..., None, :]
+        if self.fisheye:
+            radius = target.norm(dim=-1)
+            theta = radius.clamp(max=1.5)
+            for _ in range(_NEWTON_STEPS):
+                value, slope = self._fisheye_angle(theta)
+                theta = theta - (value - radius) / slope.clamp_min(1e-3)
+                theta = theta.clamp(0.0, 1.5533)
+            value, _ = self._fisheye_angle(theta)
+            converged = ((value - radius).abs() < 1e-7) & (theta < self.limit[..., None])
+            scale = torch.tan(theta) / radius.clamp_min(1e-12)
+            scale = torch.where(radius < 1e-9, torch.ones_like(scale), scale)
+            uv = target * scale[..., None]
+        else:
+            uv = target
+            for _ in range(_NEWTON_STEPS):
+                distorted, local, _ = self._distort(uv, jacobian=True)
+                assert local is not None
+                # A regularised solve keeps hopeless pixels finite instead of raising.
+                a, b, c, d = local.flatten(-2).unbind(-1)
+                det = a * d - b * c
+                det = torch.where(det.abs() < 1e-6, torch.full_like(det, 1e-6), det)
+                rx, ry = (target - distorted).unbind(-1)
+                step = torch.stack([d * rx - b * ry, a * ry - c * rx], -1) / det[..., None]
+                uv = uv + step.clamp(-1, 1)
+            distorted, _, inside = self._distort(uv, jacobian=False)
+            converged = ((distorted - target).norm(dim=-1) < 1e-7) & inside
+        rays = torch.cat([uv, torch.ones_like(uv[..., :1])], -1)
+        return rays, converged
+
+    def _distort(self, uv: Tensor, jacobian: bool) -> tuple[Tensor, Tensor | None, Tensor]:
+        """Normalised (..., N, 2) -> distorted, its 2x2 Jacobian, inside the fold-over limit."""
+        if self.fisheye:
+            return self._distort_fisheye(uv, jacobian)
+        k1, k2, p1, p2 = (c[..., None] for c in self.distortion.unbind(-1))
+        u, v = uv.unbind(-1)
+        uu, vv, uv2 = u * u, v * v, 2 * u * v
+        r2 = uu + vv
+        radial = 1 + r2 * (k1 + k2 * r2)
+        distorted = torch.stack(
+            [
+                u * radial + p1 * uv2 + p2 * (r2 + 2 * uu),
+                v * radial + p2 * uv2 + p1 * (r2 + 2 * vv),
+            ],
+            -1,
+        )
+        slope = 2 * (k1 + 2 * k2 * r2)  # d(radial)/d(r2) times 2
+        j00 = radial + slope * uu + 2 * p1 * v + 6 * p2 * u
+        j11 = radial + slope * vv + 2 * p2 * u + 6 * p1 * v
+        j01 = slope * u * v + 2 * p1 * u + 2 * p2 * v
+        # Tangential terms can fold the plane before the radial limit does; the determinant sees it.
+        inside = (r2 < self.limit[..., None] ** 2) & (j00 * j11 - j01 * j01 > 0)
+        if not jacobian:
+            return distorted, None, inside
+        local = torch.stack([j00, j01, j01, j11], -1).reshape(*uv.shape[:-1], 2, 2)
+        return distorted, local, inside
+
+    def _fisheye_angle(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """Distorted angle and its derivative for angles (..., N)."""
+        k1, k2, k3, k4 = (c[..., None] for c in self.distortion.unbind(-1))
+        t2 = theta * theta
+        value = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+        slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+        return value, slope
+
+    def _distort_fisheye(self, uv: Tensor, jacobian: bool) -> tuple[Tensor, Tensor | None, Tensor]:
+        radius = uv.norm(dim=-1)
+        centre = radius < 1e-9
+        r = torch.where(centre, torch.ones_like(radius), radius)
+        theta = torch.atan(radius)
+        value, slope = self._fisheye_angle(theta)
+        scale = torch.where(centre, torch.ones_like(r), value / r)
+        distorted = uv * scale[..., None]
+        inside = theta < self.limit[..., None]
+        if not jacobian:
+            return distorted, None, inside
+        d_radial = slope / (1 + radius * radius)
+        direction = uv / r[..., None]
+        outer = direction[..., :, None] * direction[..., None, :]
+        eye = torch.eye(2, dtype=uv.dtype, device=uv.device)
+        local = scale[..., None, None] * eye + (d_radial - scale)[..., None, None] * outer
+        return distorted, local, inside
