@@ -15,6 +15,11 @@ from torch import Tensor
 from scene.errors import InputError
 from scene.projection import Intrinsics, Projection
 
+# No camera has a larger focal length (px) or coefficient; damaged files do, and overflow.
+_LARGEST = 1e9
+# A distortion coefficient below this moves no point.
+_SMALLEST = 1e-12
+
 # Parameter names of every model, in COLMAP's order.
 MODELS: Final[dict[str, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -58,6 +63,8 @@ class Camera:
             raise InputError(f"camera size must be positive, got {self.width} x {self.height}")
         if not all(math.isfinite(p) for p in self.params):
             raise InputError(f"camera parameters must be finite, got {self.params}")
+        if max(abs(p) for p in self.params) > _LARGEST:
+            raise InputError(f"camera parameters are out of range, got {self.params}")
         if min(self.focal) <= 0:
             raise InputError(f"focal length must be positive, got {self.focal}")
 
@@ -126,7 +133,7 @@ class Camera:
             slope, unbounded = [9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0], math.pi / 2
         else:
             slope, unbounded = [5 * k2, 3 * k1, 1.0], math.inf
-        while slope and slope[0] == 0:
+        while abs(slope[0]) < _SMALLEST:
             slope = slope[1:]
         roots = np.roots(slope)
         squares = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and r.real > 0]

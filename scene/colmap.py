@@ -6,7 +6,7 @@ Written for pycolmap 4.2.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,8 +24,9 @@ from scene.sparse_map import SparseMap
 
 VERSION: str = pycolmap.__version__
 
-# Images per call of the extractor: enough to keep the cores busy, few enough to show progress.
+# Images and pairs per call of COLMAP: enough to keep the cores busy, few enough to show progress.
 _CHUNK = 16
+_PAIR_CHUNK = 64
 
 # COLMAP logs every step on standard error; a person reads our progress bar instead.
 pycolmap.logging.minloglevel = pycolmap.logging.ERROR
@@ -257,7 +258,7 @@ class PosedImage:
 def triangulate(
     root: Path,
     images: Sequence[PosedImage],
-    pairs: Iterable[tuple[str, str]],
+    pairs: Sequence[tuple[str, str]],
     out: Path,
     options: SiftOptions,
     on_progress: Progress | None = None,
@@ -270,7 +271,7 @@ def triangulate(
         pairs: names to match.
         out: existing folder for the model.
         options: of the detector.
-        on_progress: called with the number of images whose features are done.
+        on_progress: called with the number of images and pairs done.
 
     Returns:
         The map as written, and the features it was built from by image name.
@@ -283,10 +284,16 @@ def triangulate(
         pair_list = Path(scratch) / "pairs.txt"
         cameras = {image.name: image.camera for image in images}
         features = extract_sift(root, list(cameras), options, database, cameras, on_progress)
-        pair_list.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
-        pairing = pycolmap.ImportedPairingOptions()
-        pairing.match_list_path = pair_list
-        pycolmap.match_image_pairs(database, pairing_options=pairing, device=pycolmap.Device.cpu)
+        for start in range(0, len(pairs), _PAIR_CHUNK):
+            chunk = pairs[start : start + _PAIR_CHUNK]
+            pair_list.write_text("".join(f"{a} {b}\n" for a, b in chunk), encoding="utf-8")
+            pairing = pycolmap.ImportedPairingOptions()
+            pairing.match_list_path = pair_list
+            pycolmap.match_image_pairs(
+                database, pairing_options=pairing, device=pycolmap.Device.cpu
+            )
+            if on_progress is not None:
+                on_progress(len(images) + start + len(chunk))
         posed = _reconstruction(database, {image.name: image for image in images})
         model = pycolmap.triangulate_points(posed, database, root, out, clear_points=True)
         if not model.num_points3D():

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from scene.config import describe
 from scene.errors import InputError
 from scene.files import read_text, write_text
 from scene.geodesy import Geodetic
 
-Vector = Annotated[tuple[float, float, float], Field(allow_inf_nan=False)]
+Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 SizeClass = Literal["small", "medium", "large"]
 
 

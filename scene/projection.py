@@ -14,6 +14,8 @@ from torch import Tensor
 
 # Points closer to the camera plane than this (in units of the point's own frame) are behind it.
 _MIN_DEPTH = 1e-6
+# So are points seen at a larger x/z or y/z: powers of it overflow single precision.
+_MAX_SLOPE = 1e4
 _NEWTON_STEPS = 30
 
 
@@ -56,9 +58,9 @@ class Intrinsics:
         Batch dimensions of the intrinsics precede N.
         """
         z = points[..., 2]
-        in_front = z > _MIN_DEPTH
+        in_front = (z > _MIN_DEPTH) & (points[..., :2].abs().amax(-1) < _MAX_SLOPE * z)
         inverse_z = 1 / torch.where(in_front, z, torch.ones_like(z))
-        uv = points[..., :2] * inverse_z[..., None]
+        uv = torch.where(in_front[..., None], points[..., :2] * inverse_z[..., None], 0)
         distorted, local, inside = self._distort(uv, jacobian)
         focal = self.focal[..., None, :]
         xy = focal * distorted + self.principal[..., None, :]
@@ -78,6 +80,7 @@ class Intrinsics:
         is not valid.
         """
         target = (xy - self.principal[..., None, :]) / self.focal[..., None, :]
+        tolerance = max(1e-7, 16 * torch.finfo(target.dtype).eps)
         if self.fisheye:
             radius = target.norm(dim=-1)
             theta = radius.clamp(max=1.5)
@@ -86,7 +89,7 @@ class Intrinsics:
                 theta = theta - (value - radius) / slope.clamp_min(1e-3)
                 theta = theta.clamp(0.0, 1.5533)
             value, _ = self._fisheye_angle(theta)
-            converged = ((value - radius).abs() < 1e-7) & (theta < self.limit[..., None])
+            converged = ((value - radius).abs() < tolerance) & (theta < self.limit[..., None])
             scale = torch.tan(theta) / radius.clamp_min(1e-12)
             scale = torch.where(radius < 1e-9, torch.ones_like(scale), scale)
             uv = target * scale[..., None]
@@ -103,7 +106,7 @@ class Intrinsics:
                 step = torch.stack([d * rx - b * ry, a * ry - c * rx], -1) / det[..., None]
                 uv = uv + step.clamp(-1, 1)
             distorted, _, inside = self._distort(uv, jacobian=False)
-            converged = ((distorted - target).norm(dim=-1) < 1e-7) & inside
+            converged = ((distorted - target).norm(dim=-1) < tolerance) & inside
         rays = torch.cat([uv, torch.ones_like(uv[..., :1])], -1)
         return rays, converged
 
