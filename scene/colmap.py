@@ -19,7 +19,7 @@ from scene.camera import Camera
 from scene.colmap_files import read_model
 from scene.errors import InputError
 from scene.features import Features
-from scene.pose import Pose
+from scene.pose import Pose, transform_jacobian
 from scene.sparse_map import SparseMap
 
 VERSION: str = pycolmap.__version__
@@ -27,6 +27,16 @@ VERSION: str = pycolmap.__version__
 # Images and pairs per call of COLMAP: enough to keep the cores busy, few enough to show progress.
 _CHUNK = 16
 _PAIR_CHUNK = 64
+
+# Matches that determine a pose: their residuals are zero, whatever the matches are.
+_MINIMAL = 3
+
+# A condition number beyond which nothing is left of double precision.
+_SINGULAR = 1e15
+# Matches whose residuals say nothing, or too little to be true, are taken to be this exact (px^2).
+_LEAST_VARIANCE = 0.01
+# No GNSS is better than this (m); a sigma of zero would leave nothing to solve for.
+_LEAST_SIGMA = 1e-3
 
 # COLMAP logs every step on standard error; a person reads our progress bar instead.
 pycolmap.logging.minloglevel = pycolmap.logging.ERROR
@@ -106,7 +116,6 @@ def extract_sift(
             mode = pycolmap.CameraMode.AUTO
             for start in range(0, len(members), _CHUNK):
                 if camera is not None:
-                    # The first chunk creates the camera; later ones join it by its identifier.
                     mode = pycolmap.CameraMode.SINGLE
                     reader.camera_model = camera.model
                     reader.camera_params = ",".join(repr(p) for p in camera.params)
@@ -120,10 +129,22 @@ def extract_sift(
                     extraction_options=options.native(),
                     device=pycolmap.Device.cpu,
                 )
+                if camera is not None and start == 0:
+                    # The first chunk creates the camera; later ones join it by its identifier.
+                    reader.existing_camera_id = _newest_camera(target)
                 done += len(chunk)
                 if on_progress is not None:
                     on_progress(done)
-        return _read_features(target, root)
+        features = _read_features(target, root)
+    for name in names:
+        if name not in features:
+            raise InputError(f"image {root / name} is missing or cannot be read")
+    return features
+
+
+def _newest_camera(database: Path) -> int:
+    with pycolmap.Database.open(database) as db:
+        return max((camera.camera_id for camera in db.read_all_cameras()), default=-1)
 
 
 def _read_features(database: Path, root: Path) -> dict[str, Features]:
@@ -148,7 +169,8 @@ class PnpResult:
         cam_from_world: refined on the inliers.
         inliers: (N,) bool.
         covariance: (6, 6) of the left tangent of ``cam_from_world`` (rotation rad, translation
-            m), scaled by the inliers' own residuals; None where the problem is singular.
+            m), scaled by the inliers' own residuals; None where the problem is singular or has
+            no more matches than it needs.
     """
 
     cam_from_world: Pose
@@ -174,57 +196,71 @@ def estimate_absolute_pose(
         max_error: inlier threshold, pixels.
         position: (3,) camera centre measured by GNSS, world metres.
         position_sigma: (3,) its standard deviation per axis, metres; with it the position takes
-            part in the refinement.
+            part in the refinement, weighed against the inliers' own residuals.
         seed: of the sampling; the same seed gives the same pose.
     """
     estimation = pycolmap.AbsolutePoseEstimationOptions()
     estimation.ransac.max_error = max_error
     estimation.ransac.random_seed = seed
     refinement = pycolmap.AbsolutePoseRefinementOptions()
-    if position is not None and position_sigma is not None:
-        refinement.use_position_prior = True
-        refinement.position_prior_in_world = position
-        refinement.position_prior_covariance = np.diag(position_sigma**2)
-    answer = pycolmap.estimate_and_refine_absolute_pose(
-        xy, xyz, _native_camera(camera), estimation, refinement, return_covariance=True
-    )
+    native = _native_camera(camera)
+    answer = pycolmap.estimate_and_refine_absolute_pose(xy, xyz, native, estimation, refinement)
     if answer is None:
         return None
-    pose = _pose_from_native(answer["cam_from_world"])
     inliers = np.asarray(answer["inlier_mask"], bool)
-    covariance = answer.get("covariance")
-    if covariance is not None:
-        covariance = _left_tangent_covariance(np.asarray(covariance), pose)
-        covariance *= _residual_variance(xy[inliers], xyz[inliers], camera, pose)
-        if not np.isfinite(covariance).all():
-            covariance = None
+    pose = _pose_from_native(answer["cam_from_world"])
+    variance = _residual_variance(xy[inliers], xyz[inliers], camera, pose)
+    sigma = None
+    if position is not None and position_sigma is not None:
+        sigma = np.maximum(position_sigma, _LEAST_SIGMA)
+        refinement.use_position_prior = True
+        refinement.position_prior_in_world = position
+        # COLMAP takes every residual to be one pixel: in that unit sigma is smaller or larger.
+        refinement.position_prior_covariance = np.diag(sigma**2) / variance
+        refined = pycolmap.refine_absolute_pose(
+            answer["cam_from_world"], xy, xyz, inliers, native, refinement
+        )
+        if refined is not None:
+            pose = _pose_from_native(refined["cam_from_world"])
+    covariance = None
+    if inliers.sum() > _MINIMAL:
+        covariance = _pose_covariance(xyz[inliers], camera, pose, variance, sigma)
     return PnpResult(pose, inliers, covariance)
 
 
-def _left_tangent_covariance(native: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
-    """From COLMAP's tangent to ours.
+def _pose_covariance(
+    xyz: NDArray[np.float64],
+    camera: Camera,
+    pose: Pose,
+    variance: float,
+    position_sigma: NDArray[np.float64] | None,
+) -> NDArray[np.float64] | None:
+    """Inverse of the information of the inliers and of the position; None where singular.
 
-    COLMAP adds the translation step and rotates by ``q' = dq(w) q``, where Ceres's quaternion
-    manifold takes w as half the rotation vector. Ours is ``exp(omega, v) @ pose``, whose
-    translation moves by ``omega x t + v``.
+    COLMAP's own covariance is not used: it weighs the residuals by a robust loss of one pixel, so
+    that it claims up to twice the variance that inliers of a pixel's noise show.
     """
-    t = pose.translation.numpy()
-    change = np.zeros((6, 6))
-    change[:3, :3] = 2 * np.eye(3)
-    change[3:, 3:] = np.eye(3)
-    # v = dt - omega x t = dt + [t]x omega
-    cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
-    change[3:, :3] = 2 * cross
-    return np.asarray(change @ native @ change.T)
+    local = pose.transform(torch.from_numpy(xyz))
+    projected = camera.project(local, jacobian=True).jacobian
+    assert projected is not None
+    jacobian = (projected @ transform_jacobian(local)).reshape(-1, 6).numpy()
+    information = jacobian.T @ jacobian / variance
+    if position_sigma is not None:
+        # The centre moves by -R^T v.
+        rotation = pose.rotation.numpy()
+        information[3:, 3:] += rotation @ np.diag(position_sigma**-2) @ rotation.T
+    if np.linalg.cond(information) > _SINGULAR:
+        return None
+    return np.asarray(np.linalg.inv(information))
 
 
 def _residual_variance(
     xy: NDArray[np.float64], xyz: NDArray[np.float64], camera: Camera, pose: Pose
 ) -> float:
-    """Variance of one pixel coordinate, from the inliers. COLMAP assumes one pixel squared."""
+    """Variance of one pixel coordinate, from the inliers."""
     projected = camera.project(pose.transform(torch.from_numpy(xyz))).xy.numpy()
     degrees_of_freedom = max(2 * len(xy) - 6, 1)
-    return float(((projected - xy) ** 2).sum() / degrees_of_freedom)
+    return max(float(((projected - xy) ** 2).sum() / degrees_of_freedom), _LEAST_VARIANCE)
 
 
 def _native_camera(camera: Camera, camera_id: int = 1) -> pycolmap.Camera:

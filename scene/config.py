@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import reprlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,9 +38,10 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
     where = "on the command line"
     if path is not None:
         where = f"in {path}"
+        text = read_text(path, "configuration")
         try:
-            loaded = yaml.safe_load(read_text(path, "configuration"))
-        except yaml.YAMLError as error:
+            loaded = yaml.safe_load(text)
+        except (yaml.YAMLError, ValueError) as error:  # ValueError: a date that does not exist
             raise InputError(f"{path} is not valid YAML: {_one_line(error)}") from None
         if loaded is not None and not isinstance(loaded, dict):
             raise InputError(f"{path} must hold 'key: value' lines, not a {type(loaded).__name__}")
@@ -56,9 +58,21 @@ def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"]) or model.__name__
     if first["type"] == "extra_forbidden":
-        known = ", ".join(model.model_fields)
-        return f"unknown key '{key}' {where}; known: {known}"
-    return f"bad value for '{key}' {where}: {first['msg']} (got {first['input']!r})"
+        return f"unknown key '{key}' {where}{_known(model, first['loc'][:-1])}"
+    if first["type"] == "missing":
+        return f"missing key '{key}' {where}"
+    return f"bad value for '{key}' {where}: {first['msg']} (got {reprlib.repr(first['input'])})"
+
+
+def _known(model: type[BaseModel], path: Sequence[int | str]) -> str:
+    """The keys of the model that a path of keys leads to; nothing where that is no model."""
+    for part in path:
+        field = model.model_fields.get(str(part))
+        inner = field.annotation if field else None
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return ""
+        model = inner
+    return f"; known: {', '.join(model.model_fields)}"
 
 
 def _one_line(error: Exception) -> str:

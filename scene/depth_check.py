@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -148,9 +149,14 @@ def measure(frames: DepthFrames, reading: Reading) -> Agreement:
 
 def _planar(distance: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """Planar depth out of distances along the ray."""
-    rays, _ = camera.unproject(camera.pixel_grid().reshape(-1, 2))
-    length = rays.norm(dim=-1).numpy().reshape(distance.shape)
-    return np.asarray(distance / length, np.float32)
+    return np.asarray(distance / _ray_lengths(camera), np.float32)
+
+
+@lru_cache(maxsize=16)
+def _ray_lengths(camera: Camera) -> NDArray[np.float32]:
+    """Length of the ray with z = 1 through every pixel, (H, W)."""
+    rays, _ = camera.unproject(camera.pixel_grid())
+    return np.asarray(rays.norm(dim=-1).numpy(), np.float32)
 
 
 def _lift(
@@ -175,7 +181,7 @@ def _project(
 
 def _nearest(image: NDArray[np.uint16], xy: NDArray[np.float64]) -> NDArray[np.uint16]:
     columns, rows = np.floor(xy).astype(int).T
-    return image[rows, columns]
+    return np.asarray(image[rows, columns])
 
 
 def _sample(

@@ -95,18 +95,21 @@ class Intrinsics:
             uv = target * scale[..., None]
         else:
             uv = target
-            for _ in range(_NEWTON_STEPS):
-                distorted, local, _ = self._distort(uv, jacobian=True)
+            distorted = bool(self.distortion.any())
+            for _ in range(_NEWTON_STEPS if distorted else 0):
+                value, local, _ = self._distort(uv, jacobian=True)
                 assert local is not None
                 # A regularised solve keeps hopeless pixels finite instead of raising.
                 a, b, c, d = local.flatten(-2).unbind(-1)
                 det = a * d - b * c
                 det = torch.where(det.abs() < 1e-6, torch.full_like(det, 1e-6), det)
-                rx, ry = (target - distorted).unbind(-1)
+                rx, ry = (target - value).unbind(-1)
                 step = torch.stack([d * rx - b * ry, a * ry - c * rx], -1) / det[..., None]
                 uv = uv + step.clamp(-1, 1)
-            distorted, _, inside = self._distort(uv, jacobian=False)
-            converged = ((distorted - target).norm(dim=-1) < tolerance) & inside
+                if not (step.abs() > torch.finfo(step.dtype).eps).any():
+                    break
+            value, _, inside = self._distort(uv, jacobian=False)
+            converged = ((value - target).norm(dim=-1) < tolerance) & inside
         rays = torch.cat([uv, torch.ones_like(uv[..., :1])], -1)
         return rays, converged
 

@@ -1,0 +1,1 @@
+"""Top floor: data sets, running localizers on them, scoring, leaderboard, and the command line."""

@@ -1,0 +1,130 @@
+"""What localizers are scored on, whatever form it has on disk."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from scene.camera import Camera
+from scene.errors import InputError
+from scene.images import read_rgb
+from scene.localizer import Prior, Query
+from scene.pose import Pose
+from scene.sparse_map import SparseMap
+
+
+@dataclass(frozen=True)
+class BenchmarkQuery:
+    """One query and, apart from it, the truth about it.
+
+    Attributes:
+        name: unique within the data set.
+        condition: season and light, or whatever the data set is divided by.
+        camera: calibrated.
+        image: file of the photograph.
+        prior: starting information, or None where the data set has none for this query.
+        reference: ``cam_from_world`` that an estimate is scored against; no localizer sees it.
+    """
+
+    name: str
+    condition: str
+    camera: Camera
+    image: Path
+    prior: Prior | None
+    reference: Pose
+
+    def load(self, use_prior: bool = True) -> Query:
+        """Read the photograph.
+
+        Raises:
+            InputError: it is missing, damaged, or not of the camera's size.
+        """
+        prior = self.prior if use_prior else None
+        return Query(self.name, read_rgb(self.image, self.camera), self.camera, prior)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A map, and queries with reference poses.
+
+    Attributes:
+        name: folder of its results.
+        track: what it can show: "uav-sim" (changed season and light) or "flight" (photographs).
+        sha256: digest of what is scored; see ``digest``.
+        map_conditions: conditions the map's photographs were taken under.
+        load_map: reads the map.
+        images: folder that the map's image names are relative to.
+        queries: in the order of the data set's own list; never empty.
+    """
+
+    name: str
+    track: str
+    sha256: str
+    map_conditions: tuple[str, ...]
+    load_map: Callable[[], SparseMap]
+    images: Path
+    queries: tuple[BenchmarkQuery, ...]
+
+
+def open_datasets(path: Path) -> list[Dataset]:
+    """Open the data sets of a folder.
+
+    A scene (it has ``scene.json``) is one data set. A flight is one, or two with its hard split,
+    whose name ends in ``-sparse``; a path with that ending opens the hard split alone.
+
+    Raises:
+        InputError: no such folder, neither a scene nor a flight, or anything wrong inside it.
+    """
+    # Each kind is built from the types above, so the kinds cannot be imported before them.
+    from benchmark.flight import SPARSE_SUFFIX, is_flight, open_flight
+    from benchmark.simulated import is_scene, open_scene
+
+    if path.is_dir():
+        if is_scene(path):
+            return [open_scene(path)]
+        if is_flight(path):
+            return open_flight(path)
+        raise InputError(
+            f"{path} is not a data set: it has neither scene.json (a finished scene) nor "
+            "queries.txt, reference_poses.txt and sparse/map (a flight)"
+        )
+    whole = path.with_name(path.name.removesuffix(SPARSE_SUFFIX)) if path.name else path
+    if whole != path and is_flight(whole):
+        return [d for d in open_flight(whole, sparse=True) if d.name == path.name]
+    raise InputError(f"data set {path} does not exist")
+
+
+def digest(
+    sparse_map: SparseMap, queries: Sequence[BenchmarkQuery], photographs: Sequence[str]
+) -> str:
+    """Hex SHA-256 of the map, the queries with what localizers are told, and the reference poses.
+
+    Numbers enter rounded to nanometres, so that the last bit of another processor's arithmetic
+    does not make another data set.
+
+    Args:
+        sparse_map: the map.
+        queries: in order.
+        photographs: digest of each query's image file.
+    """
+
+    def rounded(numbers: Iterable[float]) -> str:
+        return " ".join(f"{x + 0.0:.9f}" for x in numbers)
+
+    sha = hashlib.sha256(sparse_map.sha256.encode())
+    for query, photograph in zip(queries, photographs, strict=True):
+        words = [query.name, query.condition, str(query.camera), photograph]
+        words.append(rounded(query.reference.matrix().flatten().tolist()))
+        if query.prior is not None:
+            prior = query.prior
+            words.append(rounded(prior.position))
+            if prior.position_sigma is not None:
+                words.append(rounded(prior.position_sigma))
+            if prior.cam_from_world_rotation is not None:
+                words.append(rounded(prior.cam_from_world_rotation.ravel()))
+            if prior.attitude_sigma_deg is not None:
+                words.append(rounded([prior.attitude_sigma_deg]))
+        sha.update("\n".join([*words, ""]).encode())
+    return sha.hexdigest()

@@ -1,0 +1,267 @@
+"""The results file: one method on one data set, complete enough to be scored again."""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from benchmark.score import THRESHOLDS, median_errors, recall
+from scene.errors import InputError
+from scene.files import write_text
+from scene.localizer import Status
+from scene.manifest import read_json
+
+Start = Literal["prior", "none"]
+PoseNumbers = tuple[float, float, float, float, float, float, float]
+
+# The stage that holds the whole time of a query, measured from outside the method.
+TOTAL = "total"
+
+# Stored and recomputed figures agree to this relative difference, or the file was changed.
+_TOLERANCE = 1e-9
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Method(_File):
+    """What was run. ``config`` is everything that changes its result."""
+
+    name: str
+    config: dict[str, Any]
+    weights_sha256: str | None
+
+
+class DatasetId(_File):
+    """What it was run on. ``map_conditions`` are those of the map's photographs."""
+
+    name: str
+    track: str
+    sha256: str
+    map_conditions: tuple[str, ...]
+
+
+class Environment(_File):
+    """Versions of what computes the numbers."""
+
+    objconnect: str
+    python: str
+    numpy: str
+    torch: str
+    pycolmap: str
+
+    @staticmethod
+    def current() -> Environment:
+        """Of this process; "unknown" for a package that is not installed as one."""
+
+        def of(package: str) -> str:
+            try:
+                return version(package)
+            except PackageNotFoundError:
+                return "unknown"
+
+        names = ("objconnect", "numpy", "torch", "pycolmap")
+        return Environment(python=platform.python_version(), **{name: of(name) for name in names})
+
+
+class Recall(_File):
+    """Percent of queries, with the ends of its Wilson 95 % interval in percent."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Seconds(_File):
+    """Wall-clock time.
+
+    Attributes:
+        prepare: once per run.
+        per_query: mean over all queries by stage; a stage that a query did not reach counts as
+            zero, and "total" is the whole call.
+    """
+
+    prepare: float
+    per_query: dict[str, float]
+
+
+class Summary(_File):
+    """Figures of a set of queries.
+
+    Attributes:
+        queries: how many are listed; all of them are in every denominator.
+        recall: by threshold, as "0.25m_2deg".
+        median_t_m: over queries with a pose, metres; None when there is none.
+        median_r_deg: likewise, degrees.
+        failed: without a pose.
+        fallback: with a pose that is only the prior's or a reference's; counted as wrong.
+        seconds: ``prepare`` is of the whole run, also when the queries are only a part of it.
+        peak_memory_mb: of the process during the whole run (1e6 bytes); None where the system does
+            not tell.
+    """
+
+    queries: int
+    recall: dict[str, Recall]
+    median_t_m: float | None
+    median_r_deg: float | None
+    failed: int
+    fallback: int
+    seconds: Seconds
+    peak_memory_mb: float | None
+
+
+class QueryResult(_File):
+    """One query.
+
+    Attributes:
+        name: of the photograph.
+        condition: it was taken under.
+        status: how it ended.
+        reason: in words, when not ``ok``.
+        t_err_m: distance of the camera centres, metres; None without a pose.
+        r_err_deg: angle between the rotations, degrees; None without a pose.
+        cam_from_world: qw qx qy qz tx ty tz, the estimate; None without a pose.
+        sigma_t_m: predicted standard deviation of the camera centre, metres; None when unknown.
+        iterations: of the method.
+        inliers: of the method.
+        seconds: by stage.
+    """
+
+    name: str
+    condition: str
+    status: Status
+    reason: str
+    t_err_m: float | None = Field(ge=0)
+    r_err_deg: float | None = Field(ge=0)
+    cam_from_world: PoseNumbers | None
+    sigma_t_m: float | None
+    iterations: int
+    inliers: int
+    seconds: dict[str, float]
+
+
+class Results(_File):
+    """One method on one data set.
+
+    Attributes:
+        start: whether queries came with starting information: "prior" when at least one did.
+        by_condition: the same figures for the queries of each condition.
+    """
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    method: Method
+    dataset: DatasetId
+    start: Start
+    environment: Environment
+    summary: Summary
+    by_condition: dict[str, Summary]
+    queries: tuple[QueryResult, ...] = Field(min_length=1)
+
+    def write(self, path: Path) -> None:
+        """Write atomically.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        write_text(path, self.model_dump_json(indent=1, by_alias=True) + "\n")
+
+
+def summarize(
+    queries: Sequence[QueryResult], prepare: float, peak_memory_mb: float | None
+) -> Summary:
+    """The figures of some queries of a run that took ``prepare`` seconds before the first."""
+    median_t, median_r = median_errors(queries)
+    stages = dict.fromkeys(stage for query in queries for stage in query.seconds)
+    return Summary(
+        queries=len(queries),
+        recall={
+            threshold.key: Recall(**recall(queries, threshold)._asdict())
+            for threshold in THRESHOLDS
+        },
+        median_t_m=median_t,
+        median_r_deg=median_r,
+        failed=sum(query.status is Status.FAILED for query in queries),
+        fallback=sum(query.status is Status.FALLBACK for query in queries),
+        seconds=Seconds(
+            prepare=prepare,
+            per_query={
+                stage: math.fsum(query.seconds.get(stage, 0.0) for query in queries) / len(queries)
+                for stage in stages
+            },
+        ),
+        peak_memory_mb=peak_memory_mb,
+    )
+
+
+def summarize_by_condition(
+    queries: Sequence[QueryResult], prepare: float, peak_memory_mb: float | None
+) -> dict[str, Summary]:
+    """The same for the queries of each condition, by name."""
+    return {
+        condition: summarize(
+            [query for query in queries if query.condition == condition], prepare, peak_memory_mb
+        )
+        for condition in sorted({query.condition for query in queries})
+    }
+
+
+def rescore(results: Results) -> Results:
+    """The same results with every figure recomputed from the list of queries."""
+    run = results.summary.seconds.prepare, results.summary.peak_memory_mb
+    return results.model_copy(
+        update={
+            "summary": summarize(results.queries, *run),
+            "by_condition": summarize_by_condition(results.queries, *run),
+        }
+    )
+
+
+def load(path: Path) -> Results:
+    """Read a results file; its figures are the recomputed ones.
+
+    Raises:
+        InputError: unreadable, not a results file, queries that contradict themselves, or figures
+            that do not follow from the queries.
+    """
+    results = read_json(path, Results, "results file")
+    seen: set[str] = set()
+    for query in results.queries:
+        if query.name in seen:
+            raise InputError(f"results file {path}: query {query.name} is listed twice")
+        seen.add(query.name)
+        given = {query.cam_from_world is None, query.t_err_m is None, query.r_err_deg is None}
+        if given != {query.status is Status.FAILED}:
+            raise InputError(
+                f"results file {path}: query {query.name} is '{query.status}' but its pose and "
+                "errors say otherwise"
+            )
+    recomputed = rescore(results)
+    for part in ("summary", "by_condition"):
+        stored, computed = results.model_dump()[part], recomputed.model_dump()[part]
+        if (where := _difference(stored, computed, part)) is not None:
+            raise InputError(
+                f"results file {path}: {where} does not follow from its queries; "
+                "the file was changed after it was written"
+            )
+    return recomputed
+
+
+def _difference(stored: object, computed: object, where: str) -> str | None:
+    """Where two trees of figures differ, or None."""
+    if isinstance(stored, dict) and isinstance(computed, dict):
+        for key in sorted(stored.keys() | computed.keys()):
+            if key not in stored or key not in computed:
+                return f"{where}.{key}"
+            if (found := _difference(stored[key], computed[key], f"{where}.{key}")) is not None:
+                return found
+        return None
+    if isinstance(stored, float) and isinstance(computed, float):
+        return None if math.isclose(stored, computed, rel_tol=_TOLERANCE) else where
+    return None if stored == computed else where

@@ -1,0 +1,87 @@
+"""Simulated scenes: exact reference poses, many conditions over one ground."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from benchmark.datasets import BenchmarkQuery, Dataset, digest
+from scene.bundle import MANIFEST, Scene
+from scene.colmap_files import check_pose
+from scene.errors import InputError
+from scene.localizer import Prior
+from scene.pose import Pose
+
+TRACK: Final = "uav-sim"
+
+
+def is_scene(path: Path) -> bool:
+    """Whether a folder is a finished scene."""
+    return (path / MANIFEST).is_file()
+
+
+def open_scene(path: Path) -> Dataset:
+    """Open a scene: its map against the queries of every session.
+
+    Raises:
+        InputError: not a finished scene, one without map or queries, or lists that contradict each
+            other.
+    """
+    scene = Scene.open(path)
+    queries = tuple(query for session in scene.splits.queries for query in _queries(scene, session))
+    if not queries:
+        raise InputError(f"scene {path} has no query: its splits name map frames only")
+    sparse_map = scene.sparse_map()
+    for query in queries:
+        if query.name in sparse_map.images:
+            raise InputError(f"scene {path}: query {query.name} is a photograph of the map")
+    return Dataset(
+        name=scene.name,
+        track=TRACK,
+        sha256=digest(sparse_map, queries, [_photograph(scene, query.name) for query in queries]),
+        map_conditions=tuple(sorted({_condition(scene, name) for name in sparse_map.images})),
+        load_map=scene.sparse_map,
+        images=scene.images_root,
+        queries=queries,
+    )
+
+
+def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
+    frames = scene.frames(session)
+    row_of = {name: row for row, name in enumerate(frames.names)}
+    for name in scene.splits.queries[session]:
+        if name not in row_of:
+            raise InputError(f"scene {scene.path}: query {name} is no frame of session {session}")
+        row = row_of[name]
+        attitude = frames.attitude_prior[row]
+        check_pose(attitude, frames.gps_prior[row], f"scene {scene.path}: prior of {name}")
+        yield BenchmarkQuery(
+            name=name,
+            condition=scene.sessions[session].condition,
+            camera=frames.cameras[row],
+            image=scene.images_root / name,
+            prior=Prior(
+                position=frames.gps_prior[row],
+                position_sigma=frames.gps_sigma[row],
+                cam_from_world_rotation=Pose.from_quaternion(attitude, [0, 0, 0]).rotation.numpy(),
+                attitude_sigma_deg=float(frames.attitude_sigma_deg[row]),
+            ),
+            reference=Pose.from_matrix(frames.cam_from_world[row]),
+        )
+
+
+def _condition(scene: Scene, name: str) -> str:
+    """The condition a photograph was taken under; its session is the first part of its name."""
+    session = name.split("/")[0]
+    if session not in scene.sessions:
+        raise InputError(f"scene {scene.path}: map image {name} belongs to no session")
+    return scene.sessions[session].condition
+
+
+def _photograph(scene: Scene, name: str) -> str:
+    """Digest of a photograph, as the scene's manifest recorded it."""
+    file = f"{scene.images_root.name}/{name}"
+    if file not in scene.manifest.sha256:
+        raise InputError(f"scene {scene.path}: its manifest does not list the query image {file}")
+    return scene.manifest.sha256[file]

@@ -1,0 +1,84 @@
+"""``validate`` for whatever ``evaluate`` reads: scenes, and flights of real photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.registry import create
+from benchmark.datasets import Dataset, open_datasets
+from benchmark.simulated import is_scene
+from scene.conventions import OURS, POSE_READINGS, Reading
+from scene.map_check import check_map, check_principal_points
+from scene.pose import Pose
+from scene.report import Check, Report
+from scene.sparse_map import SparseMap
+from scene.validate import validate as validate_scene
+
+# Queries whose reference pose is held against what their photograph says.
+_PROBES = 5
+# Reference and photograph tell of one place when they differ by less; the coarsest threshold.
+_SAME_METRES, _SAME_DEGREES = 5.0, 10.0
+
+
+def validate(path: Path) -> Report:
+    """Check the conventions of a scene or of a flight, and name what is wrong.
+
+    Raises:
+        InputError: neither a scene nor a flight, or a file of it cannot be read at all.
+    """
+    if is_scene(path):
+        return validate_scene(path)
+    return Report(str(path), tuple(c for d in open_datasets(path) for c in _checks(d)))
+
+
+def _checks(dataset: Dataset) -> Iterator[Check]:
+    sparse_map = dataset.load_map()
+    cameras = [query.camera for query in dataset.queries]
+    for check in (
+        check_map(sparse_map),
+        check_principal_points(sparse_map, cameras),
+        _check_reference_poses(dataset, sparse_map),
+    ):
+        yield replace(check, name=f"{dataset.name}: {check.name}")
+
+
+def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap) -> Check:
+    """Localize a few queries and see which reading of their reference poses agrees."""
+    name = "reference poses agree with the photographs"
+    localizer = create("sift", {})
+    localizer.prepare(sparse_map, dataset.images)
+    chosen = np.linspace(0, len(dataset.queries) - 1, min(_PROBES, len(dataset.queries)))
+    found, written = [], []
+    for query in (dataset.queries[int(k)] for k in chosen):
+        pose = localizer.localize(query.load(use_prior=False)).cam_from_world
+        if pose is not None:
+            found.append(pose)
+            written.append(query.reference.matrix().numpy())
+    if not found:
+        return Check(name, True, "not decided: SIFT localizes none of the queries tried")
+    metres, degrees = _difference(found, np.stack(written), OURS)
+    figures = {"median_m": metres, "median_deg": degrees, "queries": float(len(found))}
+    if metres < _SAME_METRES and degrees < _SAME_DEGREES:
+        detail = f"median {metres:.2f} m, {degrees:.2f}° from where SIFT finds {len(found)} queries"
+        return Check(name, True, detail, figures)
+    for reading in POSE_READINGS:
+        m, d = _difference(found, np.stack(written), reading)
+        if m < _SAME_METRES and d < _SAME_DEGREES:
+            return Check(name, False, reading.fault, figures)
+    detail = f"median {metres:.1f} m, {degrees:.1f}° from where SIFT finds {len(found)} queries"
+    return Check(name, False, detail, figures)
+
+
+def _difference(
+    found: Sequence[Pose], written: NDArray[np.float64], reading: Reading
+) -> tuple[float, float]:
+    """Median distance (m) and angle (deg) of poses found from poses as a reading takes them."""
+    read = [Pose.from_matrix(matrix) for matrix in reading.poses(written)]
+    errors = [pose.error_to(other) for pose, other in zip(found, read, strict=True)]
+    metres, degrees = np.median(np.array([[float(m), float(d)] for m, d in errors]), axis=0)
+    return float(metres), float(degrees)

@@ -1,0 +1,398 @@
+"""The command line, above all what it says when the input is at fault."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
+from typer.testing import CliRunner, Result
+
+import baselines.registry
+from benchmark.cli import app
+from scene.localizer import Estimate, Status
+
+ROOT = Path(__file__).parents[2]
+
+
+def invoke(*words: object) -> Result:
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def error_line(stderr: str) -> str:
+    """The one line a person reads."""
+    assert "Traceback" not in stderr
+    lines = stderr.splitlines()
+    assert len(lines) == 1, stderr
+    assert lines[0].startswith("objconnect: error: ")
+    return lines[0]
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> FakeLocalizer:
+    """Every method name gives this localizer."""
+    localizer = FakeLocalizer(
+        {
+            "b.jpg": Estimate(Status.OK, moved(pose_at(1), 0.1)),
+            "d.jpg": Estimate(Status.OK, moved(pose_at(3), 0.1)),
+        }
+    )
+    monkeypatch.setattr(baselines.registry, "create", lambda name, overrides: localizer)
+    return localizer
+
+
+def first_query(flight: Path) -> str:
+    return (flight / "queries.txt").read_text().split()[0]
+
+
+def edit_pose(flight: Path, column: int, value: str) -> None:
+    """Change one column of the first reference pose."""
+    path = flight / "reference_poses.txt"
+    lines = path.read_text().splitlines()
+    words = lines[1].split()
+    words[column] = value
+    path.write_text("\n".join([lines[0], " ".join(words), *lines[2:]]) + "\n")
+
+
+def nan_pose(flight: Path) -> str:
+    edit_pose(flight, 6, "nan")
+    return "reference_poses.txt:2: 'nan' is not a finite number"
+
+
+def not_a_number(flight: Path) -> str:
+    edit_pose(flight, 2, "west")
+    return "reference_poses.txt:2: 'west' is not a number"
+
+
+def non_unit_quaternion(flight: Path) -> str:
+    edit_pose(flight, 1, "0.9")
+    return f"reference_poses.txt:2: {first_query(flight)} has a quaternion of length"
+
+
+def wrong_column_count(flight: Path) -> str:
+    edit_pose(flight, 7, "1.0 2.0")
+    return "reference_poses.txt:2: expected 8 columns (name qw qx qy qz tx ty tz), got 9"
+
+
+def wrong_camera(flight: Path) -> str:
+    path = flight / "queries.txt"
+    path.write_text(path.read_text().replace(" SIMPLE_RADIAL ", " PINHOLEY ", 1))
+    return "queries.txt:1: unknown camera model 'PINHOLEY'"
+
+
+def duplicate_query(flight: Path) -> str:
+    path = flight / "queries.txt"
+    path.write_text(path.read_text() + path.read_text().splitlines()[0] + "\n")
+    return f"{first_query(flight)} is listed twice"
+
+
+def query_without_reference(flight: Path) -> str:
+    path = flight / "reference_poses.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], *lines[2:]]) + "\n")
+    return f"query {first_query(flight)} has no reference pose"
+
+
+def reference_without_query(flight: Path) -> str:
+    name = first_query(flight)
+    path = flight / "queries.txt"
+    path.write_text("\n".join(path.read_text().splitlines()[1:]) + "\n")
+    return f"{name} is not a query of"
+
+
+def no_queries(flight: Path) -> str:
+    (flight / "queries.txt").write_text("# none\n")
+    (flight / "reference_poses.txt").write_text("# none\n")
+    return "queries.txt lists no query"
+
+
+def missing_image(flight: Path) -> str:
+    (flight / "images" / first_query(flight)).unlink()
+    return f"{first_query(flight)} does not exist"
+
+
+def missing_poses(flight: Path) -> str:
+    (flight / "reference_poses.txt").unlink()
+    return "reference_poses.txt"
+
+
+def binary_poses(flight: Path) -> str:
+    (flight / "reference_poses.txt").write_bytes(b"\xff\xfe\x00")
+    return "reference_poses.txt: it is not a UTF-8 text file"
+
+
+def missing_map(flight: Path) -> str:
+    shutil.rmtree(flight / "sparse")
+    return "sparse/map"
+
+
+def empty_map(flight: Path) -> str:
+    shutil.rmtree(flight / "sparse" / "map")
+    write_model(flight / "sparse" / "map", {})
+    return "is empty"
+
+
+def truncated_map(flight: Path) -> str:
+    path = flight / "sparse" / "map" / "points3D.bin"
+    path.write_bytes(path.read_bytes()[:1000])
+    return "points3D.bin is truncated or damaged"
+
+
+def query_in_the_map(flight: Path) -> str:
+    shutil.rmtree(flight / "sparse" / "map")
+    write_model(flight / "sparse" / "map", {first_query(flight): pose_at(1)})
+    return f"query {first_query(flight)} is a photograph of the map"
+
+
+def bad_gps(flight: Path) -> str:
+    path = flight / "gps.csv"
+    path.write_text(path.read_text().replace(",map,", ",map,,", 1))
+    return "gps.csv:2: expected"
+
+
+def gps_without_columns(flight: Path) -> str:
+    path = flight / "gps.csv"
+    path.write_text(path.read_text().replace(",e,n,u", ",x,y,z", 1))
+    return "gps.csv:1: GPS table lacks the column e, n, u"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        nan_pose,
+        not_a_number,
+        non_unit_quaternion,
+        wrong_column_count,
+        wrong_camera,
+        duplicate_query,
+        query_without_reference,
+        reference_without_query,
+        no_queries,
+        missing_image,
+        missing_poses,
+        binary_poses,
+        missing_map,
+        empty_map,
+        truncated_map,
+        query_in_the_map,
+        bad_gps,
+        gps_without_columns,
+    ],
+)
+def test_broken_flight(flight: Path, tmp_path: Path, damage: Callable[[Path], str]) -> None:
+    message = damage(flight)
+    result = invoke("evaluate", flight, "--method", "sift", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert message in error_line(result.stderr)
+    assert result.stdout == ""
+    assert not (tmp_path / "out").exists()
+
+
+def truncated_photograph(flight: Path) -> str:
+    path = flight / "images" / first_query(flight)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    return f"{path} is damaged"
+
+
+def photograph_of_another_size(flight: Path) -> str:
+    from PIL import Image
+
+    path = flight / "images" / first_query(flight)
+    Image.new("RGB", (40, 30)).save(path)
+    return f"{path} is 40 x 30 pixels but its camera is"
+
+
+@pytest.mark.parametrize("damage", [truncated_photograph, photograph_of_another_size])
+def test_broken_photograph(
+    flight: Path, tmp_path: Path, fake: FakeLocalizer, damage: Callable[[Path], str]
+) -> None:
+    message = damage(flight)
+    result = invoke("evaluate", flight, "--method", "fake", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert message in error_line(result.stderr)
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_folder(tmp_path: Path) -> None:
+    nowhere = tmp_path / "nowhere"
+    result = invoke("evaluate", nowhere, "--method", "sift", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert f"data set {nowhere} does not exist" in error_line(result.stderr)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_of_something_else(tmp_path: Path) -> None:
+    result = invoke("evaluate", tmp_path, "--method", "sift", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "is not a data set" in error_line(result.stderr)
+
+
+def test_unknown_method(made_flight: Path, tmp_path: Path) -> None:
+    result = invoke("evaluate", made_flight, "--method", "magic", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "unknown method 'magic'" in error_line(result.stderr)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("charm=1", "charm"),
+        ("ratio=high", "ratio"),
+        ("ratio", "--set takes KEY=VALUE"),
+        ("ratio=[", "is not a YAML value"),
+    ],
+)
+def test_bad_setting(made_flight: Path, tmp_path: Path, setting: str, message: str) -> None:
+    out = tmp_path / "out"
+    result = invoke("evaluate", made_flight, "--method", "sift", "--out", out, "--set", setting)
+    assert result.exit_code == 2
+    assert message in error_line(result.stderr)
+
+
+def test_two_data_sets_of_one_name(tmp_path: Path, fake: FakeLocalizer) -> None:
+    one, two = write_flight(tmp_path / "1" / "meadow"), write_flight(tmp_path / "2" / "meadow")
+    result = invoke("evaluate", one, two, "--method", "fake", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "two data sets are called 'meadow'" in error_line(result.stderr)
+
+
+def test_evaluate_and_leaderboard(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+    out = tmp_path / "out"
+    result = invoke("evaluate", made_flight, "--method", "fake", "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "| fake | same-flight | 3 | 66.7 [20.8, 93.9] |" in result.stdout
+    board = invoke("leaderboard", out, "--out", tmp_path / "board")
+    assert board.exit_code == 0
+    assert (tmp_path / "board" / "leaderboard.md").read_text() == board.stdout == result.stdout
+
+
+def test_json(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+    out = tmp_path / "out"
+    words = ["evaluate", made_flight, "--method", "fake", "--out", out, "--start", "none", "--json"]
+    summary = json.loads(invoke(*words).stdout)
+    assert summary["results"] == [str(out / "meadow" / "fake.json")]
+    (table,) = summary["tables"]
+    assert (table["dataset"], table["start"]) == ("meadow", "none")
+    assert table["rows"][0]["summary"]["queries"] == 3
+    assert json.loads(invoke("leaderboard", out, "--json").stdout)["tables"] == summary["tables"]
+
+
+def test_interrupt(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:
+    fake.answers = {"d.jpg": KeyboardInterrupt()}
+    result = invoke("evaluate", made_flight, "--method", "fake", "--out", tmp_path / "out")
+    assert result.exit_code == 130
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_leaderboard_of_nothing(tmp_path: Path) -> None:
+    result = invoke("leaderboard", tmp_path, "--out", tmp_path / "board")
+    assert result.exit_code == 2
+    assert "holds no results file" in error_line(result.stderr)
+    assert not (tmp_path / "board").exists()
+
+
+@pytest.mark.parametrize("command", ["evaluate", "leaderboard", "simulate", "map", "validate"])
+def test_help_is_complete(command: str) -> None:
+    result = invoke(command, "--help")
+    assert result.exit_code == 0
+    assert "--json" in result.stdout
+
+
+def test_version() -> None:
+    result = invoke("--version")
+    assert result.exit_code == 0
+    assert result.stdout.startswith("objconnect")
+
+
+def test_unknown_option() -> None:
+    assert invoke("evaluate", "--colour", "red").exit_code == 2
+
+
+def test_simulate_hands_over_what_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[tuple[Any, ...]] = []
+
+    def simulate(*call: Any) -> SimpleNamespace:
+        calls.append(call)
+        return SimpleNamespace(path=tmp_path / "scene", sessions={"summer-noon-nadir-map": None})
+
+    monkeypatch.setattr("simulate.command.simulate", simulate)
+    config = tmp_path / "c.yaml"
+    config.write_text("spp: 9\nframes: 5\n")
+    words = ["simulate", "--out", tmp_path / "scene", "--config", config, "--seed", 7, "--jobs", 2]
+    sessions = ["--session", "summer-noon:nadir", "--session", "winter-dusk:oblique:query"]
+    result = invoke(*words, "--frames", 8, *sessions, "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["sessions"] == ["summer-noon-nadir-map"]
+    ((settings, out, jobs),) = calls
+    assert (out, jobs) == (tmp_path / "scene", 2)
+    assert (settings.seed, settings.spp, settings.frames) == (7, 9, 8)
+    assert [(s.condition, s.flight, s.role) for s in settings.sessions] == [
+        ("summer-noon", "nadir", "map"),
+        ("winter-dusk", "oblique", "query"),
+    ]
+
+
+@pytest.mark.parametrize(
+    "words", [["--preset", "moon"], ["--session", "summer-noon"], ["--session", "rain:nadir"]]
+)
+def test_simulate_refuses_what_it_does_not_know(tmp_path: Path, words: list[str]) -> None:
+    result = invoke("simulate", "--out", tmp_path / "scene", *words)
+    assert result.exit_code == 2
+    assert words[1].split(":")[0] in error_line(result.stderr)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_map_of_no_scene(tmp_path: Path) -> None:
+    result = invoke("map", tmp_path)
+    assert result.exit_code == 2
+    assert "is not a finished scene" in error_line(result.stderr)
+
+
+@pytest.mark.parametrize(("ok", "code"), [(True, 0), (False, 2)])
+def test_validate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ok: bool, code: int) -> None:
+    report = SimpleNamespace(ok=ok, text=lambda: "the findings", as_dict=lambda: {"ok": ok})
+    module = SimpleNamespace(validate=lambda path: report)
+    monkeypatch.setitem(sys.modules, "benchmark.validate", module)
+    result = invoke("validate", tmp_path)
+    assert (result.exit_code, result.stdout) == (code, "the findings\n")
+    result = invoke("validate", tmp_path, "--json")
+    assert (result.exit_code, json.loads(result.stdout)) == (code, {"ok": ok})
+
+
+def run_process(*words: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "benchmark.cli", *(str(word) for word in words)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_process_prints_one_line(flight: Path, tmp_path: Path) -> None:
+    message = nan_pose(flight)
+    done = run_process("evaluate", flight, "--method", "sift", "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert message in error_line(done.stderr)
+    assert done.stdout == ""
+    assert not (tmp_path / "out").exists()
+
+
+def test_help_is_quick() -> None:
+    start = time.perf_counter()
+    done = run_process("--help")
+    assert done.returncode == 0
+    assert time.perf_counter() - start < 3  # about 0.3 s on an idle machine
+    heavy = (
+        "import sys, benchmark.cli; print({'torch', 'numpy', 'rich.progress'} & sys.modules.keys())"
+    )
+    imported = subprocess.run(
+        [sys.executable, "-c", heavy], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert imported.stdout.strip() == "set()"
