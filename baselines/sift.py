@@ -14,13 +14,13 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from baselines.matching import match
 from baselines.retrieval import VladIndex, nearest_by_position
 from scene.colmap import SiftExtractor, SiftOptions, estimate_absolute_pose, extract_sift
 from scene.config import Config
 from scene.errors import InputError
-from scene.features import Features, read_features, write_features
+from scene.features import Features, read_features, unit_descriptors, write_features
 from scene.localizer import Estimate, Query, Status, Stopwatch
+from scene.matching import match
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
 
@@ -67,21 +67,26 @@ class SiftLocalizer:
         features = _map_features(sparse_map, images, self._options, cache)
         self._map = sparse_map
         self._centres = sparse_map.centres
-        self._descriptors = [_unit(features[name].descriptors) for name in sparse_map.names]
-        self._index = VladIndex.build([d.numpy() for d in self._descriptors])
+        self._descriptors = [unit_descriptors(features[name]) for name in sparse_map.names]
         # Only keypoints with a 3D point can vote for a pose.
         self._lifted: list[tuple[NDArray[np.int64], torch.Tensor]] = []
         for name, descriptors in zip(sparse_map.names, self._descriptors, strict=True):
             rows = _points_of_keypoints(features[name], sparse_map.images[name])
             kept = np.flatnonzero(rows >= 0)
             self._lifted.append((rows[kept], descriptors[kept]))
+        if not any(len(rows) for rows, _ in self._lifted):
+            raise InputError(
+                f"no keypoint of the photographs in {images} lies where the map has a point: they "
+                "are not the photographs the map was built from, or were resized since"
+            )
+        self._index = VladIndex.build([d.numpy() for d in self._descriptors])
 
     def localize(self, query: Query) -> Estimate:
         """Extract, choose references, match, lift and solve."""
         clock = Stopwatch()
         with clock.stage("features"):
             features = self._extract(query.image)
-            descriptors = _unit(features.descriptors)
+            descriptors = unit_descriptors(features)
         with clock.stage("retrieval"):
             references = self._references(query, descriptors)
         with clock.stage("matching"):
@@ -128,11 +133,6 @@ class SiftLocalizer:
             found.append(np.stack([pairs[:, 0], rows[pairs[:, 1]]], -1))
         unique = np.unique(np.concatenate(found), axis=0)
         return features.xy[unique[:, 0]].astype(np.float64), unique[:, 1]
-
-
-def _unit(descriptors: NDArray[np.uint8]) -> torch.Tensor:
-    floats = torch.from_numpy(descriptors).float()
-    return torch.nn.functional.normalize(floats, dim=-1)
 
 
 def _points_of_keypoints(features: Features, image: MapImage) -> NDArray[np.int64]:

@@ -18,19 +18,25 @@ from numpy.typing import NDArray
 from scene.camera import Camera
 from scene.colmap_files import read_model
 from scene.errors import InputError
-from scene.features import Features
+from scene.features import Features, unit_descriptors
+from scene.matching import match
 from scene.pose import Pose, transform_jacobian
 from scene.sparse_map import SparseMap
 
 VERSION: str = pycolmap.__version__
 
-# Images and pairs per call of COLMAP: enough to keep the cores busy, few enough to show progress.
+# Images per call of the extractor: enough to keep the cores busy, few enough to show progress.
 _CHUNK = 16
-_PAIR_CHUNK = 64
+# Every random choice of COLMAP is seeded: the same photographs make the same map.
+_SEED = 0
+# Nearest over second nearest descriptor distance, COLMAP's own default.
+_MAX_RATIO = 0.8
 
 # Matches that determine a pose: their residuals are zero, whatever the matches are.
 _MINIMAL = 3
-
+# COLMAP's refinement has a Cauchy loss, which at this scale (in standard deviations of the noise)
+# loses 5 % against least squares where there are no outliers.
+_CAUCHY = 2.385
 # A condition number beyond which nothing is left of double precision.
 _SINGULAR = 1e15
 # Matches whose residuals say nothing, or too little to be true, are taken to be this exact (px^2).
@@ -88,8 +94,6 @@ def extract_sift(
     root: Path,
     names: Sequence[str],
     options: SiftOptions,
-    database: Path | None = None,
-    cameras: Mapping[str, Camera] | None = None,
     on_progress: Progress | None = None,
 ) -> dict[str, Features]:
     """SIFT of many images on all cores.
@@ -98,53 +102,29 @@ def extract_sift(
         root: folder the names are relative to.
         names: images.
         options: of the detector.
-        database: where to leave COLMAP's database, or None to leave none.
-        cameras: calibration by name for the database; COLMAP guesses when absent.
         on_progress: called with the number of images done.
 
     Raises:
         InputError: an image is missing or cannot be read.
     """
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        target = database or Path(scratch) / "database.db"
-        groups: dict[Camera | None, list[str]] = {}
-        for name in names:
-            groups.setdefault(cameras[name] if cameras else None, []).append(name)
-        done = 0
-        for camera, members in groups.items():
-            reader = pycolmap.ImageReaderOptions()
-            mode = pycolmap.CameraMode.AUTO
-            for start in range(0, len(members), _CHUNK):
-                if camera is not None:
-                    mode = pycolmap.CameraMode.SINGLE
-                    reader.camera_model = camera.model
-                    reader.camera_params = ",".join(repr(p) for p in camera.params)
-                chunk = members[start : start + _CHUNK]
-                pycolmap.extract_features(
-                    target,
-                    root,
-                    chunk,
-                    camera_mode=mode,
-                    reader_options=reader,
-                    extraction_options=options.native(),
-                    device=pycolmap.Device.cpu,
-                )
-                if camera is not None and start == 0:
-                    # The first chunk creates the camera; later ones join it by its identifier.
-                    reader.existing_camera_id = _newest_camera(target)
-                done += len(chunk)
-                if on_progress is not None:
-                    on_progress(done)
-        features = _read_features(target, root)
+        database = Path(scratch) / "database.db"
+        for start in range(0, len(names), _CHUNK):
+            chunk = list(names[start : start + _CHUNK])
+            pycolmap.extract_features(
+                database,
+                root,
+                chunk,
+                extraction_options=options.native(),
+                device=pycolmap.Device.cpu,
+            )
+            if on_progress is not None:
+                on_progress(start + len(chunk))
+        features = _read_features(database, root)
     for name in names:
         if name not in features:
-            raise InputError(f"image {root / name} is missing or cannot be read")
+            raise InputError(f"image {root / name} cannot be read or is damaged")
     return features
-
-
-def _newest_camera(database: Path) -> int:
-    with pycolmap.Database.open(database) as db:
-        return max((camera.camera_id for camera in db.read_all_cameras()), default=-1)
 
 
 def _read_features(database: Path, root: Path) -> dict[str, Features]:
@@ -210,6 +190,8 @@ def estimate_absolute_pose(
     inliers = np.asarray(answer["inlier_mask"], bool)
     pose = _pose_from_native(answer["cam_from_world"])
     variance = _residual_variance(xy[inliers], xyz[inliers], camera, pose)
+    # Again with a loss, and with a position, weighed by the noise the matches turned out to have.
+    refinement.loss_function_scale = _CAUCHY * np.sqrt(variance)
     sigma = None
     if position is not None and position_sigma is not None:
         sigma = np.maximum(position_sigma, _LEAST_SIGMA)
@@ -217,11 +199,11 @@ def estimate_absolute_pose(
         refinement.position_prior_in_world = position
         # COLMAP takes every residual to be one pixel: in that unit sigma is smaller or larger.
         refinement.position_prior_covariance = np.diag(sigma**2) / variance
-        refined = pycolmap.refine_absolute_pose(
-            answer["cam_from_world"], xy, xyz, inliers, native, refinement
-        )
-        if refined is not None:
-            pose = _pose_from_native(refined["cam_from_world"])
+    refined = pycolmap.refine_absolute_pose(
+        answer["cam_from_world"], xy, xyz, inliers, native, refinement
+    )
+    if refined is not None:
+        pose = _pose_from_native(refined["cam_from_world"])
     covariance = None
     if inliers.sum() > _MINIMAL:
         covariance = _pose_covariance(xyz[inliers], camera, pose, variance, sigma)
@@ -237,8 +219,8 @@ def _pose_covariance(
 ) -> NDArray[np.float64] | None:
     """Inverse of the information of the inliers and of the position; None where singular.
 
-    COLMAP's own covariance is not used: it weighs the residuals by a robust loss of one pixel, so
-    that it claims up to twice the variance that inliers of a pixel's noise show.
+    COLMAP's own covariance takes residuals to be one pixel and counts those that the robust loss
+    plays down for less, so that it is honest at no other noise.
     """
     local = pose.transform(torch.from_numpy(xyz))
     projected = camera.project(local, jacobian=True).jacobian
@@ -315,39 +297,73 @@ def triangulate(
     Raises:
         InputError: an image cannot be read, or no point could be triangulated.
     """
+    features = extract_sift(root, [image.name for image in images], options, on_progress)
+    model, ids = _posed_model(images, features)
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        database = Path(scratch) / "database.db"
-        pair_list = Path(scratch) / "pairs.txt"
-        cameras = {image.name: image.camera for image in images}
-        features = extract_sift(root, list(cameras), options, database, cameras, on_progress)
-        for start in range(0, len(pairs), _PAIR_CHUNK):
-            chunk = pairs[start : start + _PAIR_CHUNK]
-            pair_list.write_text("".join(f"{a} {b}\n" for a, b in chunk), encoding="utf-8")
-            pairing = pycolmap.ImportedPairingOptions()
-            pairing.match_list_path = pair_list
-            pycolmap.match_image_pairs(
-                database, pairing_options=pairing, device=pycolmap.Device.cpu
-            )
-            if on_progress is not None:
-                on_progress(len(images) + start + len(chunk))
-        posed = _reconstruction(database, {image.name: image for image in images})
-        model = pycolmap.triangulate_points(posed, database, root, out, clear_points=True)
-        if not model.num_points3D():
+        database, pair_list = Path(scratch) / "database.db", Path(scratch) / "pairs.txt"
+        _write_database(database, model, ids, features)
+        descriptors = {name: unit_descriptors(item) for name, item in features.items()}
+        with pycolmap.Database.open(database) as db:
+            for done, (a, b) in enumerate(pairs, 1):
+                matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
+                db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
+                if on_progress is not None:
+                    on_progress(len(images) + done)
+        pair_list.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
+        verification = pycolmap.TwoViewGeometryOptions()
+        verification.ransac.random_seed = _SEED
+        pycolmap.verify_matches(database, pair_list, verification)
+        pipeline = pycolmap.IncrementalPipelineOptions()
+        pipeline.random_seed = pipeline.triangulation.random_seed = _SEED
+        pipeline.num_threads = 1  # sums over threads round differently from run to run
+        result = pycolmap.triangulate_points(
+            model, database, root, out, clear_points=True, options=pipeline
+        )
+        if not result.num_points3D():
             raise InputError(
                 f"no point could be triangulated from the {len(images)} images of {root}: "
                 "they need overlap and texture"
             )
-        model.write(out)
+        result.write(out)
     return read_map(out), features
 
 
-def _reconstruction(database: Path, posed: Mapping[str, PosedImage]) -> pycolmap.Reconstruction:
-    """A model with the database's identifiers and our poses, without points."""
+def _posed_model(
+    images: Sequence[PosedImage], features: Mapping[str, Features]
+) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
+    """A model of keypoints and poses without points, and the identifier of each image."""
     model = pycolmap.Reconstruction()
-    with pycolmap.Database.open(database) as db:
-        for native in db.read_all_cameras():
-            model.add_camera_with_trivial_rig(native)
-        for image in db.read_all_images():
-            pose = _native_pose(posed[image.name].cam_from_world)
-            model.add_image_with_trivial_frame(image, pose)
-    return model
+    cameras = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
+    for camera, camera_id in cameras.items():
+        model.add_camera_with_trivial_rig(_native_camera(camera, camera_id))
+    ids = {image.name: k for k, image in enumerate(images, 1)}
+    for image in images:
+        native = pycolmap.Image(
+            name=image.name,
+            keypoints=features[image.name].xy.astype(np.float64),
+            camera_id=cameras[image.camera],
+            image_id=ids[image.name],
+        )
+        model.add_image_with_trivial_frame(native, _native_pose(image.cam_from_world))
+    return model, ids
+
+
+def _write_database(
+    path: Path,
+    model: pycolmap.Reconstruction,
+    ids: Mapping[str, int],
+    features: Mapping[str, Features],
+) -> None:
+    """A database of the model's own identifiers: COLMAP's extractor numbers images as it
+    happens to finish them, and the numbers decide the order of everything after."""
+    with pycolmap.Database.open(path) as db:
+        for camera in model.cameras.values():
+            db.write_camera(camera, use_camera_id=True)
+        for rig in model.rigs.values():
+            db.write_rig(rig, use_rig_id=True)
+        for frame in model.frames.values():
+            db.write_frame(frame, use_frame_id=True)
+        for image in model.images.values():
+            db.write_image(image, use_image_id=True)
+        for name, image_id in ids.items():
+            db.write_keypoints(image_id, features[name].xy)

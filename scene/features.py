@@ -8,7 +8,9 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from scene.errors import InputError
 from scene.files import written_whole
@@ -27,6 +29,11 @@ class Features:
     xy: NDArray[np.float32]
     scale: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
+
+
+def unit_descriptors(features: Features) -> Tensor:
+    """Descriptors as (N, 128) float32 of unit length, ready to match."""
+    return torch.nn.functional.normalize(torch.from_numpy(features.descriptors).float(), dim=-1)
 
 
 def write_features(path: Path, features: Mapping[str, Features]) -> None:
@@ -57,5 +64,5 @@ def read_features(path: Path) -> dict[str, Features]:
                 )
                 for name, group in file.items()
             }
-    except (OSError, KeyError) as error:
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         raise InputError(f"feature file {path} is missing or damaged: {error}") from None

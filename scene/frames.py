@@ -176,7 +176,10 @@ def read_frames(path: Path) -> Frames:
         try:
             names = tuple(name.decode() for name in file["names"][:])
             table = [Camera.parse(text.split()) for text in json.loads(file.attrs["cameras"])]
-            cameras = tuple(table[int(k)] for k in file["camera_index"][:])
+            rows = file["camera_index"][:]
+            if (rows < 0).any():
+                raise IndexError("a camera index is negative")
+            cameras = tuple(table[int(k)] for k in rows)
             arrays = {key: np.asarray(file[key], np.float64) for key in _VECTORS}
         except (KeyError, OSError, ValueError, IndexError, AttributeError, TypeError) as error:
             raise InputError(f"{path} is damaged or incomplete: {error}") from None
@@ -185,7 +188,7 @@ def read_frames(path: Path) -> Frames:
             raise InputError(
                 f"{path}: {key} has shape {array.shape}, expected {(len(names), *_SHAPES[key])}"
             )
-        finite = np.isfinite(array.reshape(len(names), -1)).all(1)
+        finite = np.isfinite(array).all(tuple(range(1, array.ndim)))
         if not finite.all():
             raise InputError(f"{path}: {key} of frame {names[int(finite.argmin())]} is not finite")
     if len(cameras) != len(names):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
@@ -146,6 +147,11 @@ def _decode_position(gps: dict[int, object]) -> Geodetic | None:
         return None
     if latitude is None or longitude is None:
         return None
+    # A receiver without a fix writes 0/0, which reads as NaN.
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+        return None
+    if not math.isfinite(altitude):
+        altitude = 0.0
     below = gps.get(ExifTags.GPS.GPSAltitudeRef) in (b"\x01", 1)
     return Geodetic(latitude, longitude, -altitude if below else altitude)
 

@@ -114,9 +114,10 @@ def read_json(path: Path, model: type[F], what: str) -> F:
     Raises:
         InputError: missing, not JSON, an unknown key or a bad value.
     """
+    text = read_text(path, what)
     try:
-        values = json.loads(read_text(path, what))
-    except (json.JSONDecodeError, RecursionError) as error:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{what} {path} is not valid JSON: {error}") from None
     try:
         return model.model_validate(values)

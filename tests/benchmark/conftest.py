@@ -7,7 +7,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from made_data import write_flight, write_scene
+
+from tests.benchmark.made_data import write_flight, write_scene
 
 
 @pytest.fixture(scope="session")

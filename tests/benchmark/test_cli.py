@@ -13,12 +13,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
 from typer.testing import CliRunner, Result
 
 import baselines.registry
 from benchmark.cli import app
 from scene.localizer import Estimate, Status
+from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
 
 ROOT = Path(__file__).parents[2]
 

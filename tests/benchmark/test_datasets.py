@@ -5,13 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_data import MAP_NAMES, QUERY_NAMES, pose_at, write_flight, write_model, write_scene
 
 from benchmark.datasets import Dataset, open_datasets
 from benchmark.flight import gps_sigma
 from benchmark.textfiles import read_priors
 from scene.colmap import read_map
 from scene.errors import InputError
+from tests.benchmark.made_data import (
+    MAP_NAMES,
+    QUERY_NAMES,
+    pose_at,
+    write_flight,
+    write_model,
+    write_scene,
+)
 
 
 def only(path: Path) -> Dataset:

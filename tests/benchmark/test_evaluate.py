@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from made_data import FakeLocalizer, moved, pose_at
 
 from benchmark.datasets import open_datasets
 from benchmark.evaluate import evaluate
@@ -14,6 +13,7 @@ from benchmark.results import Results, load
 from scene.errors import InputError
 from scene.localizer import Estimate, Status
 from scene.pose import Pose
+from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
 
 
 def run(path: Path, localizer: FakeLocalizer, use_prior: bool = True) -> Results:

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from made_data import FakeLocalizer, moved, pose_at
 
 from benchmark.datasets import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.leaderboard import leaderboard
 from scene.errors import InputError
 from scene.localizer import Estimate, Status
+from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
 
 
 def run(data: Path, out: Path, name: str, use_prior: bool = True, **config: Any) -> Path:

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_data import moved, pose_at
 from PIL import Image
 
 from benchmark.datasets import open_datasets
@@ -12,6 +11,7 @@ from benchmark.pictures import median_query, query_overlay
 from benchmark.results import QueryResult
 from scene.errors import InputError
 from scene.localizer import Status
+from tests.benchmark.made_data import moved, pose_at
 
 
 def query(name: str, metres: float, status: Status = Status.OK) -> QueryResult:

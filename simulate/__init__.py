@@ -1,0 +1,1 @@
+"""Makes scenes: procedural worlds, conditions, drone flights, and their exact renderings."""

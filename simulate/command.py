@@ -1,0 +1,278 @@
+"""From a configuration to a scene on disk, frame by frame and resumable."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from scene.bundle import MANIFEST, Scene, finish
+from scene.camera import Camera
+from scene.errors import InputError
+from scene.files import write_text
+from scene.frames import LAYERS, Frames, Layer, read_frames, write_frames
+from scene.geodesy import geodetic_from_enu
+from scene.images import Exif, write_jpeg
+from scene.manifest import (
+    Manifest,
+    Objects,
+    SceneObject,
+    Session,
+    Splits,
+    read_json,
+    size_class,
+    write_json,
+)
+from scene.pose import Pose
+from scene.progress import progress_bar
+from simulate.conditions import condition
+from simulate.config import SessionConfig, SimulateConfig
+from simulate.flights import plan_nadir, plan_oblique
+from simulate.pictures import draw_pictures
+from simulate.presets import preset
+from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
+from simulate.world import CLASSES, World
+
+_CONFIG = ".config.json"
+_RENDERED = ".rendered"
+
+
+def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
+    """Render a scene into ``out``, or go on where an interrupted run stopped.
+
+    Args:
+        config: of the scene.
+        out: folder, new or left by a run of the same configuration.
+        jobs: rendering processes.
+
+    Returns:
+        The finished scene, still without a map.
+
+    Raises:
+        InputError: ``out`` holds something else or cannot be written, or rendering failed.
+    """
+    finished = _claim(out, config)
+    if finished is not None:
+        return finished
+    world = preset(config.preset)(config.seed, config.area)
+    names = config.session_names()
+    for index, (name, session) in enumerate(zip(names, config.sessions, strict=True)):
+        _make_session(out / "sessions", name, index, session, config, world, jobs)
+    write_json(out / "objects.json", _objects(world))
+    write_json(out / "splits.json", _splits(out, config))
+    draw_pictures(Scene(out, _manifest(config)))
+    scene = finish(out, _manifest(config))
+    (out / _CONFIG).unlink()
+    return scene
+
+
+def _claim(out: Path, config: SimulateConfig) -> Scene | None:
+    """Mark the folder as this configuration's; the scene itself when it is finished already."""
+    if (out / MANIFEST).is_file():
+        scene = Scene.open(out)
+        if scene.manifest.config != _plain(config):
+            raise InputError(
+                f"{out} holds a scene of another configuration: choose another folder or remove it"
+            )
+        return scene
+    if (out / _CONFIG).is_file():
+        if read_json(out / _CONFIG, SimulateConfig, "configuration of the unfinished scene") != (
+            config
+        ):
+            raise InputError(
+                f"{out} holds an unfinished scene of another configuration: choose another folder "
+                "or remove it"
+            )
+        return None
+    try:
+        occupied = out.exists() and any(out.iterdir())
+    except OSError as error:
+        raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
+    if occupied:
+        raise InputError(f"{out} is not empty and not a scene: choose another folder")
+    write_text(out / _CONFIG, config.model_dump_json())
+    return None
+
+
+def _plain(config: SimulateConfig) -> dict[str, Any]:
+    plain: dict[str, Any] = config.model_dump(mode="json")
+    return plain
+
+
+def _manifest(config: SimulateConfig) -> Manifest:
+    return Manifest(
+        versions={name: version(name) for name in ("objconnect", "bpy", "numpy", "pillow", "h5py")},
+        preset=config.preset,
+        seed=config.seed,
+        config=_plain(config),
+        origin=config.origin,
+        sessions={
+            name: Session(condition=s.condition, flight=s.flight, role=s.role)
+            for name, s in zip(config.session_names(), config.sessions, strict=True)
+        },
+        sha256={},
+    )
+
+
+def _objects(world: World) -> Objects:
+    def describe(item: Any) -> SceneObject:
+        size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
+        return SceneObject(
+            id=item.id,
+            class_name=item.class_name,
+            centre=(float(item.centre[0]), float(item.centre[1]), float(item.centre[2])),
+            size=size,
+            yaw_deg=float(np.degrees(item.yaw)),
+            size_class=size_class(size),
+        )
+
+    return Objects(classes=CLASSES, objects=tuple(describe(item) for item in world.objects))
+
+
+def _splits(out: Path, config: SimulateConfig) -> Splits:
+    frames = {
+        name: read_frames(out / "sessions" / name / "frames.h5").names
+        for name in config.session_names()
+    }
+    roles = dict(zip(config.session_names(), (s.role for s in config.sessions), strict=True))
+    return Splits(
+        map=tuple(f for name, names in frames.items() if roles[name] == "map" for f in names),
+        queries={name: names for name, names in frames.items() if roles[name] == "query"},
+    )
+
+
+def _make_session(
+    root: Path,
+    name: str,
+    index: int,
+    session: SessionConfig,
+    config: SimulateConfig,
+    world: World,
+    jobs: int,
+) -> None:
+    """Render and pack one session, unless its ``frames.h5``, written last, is there."""
+    folder = root / name
+    if (folder / "frames.h5").is_file():
+        return
+    # One generator per session: adding a session changes no other.
+    rng = np.random.default_rng([config.seed, index])
+    poses = _plan(session, config, world, rng)
+    camera = config.camera()
+    rendered = folder / _RENDERED
+    job = RenderJob(
+        preset=config.preset,
+        seed=config.seed,
+        area_m=config.area,
+        condition=session.condition,
+        camera=PinholeCamera(
+            width=camera.width,
+            height=camera.height,
+            f=camera.focal[0],
+            cx=camera.principal[0],
+            cy=camera.principal[1],
+        ),
+        samples=config.spp,
+        poses={k: pose.tolist() for k, pose in enumerate(poses)},
+    )
+    with progress_bar(name, len(poses)) as advance:
+        done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
+        advance(done)
+
+        def on_frame(_: int) -> None:
+            nonlocal done
+            done += 1
+            advance(done)
+
+        try:
+            render(job, rendered, jobs, on_frame)
+        except RenderError as error:
+            raise InputError(str(error)) from error
+        except OSError as error:
+            raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+    frames = _frames(name, poses, camera, session, config, rng)
+    write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, config))
+    shutil.rmtree(rendered)
+
+
+def _plan(
+    session: SessionConfig, config: SimulateConfig, world: World, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Poses of the session's frames, (N, 4, 4)."""
+    plan = config.map_plan if session.role == "map" else config.query_plan
+    frames = session.frames or config.frames
+    if session.flight == "oblique":
+        return plan_oblique(
+            world.terrain.height,
+            radius_m=plan.orbit_radius_share * config.area,
+            altitude_m=plan.orbit_altitude_m,
+            frames=frames,
+            start_deg=plan.orbit_start_deg,
+            position_jitter_m=config.position_jitter_m,
+            attitude_jitter_deg=config.attitude_jitter_deg,
+            rng=rng,
+        )
+    camera = config.camera()
+    return plan_nadir(
+        config.area,
+        world.terrain.height,
+        width=camera.width,
+        height=camera.height,
+        focal=camera.focal[0],
+        altitude_m=plan.nadir_altitude_m,
+        heading_deg=plan.nadir_heading_deg,
+        frames=frames,
+        position_jitter_m=config.position_jitter_m,
+        attitude_jitter_deg=config.attitude_jitter_deg,
+        rng=rng,
+    )
+
+
+def _frames(
+    name: str,
+    poses: NDArray[np.float64],
+    camera: Camera,
+    session: SessionConfig,
+    config: SimulateConfig,
+    rng: np.random.Generator,
+) -> Frames:
+    """The session's frames with priors drawn from their stated noise."""
+    n = len(poses)
+    truth = Pose.from_matrix(poses)
+    gps_sigma = np.tile(np.array(config.gps_sigma_m), (n, 1))
+    tilt = np.radians(config.attitude_sigma_deg) * rng.standard_normal((n, 3))
+    noise = Pose.exp(torch.from_numpy(np.hstack([tilt, np.zeros((n, 3))])))
+    start = condition(session.condition).time.timestamp()
+    return Frames(
+        names=tuple(f"{name}/images/{k:06d}.jpg" for k in range(n)),
+        cameras=(camera,) * n,
+        cam_from_world=poses,
+        time=start + config.interval_s * np.arange(n),
+        gps_prior=truth.centre().numpy() + gps_sigma * rng.standard_normal((n, 3)),
+        gps_sigma=gps_sigma,
+        attitude_prior=(noise @ truth).quaternion().numpy(),
+        attitude_sigma_deg=np.full(n, config.attitude_sigma_deg),
+    )
+
+
+def _pack(
+    folder: Path, frames: Frames, config: SimulateConfig
+) -> Iterator[dict[Layer, NDArray[Any]]]:
+    """Write every rendered frame's photograph and yield its annotations."""
+    (folder / "images").mkdir(exist_ok=True)
+    focal_35mm = 36 * frames.cameras[0].focal[0] / frames.cameras[0].width
+    for k, name in enumerate(frames.names):
+        with np.load(frame_path(folder / _RENDERED, k)) as layers:
+            exif = Exif(
+                position=geodetic_from_enu(frames.gps_prior[k], config.origin),
+                time=datetime.fromtimestamp(float(frames.time[k]), UTC),
+                focal_35mm=focal_35mm,
+            )
+            write_jpeg(folder.parent / name, layers["rgb"], exif, config.jpeg_quality)
+            yield {layer: layers[layer] for layer in LAYERS}

@@ -1,0 +1,181 @@
+"""What a simulated scene is made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from scene.camera import Camera
+from scene.config import Config, load_config
+from scene.geodesy import Geodetic
+from simulate.conditions import condition
+from simulate.presets import preset
+
+Role = Literal["map", "query"]
+Flight = Literal["nadir", "oblique"]
+
+
+class SessionConfig(Config):
+    """One flight under one condition.
+
+    Attributes:
+        condition: season and light.
+        flight: lawn-mower looking down, or orbit looking inwards at 45 degrees.
+        role: its frames build the map, or are queries.
+        frames: photographs; None takes the scene's ``frames``.
+    """
+
+    condition: str
+    flight: Flight
+    role: Role
+    frames: int | None = Field(None, ge=1)
+
+    @field_validator("condition")
+    @classmethod
+    def _known_condition(cls, name: str) -> str:
+        condition(name)
+        return name
+
+
+class FlightPlan(Config):
+    """How flights of one role are flown. Map and query flights differ in every number.
+
+    Attributes:
+        nadir_altitude_m: above the ground.
+        nadir_heading_deg: of the first line, clockwise from north.
+        orbit_altitude_m: above the ground at the centre.
+        orbit_radius_share: radius over the side of the area.
+        orbit_start_deg: bearing of the first exposure.
+    """
+
+    nadir_altitude_m: float = Field(gt=0)
+    nadir_heading_deg: float
+    orbit_altitude_m: float = Field(gt=0)
+    orbit_radius_share: float = Field(gt=0)
+    orbit_start_deg: float
+
+
+MAP_PLAN = FlightPlan(
+    nadir_altitude_m=80,
+    nadir_heading_deg=0,
+    orbit_altitude_m=55,
+    orbit_radius_share=0.4,
+    orbit_start_deg=0,
+)
+QUERY_PLAN = FlightPlan(
+    nadir_altitude_m=70,
+    nadir_heading_deg=35,
+    orbit_altitude_m=48,
+    orbit_radius_share=0.36,
+    orbit_start_deg=20,
+)
+
+
+class SimulateConfig(Config):
+    """A scene: a place, a camera, and flights over it.
+
+    Attributes:
+        preset: kind of place.
+        seed: of the place and of every noise; the same seed gives the same scene.
+        area: side of the place, metres.
+        size: side of the square photographs, pixels.
+        fov_deg: horizontal field of view.
+        spp: paths per pixel, denoised.
+        frames: photographs of a session that does not say.
+        sessions: flights; on the command line "condition:flight[:role]", where the first is the
+            map's and the others are queries unless they say.
+        map_plan: how map flights are flown.
+        query_plan: how query flights are flown.
+        position_jitter_m: wind, standard deviation per axis.
+        attitude_jitter_deg: wind, standard deviation per axis.
+        gps_sigma_m: noise of the position prior: east, north, up.
+        attitude_sigma_deg: noise of the attitude prior per axis.
+        interval_s: between exposures.
+        jpeg_quality: of the photographs.
+        origin: where on earth the world's origin lies.
+    """
+
+    preset: str = "town"
+    seed: int = Field(0, ge=0)
+    area: float = Field(200.0, ge=120, le=600)
+    size: int = Field(512, ge=64, le=4096)
+    fov_deg: float = Field(60.0, gt=5, lt=120)
+    spp: int = Field(4, ge=1)
+    frames: int = Field(30, ge=1)
+    sessions: tuple[SessionConfig, ...] = Field(
+        (
+            SessionConfig(condition="summer-noon", flight="nadir", role="map"),
+            SessionConfig(condition="summer-noon", flight="nadir", role="query", frames=10),
+            SessionConfig(condition="winter-dusk", flight="nadir", role="query", frames=10),
+        ),
+        min_length=1,
+    )
+    map_plan: FlightPlan = MAP_PLAN
+    query_plan: FlightPlan = QUERY_PLAN
+    position_jitter_m: float = Field(0.7, ge=0)
+    attitude_jitter_deg: float = Field(1.5, ge=0)
+    gps_sigma_m: tuple[float, float, float] = (1.5, 1.5, 2.5)
+    attitude_sigma_deg: float = Field(2.0, ge=0)
+    interval_s: float = Field(2.0, gt=0)
+    jpeg_quality: int = Field(95, ge=1, le=100)
+    origin: Geodetic = Geodetic(47.0, 8.0, 450.0)
+
+    @field_validator("preset")
+    @classmethod
+    def _known_preset(cls, name: str) -> str:
+        preset(name)
+        return name
+
+    @field_validator("sessions", mode="before")
+    @classmethod
+    def _from_words(cls, sessions: object) -> object:
+        """The command line's "condition:flight[:role]"."""
+        if not isinstance(sessions, list | tuple):
+            return sessions
+        return tuple(
+            _session_from_words(item, first=k == 0) if isinstance(item, str) else item
+            for k, item in enumerate(sessions)
+        )
+
+    @model_validator(mode="after")
+    def _map_exists(self) -> SimulateConfig:
+        if not any(session.role == "map" for session in self.sessions):
+            raise ValueError("at least one session must have the role map")
+        return self
+
+    @staticmethod
+    def load(path: Path | None, overrides: Mapping[str, Any]) -> SimulateConfig:
+        """From a YAML file and overrides; see ``scene.config.load_config``.
+
+        Raises:
+            InputError: unreadable file, unknown key or bad value.
+        """
+        return load_config(SimulateConfig, path, overrides)
+
+    def camera(self) -> Camera:
+        """The pinhole camera of every photograph."""
+        focal = 0.5 * self.size / np.tan(np.radians(0.5 * self.fov_deg))
+        centre = 0.5 * self.size
+        return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
+
+    def session_names(self) -> tuple[str, ...]:
+        """Folder names: condition-flight, numbered from the second of the same name."""
+        seen: dict[str, int] = {}
+        names = []
+        for session in self.sessions:
+            base = f"{session.condition}-{session.flight}-{session.role}"
+            seen[base] = seen.get(base, 0) + 1
+            names.append(base if seen[base] == 1 else f"{base}-{seen[base]}")
+        return tuple(names)
+
+
+def _session_from_words(text: str, first: bool) -> dict[str, str]:
+    words = text.split(":")
+    if len(words) not in (2, 3):
+        raise ValueError(f"a session is written condition:flight[:role], got {text!r}")
+    role = words[2] if len(words) == 3 else ("map" if first else "query")
+    return {"condition": words[0], "flight": words[1], "role": role}

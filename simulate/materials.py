@@ -1,0 +1,195 @@
+"""Shader graphs of everything a mesh may be made of, for one condition.
+
+Works on the data it is handed and does not import bpy, so that only the renderer needs Blender.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate import textures
+from simulate.conditions import Condition
+from simulate.world import Rgb
+
+_SNOW: Rgb = (0.76, 0.79, 0.84)
+
+
+def build_materials(data: Any, condition: Condition, ground: NDArray[np.uint8]) -> dict[str, Any]:
+    """Blender materials by the names meshes use; `data` is bpy.data, `ground` the baked albedo.
+
+    Meshes bring the attribute "tint" and the texture coordinates "uv"; objects their colour.
+    """
+    build = _Builder(data, condition)
+    albedo = np.dstack([ground, np.full(ground.shape[:2], 255, np.uint8)])
+    materials = {"ground": build.ground(build.image("ground", albedo))}
+    for style in range(textures.FACADES):
+        name = f"facade_{style}"
+        materials[name] = build.textured(name, textures.facade(style))
+    for kind in textures.ROOFINGS:
+        materials[f"roof_{kind}"] = build.textured(f"roof_{kind}", textures.roof(kind))
+    materials["plain"] = build.plain()
+    materials["paint"] = build.paint()
+    materials["glass"] = build.glass()
+    materials["leaf"] = build.leaf()
+    return materials
+
+
+class _Builder:
+    def __init__(self, data: Any, condition: Condition) -> None:
+        self.data = data
+        self.condition = condition
+
+    def image(self, name: str, pixels: NDArray[np.uint8]) -> Any:
+        """A Blender image of (rows, columns, 4) sRGB bytes, row 0 at the bottom."""
+        rows, columns, _ = pixels.shape
+        image = self.data.images.new(name, columns, rows, alpha=True)
+        image.alpha_mode = "CHANNEL_PACKED"  # alpha is data here, not transparency
+        image.pixels.foreach_set((pixels.astype(np.float32) / 255.0).ravel())
+        image.update()
+        return image
+
+    def ground(self, image: Any) -> Any:
+        """The baked ground, mirrored beyond the area; its snow is in the bake."""
+        graph = _Graph(self.data, "ground")
+        texture = graph.image(image, extension="MIRROR")
+        graph.finish(graph.diffuse(texture.outputs["Color"]))
+        return graph.material
+
+    def textured(self, name: str, pixels: NDArray[np.uint8]) -> Any:
+        """An image whose alpha says where the polygon's tint multiplies it."""
+        graph = _Graph(self.data, name)
+        texture = graph.image(self.image(name, pixels), extension="REPEAT")
+        tinted = graph.multiply(texture.outputs["Color"], graph.attribute("tint"))
+        colour = graph.mix(texture.outputs["Alpha"], texture.outputs["Color"], tinted)
+        graph.finish(graph.diffuse(self._snowed(graph, colour)))
+        return graph.material
+
+    def plain(self) -> Any:
+        """The polygon's tint."""
+        graph = _Graph(self.data, "plain")
+        graph.finish(graph.diffuse(self._snowed(graph, graph.attribute("tint"))))
+        return graph.material
+
+    def paint(self) -> Any:
+        """The object's colour times the polygon's tint, with a faint gloss."""
+        graph = _Graph(self.data, "paint")
+        colour = graph.multiply(graph.object_colour(), graph.attribute("tint"))
+        graph.finish(graph.glossy(self._snowed(graph, colour), roughness=0.35))
+        return graph.material
+
+    def glass(self) -> Any:
+        """Dark and shiny."""
+        graph = _Graph(self.data, "glass")
+        colour = self._snowed(graph, graph.attribute("tint"), share=0.6)
+        graph.finish(graph.glossy(colour, roughness=0.12))
+        return graph.material
+
+    def leaf(self) -> Any:
+        """Between the season's two leaf colours by the tint's red, times the object's colour."""
+        graph = _Graph(self.data, "leaf")
+        depth = graph.red(graph.attribute("tint"))
+        inner, tip = graph.rgb(self.condition.leaf), graph.rgb(self.condition.leaf_tip)
+        colour = graph.multiply(graph.mix(depth, inner, tip), graph.object_colour())
+        graph.finish(graph.diffuse(self._snowed(graph, colour, share=0.75)))
+        return graph.material
+
+    def _snowed(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
+        """The colour under the condition's snow: on what faces up, in patches."""
+        cover = share * self.condition.snow
+        if cover <= 0:
+            return colour
+        up = graph.ramp(graph.up(), 0.35, 0.75)
+        # Noise is centred on 0.5 and rarely leaves 0.25..0.75; more cover, lower threshold.
+        threshold = 0.75 - 0.5 * cover
+        patches = graph.ramp(graph.noise(scale=0.3, detail=2.0), threshold - 0.1, threshold + 0.12)
+        mask = graph.math("MULTIPLY", graph.math("MULTIPLY", up, patches), 0.9)
+        return graph.mix(mask, colour, graph.rgb(_SNOW))
+
+
+class _Graph:
+    """A material's node tree under construction; methods return output sockets."""
+
+    def __init__(self, data: Any, name: str) -> None:
+        self.material = data.materials.new(name)
+        self.material.use_nodes = True
+        self.tree = self.material.node_tree
+        self.tree.nodes.clear()
+
+    def node(self, kind: str, **inputs: Any) -> Any:
+        """A node; inputs are values or sockets by name (underscores for spaces)."""
+        node = self.tree.nodes.new(kind)
+        for name, value in inputs.items():
+            self._set(node.inputs[name.replace("_", " ")], value)
+        return node
+
+    def _set(self, socket: Any, value: Any) -> None:
+        if hasattr(value, "is_output"):
+            self.tree.links.new(value, socket)
+        else:
+            socket.default_value = value
+
+    def image(self, image: Any, extension: str) -> Any:
+        node = self.node("ShaderNodeTexImage", Vector=self.attribute("uv", "Vector"))
+        node.image, node.extension = image, extension
+        return node
+
+    def attribute(self, name: str, output: str = "Color") -> Any:
+        node = self.node("ShaderNodeAttribute")
+        node.attribute_name = name
+        return node.outputs[output]
+
+    def object_colour(self) -> Any:
+        return self.node("ShaderNodeObjectInfo").outputs["Color"]
+
+    def rgb(self, colour: Rgb) -> Any:
+        node = self.node("ShaderNodeRGB")
+        node.outputs[0].default_value = (*colour, 1.0)
+        return node.outputs[0]
+
+    def red(self, colour: Any) -> Any:
+        return self.node("ShaderNodeSeparateColor", Color=colour).outputs["Red"]
+
+    def up(self) -> Any:
+        normal = self.node("ShaderNodeNewGeometry").outputs["Normal"]
+        return self.node("ShaderNodeSeparateXYZ", Vector=normal).outputs["Z"]
+
+    def noise(self, scale: float, detail: float) -> Any:
+        at = self.node("ShaderNodeNewGeometry").outputs["Position"]
+        return self.node("ShaderNodeTexNoise", Vector=at, Scale=scale, Detail=detail).outputs[0]
+
+    def ramp(self, value: Any, low: float, high: float) -> Any:
+        """0 below `low`, 1 above `high`."""
+        return self.node("ShaderNodeMapRange", Value=value, From_Min=low, From_Max=high).outputs[
+            "Result"
+        ]
+
+    def math(self, operation: str, a: Any, b: Any) -> Any:
+        node = self.tree.nodes.new("ShaderNodeMath")
+        node.operation = operation
+        self._set(node.inputs[0], a)
+        self._set(node.inputs[1], b)
+        return node.outputs[0]
+
+    def mix(self, factor: Any, a: Any, b: Any, blend: str = "MIX") -> Any:
+        node = self.tree.nodes.new("ShaderNodeMixRGB")
+        node.blend_type = blend
+        for socket, value in zip(node.inputs, (factor, a, b), strict=True):
+            self._set(socket, value)
+        return node.outputs[0]
+
+    def multiply(self, a: Any, b: Any) -> Any:
+        return self.mix(1.0, a, b, blend="MULTIPLY")
+
+    def diffuse(self, colour: Any) -> Any:
+        return self.node("ShaderNodeBsdfDiffuse", Color=colour).outputs[0]
+
+    def glossy(self, colour: Any, roughness: float) -> Any:
+        return self.node(
+            "ShaderNodeBsdfPrincipled", Base_Color=colour, Roughness=roughness
+        ).outputs[0]
+
+    def finish(self, surface: Any) -> None:
+        self.node("ShaderNodeOutputMaterial", Surface=surface)

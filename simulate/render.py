@@ -1,0 +1,191 @@
+"""Renders a flight: hands frames to Blender processes and watches over them."""
+
+from __future__ import annotations
+
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from simulate.conditions import condition
+from simulate.presets import preset
+
+_APT_PACKAGES = (
+    "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libgl1 libxext6"
+)
+
+
+class RenderError(RuntimeError):
+    """A rendering process failed; the message says in one line why."""
+
+
+class PinholeCamera(BaseModel):
+    """An ideal camera, pixels, COLMAP's convention: the first pixel's centre is (0.5, 0.5)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    f: float = Field(gt=0)
+    cx: float
+    cy: float
+
+
+class RenderJob(BaseModel):
+    """One flight under one condition.
+
+    `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
+    paths per pixel, denoised afterwards.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    preset: str = "town"
+    seed: int = Field(ge=0)
+    area_m: float = Field(gt=0)
+    condition: str
+    camera: PinholeCamera
+    samples: int = Field(default=4, ge=1)
+    poses: dict[int, list[list[float]]]
+
+    @field_validator("poses")
+    @classmethod
+    def _are_matrices(cls, poses: dict[int, list[list[float]]]) -> dict[int, list[list[float]]]:
+        for frame, rows in poses.items():
+            if [len(row) for row in rows] != [4, 4, 4, 4]:
+                raise ValueError(f"the pose of frame {frame} is not a 4 x 4 matrix")
+        return poses
+
+
+class RenderChunk(BaseModel):
+    """What one Blender process is told: a job whose poses are its own share of the frames."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    job: RenderJob
+    out_dir: Path
+    threads: int = Field(ge=0)  # 0: as many as there are processors
+
+
+class FrameDone(BaseModel):
+    """The line a Blender process prints for each finished frame."""
+
+    frame: int
+    seconds: float
+
+
+def frame_path(out_dir: Path, frame: int) -> Path:
+    """Where a finished frame lies: NNNNNN.npz."""
+    return out_dir / f"{frame:06d}.npz"
+
+
+def render(
+    job: RenderJob,
+    out_dir: Path,
+    jobs: int = 1,
+    on_frame: Callable[[int], None] | None = None,
+) -> None:
+    """Render every frame of `job` that `out_dir` does not hold yet, with `jobs` processes.
+
+    A frame is `NNNNNN.npz` with rgb (H, W, 3) uint8 sRGB, depth (H, W) float32 planar metres
+    (0: no surface), instance (H, W) uint16 object ids (0: ground or sky), semantic (H, W) uint8
+    labels and normal (H, W, 3) int8 world normals times 127. It appears only when complete.
+    `on_frame` is called in this thread with the number of each frame as it is finished.
+
+    Raises:
+        InputError: an unknown preset or condition.
+        RenderError: a process died; the frames finished before remain.
+    """
+    condition(job.condition)
+    preset(job.preset)
+    out_dir.mkdir(parents=True, exist_ok=True)
+    missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
+    if not missing:
+        return
+    jobs = max(1, min(jobs, len(missing)))
+    threads = 0 if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
+    with tempfile.TemporaryDirectory(prefix="render-") as scratch:
+        children: list[_Child] = []
+        try:
+            for k, share in enumerate(np.array_split(missing, jobs)):
+                part = job.model_copy(update={"poses": {int(i): job.poses[int(i)] for i in share}})
+                chunk = RenderChunk(job=part, out_dir=out_dir.resolve(), threads=threads)
+                path = Path(scratch) / f"{k}.json"
+                path.write_text(chunk.model_dump_json())
+                children.append(_Child(path))
+            _watch(children, on_frame)
+        finally:
+            for child in children:
+                child.stop()
+    left = sum(not frame_path(out_dir, i).exists() for i in missing)
+    if left:
+        raise RenderError(f"the rendering processes ended with {left} frames missing")
+
+
+class _Child:
+    """A Blender process whose lines arrive in a queue."""
+
+    def __init__(self, chunk: Path) -> None:
+        root = str(Path(__file__).resolve().parent.parent)
+        path = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
+        self._errors = chunk.with_suffix(".stderr")
+        with self._errors.open("wb") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "simulate.blender", str(chunk)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+                env={**os.environ, "PYTHONPATH": path},
+            )
+
+    def listen(self, lines: queue.Queue[tuple[_Child, str | None]]) -> None:
+        """Put every line, then None at the end, from a thread of its own."""
+
+        def pump() -> None:
+            assert self.process.stdout is not None
+            for line in self.process.stdout:
+                lines.put((self, line))
+            lines.put((self, None))
+
+        threading.Thread(target=pump, daemon=True).start()
+
+    def check(self) -> None:
+        """RenderError when the process ended badly."""
+        code = self.process.wait()
+        if code == 0:
+            return
+        text = self._errors.read_text(errors="replace").strip()
+        last = text.splitlines()[-1] if text else "it said nothing"
+        if "cannot open shared object file" in last:
+            last += f"; try: apt-get install {_APT_PACKAGES}"
+        how = f"was killed by signal {-code}" if code < 0 else f"failed with exit code {code}"
+        raise RenderError(f"the rendering process {how}: {last}")
+
+    def stop(self) -> None:
+        """End the process if it still runs."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+
+
+def _watch(children: list[_Child], on_frame: Callable[[int], None] | None) -> None:
+    """Report frames until every child has ended; RenderError as soon as one has failed."""
+    lines: queue.Queue[tuple[_Child, str | None]] = queue.Queue()
+    for child in children:
+        child.listen(lines)
+    running = len(children)
+    while running:
+        child, line = lines.get()
+        if line is None:
+            child.check()
+            running -= 1
+        elif on_frame is not None:
+            on_frame(FrameDone.model_validate_json(line).frame)

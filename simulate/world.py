@@ -1,0 +1,229 @@
+"""What a simulated place is made of: terrain, ground cover and oriented objects. Plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Rgb = tuple[float, float, float]
+
+CLASSES: dict[str, int] = {
+    "sky": 0,
+    "grass": 1,
+    "field": 2,
+    "road": 3,
+    "pavement": 4,
+    "parking": 5,
+    "driveway": 6,
+    "path": 7,
+    "building": 16,
+    "tree": 17,
+    "hedge": 18,
+    "fence": 19,
+    "car": 20,
+    "truck": 21,
+    "container": 22,
+    "bench": 23,
+    "lamp": 24,
+}
+"""Semantic label of every class; labels below `FIRST_OBJECT_LABEL` are sky and ground cover."""
+
+FIRST_OBJECT_LABEL = 16
+MAX_OBJECT_ID = 32767  # Blender's Object.pass_index
+
+
+def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+    """Reflect whole-cell indices into [0, size): ... 1 0 | 0 1 ... size-1 | size-1 ..."""
+    index = np.mod(index, 2 * size)
+    return np.where(index < size, index, 2 * size - 1 - index)
+
+
+@dataclass(frozen=True)
+class Heightfield:
+    """Heights on a square grid of nodes centred on the origin, mirrored beyond its edge.
+
+    `nodes` is (n, n) float64 metres, row = y (south to north), column = x (west to east).
+    """
+
+    nodes: NDArray[np.float64]
+    spacing_m: float
+
+    @property
+    def half_side_m(self) -> float:
+        """Distance from the origin to the edge of the grid, metres."""
+        return 0.5 * (len(self.nodes) - 1) * self.spacing_m
+
+    def height(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Ground height in metres at world x, y (metres, any one shape), bilinear."""
+        last = len(self.nodes) - 1
+        cells = []
+        for coordinate in (x, y):
+            # A triangle wave folds positions outside the grid back into it.
+            t = (np.asarray(coordinate, float) + self.half_side_m) / self.spacing_m
+            t = last - np.abs(np.mod(t, 2 * last) - last)
+            i = np.clip(np.floor(t).astype(np.int64), 0, last - 1)
+            cells.append((i, t - i))
+        (i, s), (j, t) = cells
+        z = self.nodes
+        south = (1 - s) * z[j, i] + s * z[j, i + 1]
+        north = (1 - s) * z[j + 1, i] + s * z[j + 1, i + 1]
+        return np.asarray((1 - t) * south + t * north)
+
+
+@dataclass(frozen=True)
+class Road:
+    """A carriageway: centre line (K, 2) in metres, width in metres, whether it has a centre line
+    painted."""
+
+    line: NDArray[np.float64]
+    width_m: float
+    main: bool
+
+
+@dataclass(frozen=True)
+class Region:
+    """A polygon (K, 2) in metres of one ground class; `tone` in 0..1 tells neighbours apart."""
+
+    class_name: str
+    polygon: NDArray[np.float64]
+    tone: float = 0.5
+
+
+@dataclass(frozen=True)
+class Marking:
+    """A painted line (K, 2) in metres, with its width in metres."""
+
+    line: NDArray[np.float64]
+    width_m: float
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Ground cover on a raster centred on the origin, row = y (south to north), column = x.
+
+    `labels` and `tone` are (n, n) uint8; `tone` is the regions' tone times 255.
+    """
+
+    texel_m: float
+    labels: NDArray[np.uint8]
+    tone: NDArray[np.uint8]
+    markings: tuple[Marking, ...]
+
+    def label(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.uint8]:
+        """Semantic label at world x, y (metres, any one shape); mirrored beyond the raster."""
+        n = len(self.labels)
+        column, row = (
+            _mirrored(np.floor(np.asarray(c, float) / self.texel_m + 0.5 * n).astype(np.int64), n)
+            for c in (x, y)
+        )
+        return np.asarray(self.labels[row, column])
+
+
+@dataclass(frozen=True)
+class BuildingStyle:
+    """What the box of a building does not say; lengths in metres.
+
+    `roof` is "gable", "hip" or "flat"; the ridge runs along the box's x axis. `wing` is the
+    fraction of the box's depth and of its width taken by the main body when the footprint is an
+    L, (1, 1) when it is a rectangle. `detail` seeds chimneys, vents, windows.
+    """
+
+    floors: int
+    roof: str
+    roof_height_m: float
+    eaves_m: float
+    facade: int
+    roofing: str
+    wall_rgb: Rgb
+    roof_rgb: Rgb
+    wing: tuple[float, float]
+    detail: int
+
+
+@dataclass(frozen=True)
+class WorldObject:
+    """One labelled thing: an oriented box, `shape` naming the mesh that fills it.
+
+    `centre` (3,) world metres, `size` (3,) metres along the box's own axes, `yaw` radians
+    anticlockwise from east. `colour` is linear RGB. Buildings carry a style.
+    """
+
+    id: int
+    class_name: str
+    centre: NDArray[np.float64]
+    size: NDArray[np.float64]
+    yaw: float
+    shape: str
+    colour: Rgb
+    style: BuildingStyle | None = None
+
+    def footprint(self) -> NDArray[np.float64]:
+        """The box's four corners seen from above, (4, 2) metres, anticlockwise."""
+        return rectangle(self.centre[:2], self.size[:2], self.yaw)
+
+
+@dataclass(frozen=True)
+class World:
+    """A place: `area_m` metres a side, centred on the origin, east-north-up, Z up."""
+
+    seed: int
+    area_m: float
+    terrain: Heightfield
+    roads: tuple[Road, ...]
+    ground: Ground
+    objects: tuple[WorldObject, ...]
+
+
+def rectangle(centre: ArrayLike, size: ArrayLike, yaw: float) -> NDArray[np.float64]:
+    """Corners (4, 2) of a rectangle with `centre` (2,), `size` (2,) metres and `yaw` radians."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    corners = 0.5 * np.asarray(size) * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    return np.asarray(np.asarray(centre) + corners @ np.array([[cos, sin], [-sin, cos]]))
+
+
+def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    """Whether two rectangles, (4, 2) corners each, share any area (separating axes)."""
+    for edges in (a, b):
+        for axis in (edges[1] - edges[0], edges[2] - edges[1]):
+            pa, pb = a @ axis, b @ axis
+            if pa.max() <= pb.min() or pb.max() <= pa.min():
+                return False
+    return True
+
+
+def polyline_points(
+    line: NDArray[np.float64], at_m: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points (M, 2) and unit directions (M, 2) at arc lengths `at_m` (M,) metres on a (K, 2)
+    line."""
+    at = np.atleast_1d(np.asarray(at_m, float))
+    steps = np.diff(line, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    start = np.concatenate([[0.0], np.cumsum(lengths)])
+    i = np.clip(np.searchsorted(start, at, side="right") - 1, 0, len(steps) - 1)
+    direction = steps[i] / lengths[i, None]
+    return line[i] + (at - start[i])[:, None] * direction, direction
+
+
+def polyline_length(line: NDArray[np.float64]) -> float:
+    """Length in metres of a (K, 2) line."""
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+
+
+def ribbon(line: NDArray[np.float64], width_m: float) -> NDArray[np.float64]:
+    """Outline (2 K, 2) of a (K, 2) line thickened to `width_m` metres."""
+    tangent = np.gradient(line, axis=0)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
+    normal *= 0.5 * width_m / np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.vstack([line + normal, (line - normal)[::-1]])
+
+
+def class_lookup(objects: Sequence[WorldObject]) -> NDArray[np.uint8]:
+    """Table (max id + 1,) of semantic labels by object id; entry 0 is 0."""
+    table = np.zeros(max((o.id for o in objects), default=0) + 1, np.uint8)
+    for o in objects:
+        table[o.id] = CLASSES[o.class_name]
+    return table

@@ -1,0 +1,73 @@
+"""Settings and fixtures shared by all tests."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from hypothesis import settings
+
+from scene.bundle import Scene
+from simulate.command import simulate
+from simulate.config import SimulateConfig
+from simulate.libraries import require_libraries
+from simulate.mapping import build_map
+
+# The same examples in every run and on every machine, however slow it is.
+settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=50)
+settings.load_profile("repeatable")
+
+# The tensors of the tests are small: on a busy machine threads cost more than they bring.
+torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def flights() -> Path:
+    """The folder of real flights; tests that need it say so when they skip."""
+    folder = os.environ.get("OBJCONNECT_FLIGHTS")
+    if not folder:
+        pytest.skip("OBJCONNECT_FLIGHTS is not set to a folder of real flights")
+    if not Path(folder).is_dir():
+        pytest.fail(f"OBJCONNECT_FLIGHTS names {folder}, which is not a folder")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def beach(flights: Path) -> Path:
+    """One real flight: photographs, maps, queries and reference poses."""
+    return flights / "brighton_beach"
+
+
+# Three small sessions over one small town: enough for a map and for both conditions.
+RENDERED = SimulateConfig.model_validate(
+    {
+        "seed": 11,
+        "area": 120,
+        "size": 320,
+        "spp": 2,
+        "sessions": [
+            {"condition": "summer-noon", "flight": "nadir", "role": "map", "frames": 12},
+            {"condition": "summer-noon", "flight": "nadir", "role": "query", "frames": 4},
+            {"condition": "winter-dusk", "flight": "oblique", "role": "query", "frames": 3},
+        ],
+    }
+)
+
+
+@pytest.fixture(scope="session")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """A rendered scene with its map. Tests that change it take ``rendered_copy``."""
+    require_libraries()
+    path = tmp_path_factory.mktemp("rendered") / "hamlet"
+    simulate(RENDERED, path)
+    build_map(path)
+    return Scene.open(path)
+
+
+@pytest.fixture
+def rendered_copy(rendered: Scene, tmp_path: Path) -> Path:
+    """A copy of the rendered scene to break."""
+    return Path(shutil.copytree(rendered.path, tmp_path / "copy"))

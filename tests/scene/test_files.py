@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import pytest
+
+from scene.errors import InputError
+from scene.files import folder_written_whole, read_text, sha256_of, write_text, written_whole
+
+
+def test_digest(tmp_path: Path) -> None:
+    (tmp_path / "data").write_bytes(b"abc" * 100_000)
+    assert sha256_of(tmp_path / "data") == hashlib.sha256(b"abc" * 100_000).hexdigest()
+
+
+def test_a_file_appears_whole_in_a_new_folder(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "folder" / "result.txt"
+    with written_whole(path) as partial:
+        partial.write_text("half")
+        assert not path.exists()
+        partial.write_text("whole")
+    assert path.read_text() == "whole"
+    assert os.listdir(path.parent) == ["result.txt"]  # noqa: PTH208 - hidden files too
+
+
+def test_a_failed_file_keeps_the_old_one_and_leaves_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "result.txt"
+    path.write_text("old")
+    with pytest.raises(KeyboardInterrupt), written_whole(path) as partial:
+        partial.write_text("half")
+        raise KeyboardInterrupt
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["result.txt"]  # noqa: PTH208
+
+
+def test_a_file_is_as_readable_as_any_other(tmp_path: Path) -> None:
+    (tmp_path / "plain").touch()
+    write_text(tmp_path / "whole", "text")
+    assert (tmp_path / "whole").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_folder_appears_whole(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "map"
+    with folder_written_whole(path) as partial:
+        (partial / "images.bin").write_text("whole")
+        assert not path.exists()
+    assert (path / "images.bin").read_text() == "whole"
+    assert os.listdir(path.parent) == ["map"]  # noqa: PTH208
+
+
+def test_a_folder_replaces_the_old_one_entirely(tmp_path: Path) -> None:
+    path = tmp_path / "map"
+    path.mkdir()
+    (path / "stale").touch()
+    with folder_written_whole(path) as partial:
+        (partial / "fresh").touch()
+        assert (path / "stale").exists()
+    assert [file.name for file in path.iterdir()] == ["fresh"]
+    assert os.listdir(tmp_path) == ["map"]  # noqa: PTH208
+
+
+def test_a_failed_folder_keeps_the_old_one_and_leaves_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "map"
+    path.mkdir()
+    (path / "old").touch()
+    with pytest.raises(RuntimeError), folder_written_whole(path) as partial:
+        (partial / "half").touch()
+        raise RuntimeError
+    assert [file.name for file in path.iterdir()] == ["old"]
+    assert os.listdir(tmp_path) == ["map"]  # noqa: PTH208
+
+
+def test_an_unwritable_place_is_one_clear_error(tmp_path: Path) -> None:
+    """A file where a folder should be: nobody can write there, not even root."""
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    with (
+        pytest.raises(InputError, match="cannot write .*result.txt: "),
+        written_whole(blocked / "result.txt"),
+    ):
+        pytest.fail("the block must not start")
+    with (
+        pytest.raises(InputError, match="cannot write .*map: "),
+        folder_written_whole(blocked / "map"),
+    ):
+        pytest.fail("the block must not start")
+    assert blocked.read_text() == "in the way"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
+def test_a_folder_without_permission_is_one_clear_error(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(InputError, match="cannot write .*result.txt: Permission denied"):
+            write_text(tmp_path / "result.txt", "text")
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_a_folder_in_the_place_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "result.txt").mkdir()
+    with pytest.raises(InputError, match="cannot write"):
+        write_text(tmp_path / "result.txt", "text")
+    assert os.listdir(tmp_path) == ["result.txt"]  # noqa: PTH208
+
+
+def test_text_comes_back(tmp_path: Path) -> None:
+    write_text(tmp_path / "text", "5 m, 10°\n")
+    assert read_text(tmp_path / "text", "list") == "5 m, 10°\n"
+
+
+def test_unreadable_text_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot read query list .*missing: No such file"):
+        read_text(tmp_path / "missing", "query list")
+    with pytest.raises(InputError, match="cannot read query list .*: Is a directory"):
+        read_text(tmp_path, "query list")
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not a UTF-8 text file"):
+        read_text(tmp_path / "binary", "query list")

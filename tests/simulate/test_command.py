@@ -1,0 +1,155 @@
+"""``simulate``: whole scenes, the same after an interruption, and no half-written ones."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scene.bundle import Scene
+from scene.errors import InputError
+from scene.geodesy import geodetic_from_enu
+from scene.images import read_exif, read_rgb
+from simulate.command import simulate
+from simulate.config import SimulateConfig
+from simulate.libraries import PACKAGES, require_libraries
+from tests.conftest import RENDERED
+
+
+def test_scene_is_whole(rendered: Scene) -> None:
+    assert rendered.changed_files() == []
+    assert rendered.manifest.seed == RENDERED.seed
+    assert set(rendered.splits.queries) == {
+        "summer-noon-nadir-query",
+        "winter-dusk-oblique-query",
+    }
+    assert (rendered.path / "pictures" / "contact-sheet.png").stat().st_size > 10_000
+    assert not list(rendered.path.rglob(".*")), "nothing of the rendering is left behind"
+
+
+def test_annotations_fit_the_objects(rendered: Scene) -> None:
+    known = {item.id for item in rendered.objects.objects}
+    classes = rendered.objects.classes
+    for session in rendered.sessions:
+        frames = rendered.frames(session)
+        with rendered.dense(session) as dense:
+            for k in range(len(frames)):
+                instance, semantic = dense.read("instance", k), dense.read("semantic", k)
+                assert set(np.unique(instance)) - {0} <= known
+                assert set(np.unique(semantic)) <= set(classes.values())
+                # An object's pixels carry its class.
+                for item in rendered.objects.objects:
+                    labels = np.unique(semantic[instance == item.id])
+                    assert set(labels) <= {classes[item.class_name]}
+                normal = dense.read("normal", k).astype(float) / 127
+                surface = dense.read("depth", k) > 0
+                assert np.abs(np.linalg.norm(normal[surface], axis=-1) - 1).max() < 0.02
+
+
+def test_photographs_carry_what_a_drone_writes(rendered: Scene) -> None:
+    frames = rendered.frames("winter-dusk-oblique-query")
+    for k, name in enumerate(frames.names):
+        exif = read_exif(rendered.images_root / name)
+        expected = geodetic_from_enu(frames.gps_prior[k], rendered.manifest.origin)
+        assert exif.position is not None
+        assert np.allclose(exif.position, expected, atol=[1e-7, 1e-7, 1e-3])
+        assert exif.time is not None
+        assert exif.time.timestamp() == pytest.approx(frames.time[k], abs=1)
+        assert exif.focal_35mm == round(36 * frames.cameras[k].focal[0] / frames.cameras[k].width)
+        assert read_rgb(rendered.images_root / name, frames.cameras[k]).std() > 10
+
+
+def test_map_and_query_flights_differ(rendered: Scene) -> None:
+    mapped = rendered.frames("summer-noon-nadir-map").poses.centre().numpy()
+    queries = rendered.frames("summer-noon-nadir-query").poses.centre().numpy()
+    nearest = np.linalg.norm(queries[:, None] - mapped[None], axis=-1).min(1)
+    assert nearest.min() > 1.0
+    assert abs(queries[:, 2].mean() - mapped[:, 2].mean()) > 5
+
+
+def test_killed_and_resumed_is_the_same_scene(rendered: Scene, tmp_path: Path) -> None:
+    """kill -9 in the middle loses no finished frame, and the scene ends bit for bit the same."""
+    out = tmp_path / "hamlet"
+    config = tmp_path / "config.yaml"
+    config.write_text(RENDERED.model_dump_json())  # JSON is YAML
+    command = [sys.executable, "-m", "benchmark.cli", "simulate", "--config", str(config)]
+    child = subprocess.Popen([*command, "--out", str(out)], start_new_session=True)
+    try:
+        deadline = time.monotonic() + 300
+        while not list(out.rglob("000002.npz")):
+            assert child.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+    finally:
+        os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+    assert not (out / "scene.json").exists()
+    finished = {p: p.stat().st_mtime_ns for p in out.rglob("*.npz") if p.name < "000002.npz"}
+    assert finished
+    with pytest.raises(InputError, match="not a finished scene"):
+        Scene.open(out)
+    resumed = simulate(RENDERED, out)
+    without_map = {
+        name: digest
+        for name, digest in rendered.manifest.sha256.items()
+        if not name.startswith("map/")
+    }
+    assert resumed.manifest.sha256 == without_map
+
+
+def test_finished_scene_is_left_alone(rendered: Scene) -> None:
+    before = {path: path.stat().st_mtime_ns for path in rendered.path.rglob("*")}
+    simulate(RENDERED, rendered.path)
+    assert before == {path: path.stat().st_mtime_ns for path in rendered.path.rglob("*")}
+
+
+def test_another_configuration_is_refused(rendered: Scene) -> None:
+    with pytest.raises(InputError, match="another configuration"):
+        simulate(RENDERED.model_copy(update={"seed": 12}), rendered.path)
+
+
+def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(InputError, match="not empty and not a scene"):
+        simulate(RENDERED, tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"preset": "atlantis"}, "atlantis"),
+        ({"sessions": ["monsoon:nadir"]}, "monsoon"),
+        ({"sessions": ["summer-noon"]}, "condition:flight"),
+        ({"sessions": ["summer-noon:nadir:query"]}, "role map"),
+        ({"sessions": []}, "at least 1 item"),
+        ({"altitude": 90}, "unknown key 'altitude'"),
+        ({"area": -5}, "area"),
+        ({"frames": 0}, "frames"),
+    ],
+)
+def test_bad_configuration_is_one_line(overrides: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        SimulateConfig.load(None, overrides)
+    assert "\n" not in str(caught.value)
+
+
+def test_sessions_from_words() -> None:
+    words = ["summer-noon:nadir", "winter-dusk:oblique", "summer-noon:oblique:map"]
+    config = SimulateConfig.load(None, {"sessions": words})
+    assert [s.role for s in config.sessions] == ["map", "query", "map"]
+    assert config.session_names()[1] == "winter-dusk-oblique-query"
+    twice = SimulateConfig.load(None, {"sessions": ["summer-noon:nadir"] * 3})
+    assert len(set(twice.session_names())) == 3
+
+
+def test_missing_libraries_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PACKAGES, "libnowhere.so.9", "libnowhere9")
+    with pytest.raises(InputError, match="sudo apt-get install -y libnowhere9"):
+        require_libraries()

@@ -1,0 +1,61 @@
+"""A map triangulated from a rendered flight lies on the rendered surface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from scene.bundle import Scene
+from scene.features import read_features
+from simulate.mapping import FEATURES, build_map, choose_pairs
+
+
+def test_map_of_a_rendered_flight(rendered: Scene) -> None:
+    sparse_map = rendered.sparse_map()
+    assert set(sparse_map.images) == set(rendered.splits.map)
+    assert len(sparse_map.xyz) > 300
+    assert sparse_map.reprojection_error() < 1.0
+    frames = rendered.frames("summer-noon-nadir-map")
+    for k, name in enumerate(frames.names):
+        assert np.allclose(sparse_map.images[name].cam_from_world, frames.cam_from_world[k])
+        assert sparse_map.images[name].camera == frames.cameras[k]
+
+
+def test_points_lie_on_the_surface(rendered: Scene) -> None:
+    """Depth of each point in the views that observe it, against the rendered depth there."""
+    sparse_map = rendered.sparse_map()
+    frames = rendered.frames("summer-noon-nadir-map")
+    off = []
+    with rendered.dense("summer-noon-nadir-map") as dense:
+        for k, name in enumerate(frames.names):
+            image = sparse_map.images[name]
+            seen = image.point_rows >= 0
+            xyz = torch.from_numpy(sparse_map.xyz[image.point_rows[seen]])
+            z = image.pose.transform(xyz)[:, 2].numpy()
+            columns, rows = np.floor(image.xy[seen]).astype(int).T
+            off.append(np.abs(z - dense.read("depth", k)[rows, columns]))
+    assert np.median(np.concatenate(off)) < 0.25
+
+
+def test_features_lie_beside_the_map(rendered: Scene) -> None:
+    features = read_features(rendered.map_path / FEATURES)
+    sparse_map = rendered.sparse_map()
+    assert set(features) == set(sparse_map.images)
+    for name, image in sparse_map.images.items():
+        assert np.abs(features[name].xy - image.xy).max() < 1e-3
+
+
+def test_mapping_again_replaces_the_map(rendered_copy: Path) -> None:
+    before = Scene.open(rendered_copy).sparse_map()
+    (rendered_copy / "map" / "points3D.bin").write_bytes(b"damaged")
+    build_map(rendered_copy)
+    scene = Scene.open(rendered_copy)
+    assert np.allclose(scene.sparse_map().xyz, before.xyz)
+    assert scene.changed_files() == []
+
+
+def test_pairs_are_the_overlapping_ones() -> None:
+    overlap = np.array([[0, 0.9, 0.1], [0.9, 0, 0.3], [0.1, 0.3, 0]])
+    assert choose_pairs(overlap) == [(0, 1), (1, 2)]

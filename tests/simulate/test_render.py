@@ -1,0 +1,230 @@
+"""Real renders, as small as they can be and still show that the truth is exact."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from pydantic import ValidationError
+
+from scene.errors import InputError
+from simulate.flights import plan_nadir, plan_oblique
+from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
+from simulate.town import build_town
+from simulate.world import CLASSES, MAX_OBJECT_ID, class_lookup
+
+SEED, AREA = 5, 120.0
+# Off-centre and not square, so that a mistaken principal point or axis shows.
+CAMERA = PinholeCamera(width=112, height=96, f=90.0, cx=52.5, cy=50.25)
+
+
+def job(condition: str) -> RenderJob:
+    town = build_town(SEED, AREA)
+    rng = np.random.default_rng(0)
+    down = plan_nadir(
+        AREA, town.terrain.height, width=112, height=96, focal=90.0, altitude_m=50.0, rng=rng,
+        frames=2, attitude_jitter_deg=3.0,
+    )  # fmt: skip
+    oblique = plan_oblique(town.terrain.height, radius_m=45.0, altitude_m=40.0, frames=1, rng=rng)
+    poses = np.concatenate([down, oblique])
+    return RenderJob(
+        preset="town", seed=SEED, area_m=AREA, condition=condition, camera=CAMERA, samples=1,
+        poses={i: pose.tolist() for i, pose in enumerate(poses)},
+    )  # fmt: skip
+
+
+def load(out: Path, frame: int) -> dict[str, np.ndarray]:
+    with np.load(frame_path(out, frame)) as arrays:
+        return dict(arrays)
+
+
+@pytest.fixture(scope="module")
+def summer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three frames, finished after an interruption."""
+    out = tmp_path_factory.mktemp("summer")
+
+    def interrupt(frame: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render(job("summer-noon"), out, on_frame=interrupt)
+    assert frame_path(out, 0).exists()
+    assert not frame_path(out, 2).exists()
+    render(job("summer-noon"), out)
+    return out
+
+
+def points(arrays: dict[str, np.ndarray], pose: list[list[float]]) -> np.ndarray:
+    """World points (H, W, 3) of the pixels' centres."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.f, (v - CAMERA.cy) / CAMERA.f, np.ones_like(u)], -1)
+    world_from_cam = np.linalg.inv(np.array(pose))
+    local = rays * arrays["depth"][..., None]
+    return local @ world_from_cam[:3, :3].T + world_from_cam[:3, 3]
+
+
+def test_a_frame_holds_what_is_promised(summer):
+    arrays = load(summer, 0)
+    shape = (CAMERA.height, CAMERA.width)
+    expected = {
+        "rgb": (np.uint8, (*shape, 3)),
+        "depth": (np.float32, shape),
+        "instance": (np.uint16, shape),
+        "semantic": (np.uint8, shape),
+        "normal": (np.int8, (*shape, 3)),
+    }
+    assert {k: (a.dtype, a.shape) for k, a in arrays.items()} == expected
+    assert arrays["rgb"].std() > 10
+    assert sorted(p.name for p in summer.iterdir()) == [f"{i:06d}.npz" for i in range(3)]
+
+
+def test_ground_points_lie_on_the_terrain(summer):
+    town, poses = build_town(SEED, AREA), job("summer-noon").poses
+    for frame in poses:
+        arrays = load(summer, frame)
+        on_ground = (arrays["instance"] == 0) & (arrays["depth"] > 0)
+        x, y, z = points(arrays, poses[frame])[on_ground].T
+        inside = np.maximum(np.abs(x), np.abs(y)) < 0.5 * AREA
+        error = np.abs(z - town.terrain.height(x, y))[inside]
+        # Half a pixel off would be some 0.2 m in the oblique frame; what is left is the
+        # triangulation of the terrain.
+        assert np.median(error) < 0.002
+        assert np.percentile(error, 99) < 0.02
+
+
+def test_object_points_lie_in_their_boxes_and_reach_their_tops(summer):
+    town, poses = build_town(SEED, AREA), job("summer-noon").poses
+    by_id = {o.id: o for o in town.objects}
+    tops = []
+    for frame in poses:
+        arrays = load(summer, frame)
+        world = points(arrays, poses[frame])
+        for number in np.unique(arrays["instance"]):
+            if number == 0:
+                continue
+            thing = by_id[int(number)]
+            seen = world[arrays["instance"] == number]
+            local = seen - thing.centre
+            cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
+            local[:, :2] = local[:, :2] @ np.array([[cos, -sin], [sin, cos]])
+            below = 1.5 if thing.class_name == "building" else 0.0  # foundations
+            assert (np.abs(local[:, :2]) <= 0.5 * thing.size[:2] + 0.03).all(), thing
+            assert (local[:, 2] <= 0.5 * thing.size[2] + 0.03).all(), thing
+            assert (local[:, 2] >= -0.5 * thing.size[2] - below - 0.03).all(), thing
+            if thing.class_name in ("car", "container") and len(seen) > 12:
+                tops.append(0.5 * thing.size[2] - local[:, 2].max())
+    assert len(tops) > 3
+    assert np.median(tops) < 0.05
+
+
+def test_frames_see_the_same_surface(summer):
+    """Depth and poses carry pixels of one frame onto the surface another frame sees."""
+    poses = job("summer-noon").poses
+    arrays = [load(summer, i) for i in poses]
+    world = points(arrays[0], poses[0])
+    pose = np.array(poses[2])
+    local = world @ pose[:3, :3].T + pose[:3, 3]
+    u = CAMERA.f * local[..., 0] / local[..., 2] + CAMERA.cx
+    v = CAMERA.f * local[..., 1] / local[..., 2] + CAMERA.cy
+    visible = (u > 0) & (u < CAMERA.width) & (v > 0) & (v < CAMERA.height) & (local[..., 2] > 0)
+    column, row = u[visible].astype(int), v[visible].astype(int)
+    agree = arrays[2]["instance"][row, column] == arrays[0]["instance"][visible]
+    assert visible.mean() > 0.1
+    assert agree.mean() > 0.75  # the rest is hidden behind something in the other frame
+
+
+def test_labels_are_consistent(summer):
+    town = build_town(SEED, AREA)
+    table = class_lookup(town.objects)
+    for frame in range(3):
+        arrays = load(summer, frame)
+        instance = arrays["instance"]
+        assert instance.max() <= MAX_OBJECT_ID
+        assert set(np.unique(instance)) <= {0, *(o.id for o in town.objects)}
+        on_object = instance > 0
+        assert np.array_equal(arrays["semantic"][on_object], table[instance[on_object]])
+        assert set(np.unique(arrays["semantic"])) <= set(CLASSES.values())
+        assert ((arrays["semantic"] == CLASSES["sky"]) == (arrays["depth"] == 0)).all()
+        length = np.linalg.norm(arrays["normal"][arrays["depth"] > 0].astype(float), axis=-1)
+        assert_allclose(length, 127, atol=2)
+        road = arrays["semantic"] == CLASSES["road"]
+        assert (arrays["normal"][road][:, 2] > 115).all()
+
+
+def test_conditions_share_their_geometry(summer, tmp_path):
+    winter_job = job("winter-dusk")
+    winter_job.poses = {i: winter_job.poses[i] for i in (0, 2)}
+    seen = []
+    render(winter_job, tmp_path, jobs=2, on_frame=seen.append)
+    assert sorted(seen) == [0, 2]
+    for frame in (0, 2):
+        a, b = load(summer, frame), load(tmp_path, frame)
+        assert_allclose(a["depth"], b["depth"], atol=1e-4)
+        assert np.array_equal(a["instance"], b["instance"])
+        assert np.array_equal(a["semantic"], b["semantic"])
+        difference = np.abs(a["rgb"].astype(int) - b["rgb"].astype(int))
+        assert difference.mean() > 15
+
+
+def test_only_missing_frames_are_rendered_again_and_come_out_the_same(summer):
+    before = [load(summer, i) for i in range(3)]
+    kept = frame_path(summer, 0).stat().st_mtime_ns
+    frame_path(summer, 1).unlink()
+    seen: list[int] = []
+    render(job("summer-noon"), summer, on_frame=seen.append)
+    assert seen == [1]
+    assert frame_path(summer, 0).stat().st_mtime_ns == kept
+    after = load(summer, 1)
+    for name, array in before[1].items():
+        assert np.array_equal(array, after[name]), name
+
+
+def test_nothing_missing_starts_no_process(summer, monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/nowhere")
+    render(job("summer-noon"), summer)
+
+
+def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+    """Replace the interpreter children run by a shell script."""
+    path = tmp_path / "python"
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(path))
+
+
+def test_a_dying_child_is_one_clear_line(tmp_path, monkeypatch):
+    stand_in(tmp_path, monkeypatch, "echo noise >&2; echo MemoryError: no room >&2; exit 3")
+    with pytest.raises(RenderError, match=r"^[^\n]*exit code 3: MemoryError: no room$"):
+        render(job("summer-noon"), tmp_path / "out")
+
+
+def test_a_killed_child_names_its_signal(tmp_path, monkeypatch):
+    stand_in(tmp_path, monkeypatch, "kill -9 $$")
+    with pytest.raises(RenderError, match="signal 9"):
+        render(job("summer-noon"), tmp_path / "out")
+
+
+def test_a_missing_library_names_the_packages(tmp_path, monkeypatch):
+    line = "ImportError: libXi.so.6: cannot open shared object file: No such file or directory"
+    stand_in(tmp_path, monkeypatch, f"echo '{line}' >&2; exit 1")
+    with pytest.raises(RenderError, match=r"libXi\.so\.6.*apt-get install .*libxi6"):
+        render(job("summer-noon"), tmp_path / "out")
+
+
+def test_a_child_that_stops_early_is_an_error(tmp_path, monkeypatch):
+    stand_in(tmp_path, monkeypatch, "exit 0")
+    with pytest.raises(RenderError, match="3 frames missing"):
+        render(job("summer-noon"), tmp_path / "out")
+
+
+def test_bad_jobs_are_refused(tmp_path):
+    with pytest.raises(InputError, match="unknown condition"):
+        render(job("summer-noon").model_copy(update={"condition": "x"}), tmp_path)
+    with pytest.raises(InputError, match="unknown preset"):
+        render(job("summer-noon").model_copy(update={"preset": "x"}), tmp_path)
+    values = job("summer-noon").model_dump()
+    with pytest.raises(ValidationError, match="extra"):
+        RenderJob(**values, colour="red")
+    with pytest.raises(ValidationError, match="4 x 4"):
+        RenderJob(**{**values, "poses": {0: [[1.0]]}})

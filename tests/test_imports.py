@@ -1,0 +1,132 @@
+"""The import arrows of the project, held by reading every module.
+
+``benchmark -> objconnect -> baselines -> scene`` and ``benchmark -> simulate -> scene``.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ALLOWED = {
+    "scene": set(),
+    "simulate": {"scene"},
+    "baselines": {"scene"},
+    "objconnect": {"baselines", "scene"},
+    "benchmark": {"objconnect", "baselines", "simulate", "scene"},
+}
+# Libraries that one module alone may speak to.
+ADAPTERS = {
+    "bpy": "simulate.blender",
+    "bmesh": "simulate.blender",
+    "mathutils": "simulate.blender",
+    "pycolmap": "scene.colmap",
+}
+
+
+def modules(package: str) -> dict[str, ast.Module]:
+    """Every module of a package by its dotted name."""
+    found = {}
+    for path in sorted((ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        found[name] = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    return found
+
+
+ALL = {name: tree for package in ALLOWED for name, tree in modules(package).items()}
+
+
+def imported(statement: ast.AST) -> Iterator[str]:
+    """Dotted names a statement imports; for ``from a import b`` both ``a`` and ``a.b``."""
+    if isinstance(statement, ast.Import):
+        yield from (alias.name for alias in statement.names)
+    elif isinstance(statement, ast.ImportFrom):
+        assert not statement.level, "imports of the project are absolute"
+        assert statement.module is not None
+        yield statement.module
+        yield from (f"{statement.module}.{alias.name}" for alias in statement.names)
+
+
+def imports_anywhere(tree: ast.Module) -> set[str]:
+    return {name for statement in ast.walk(tree) for name in imported(statement)}
+
+
+def imports_when_loaded(tree: ast.AST) -> set[str]:
+    """Imports outside functions and outside ``if TYPE_CHECKING``."""
+    found: set[str] = set()
+    for statement in ast.iter_child_nodes(tree):
+        if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            continue
+        if isinstance(statement, ast.If) and "TYPE_CHECKING" in ast.unparse(statement.test):
+            continue
+        found |= set(imported(statement)) | imports_when_loaded(statement)
+    return found
+
+
+def test_every_package_is_read() -> None:
+    assert set(ALLOWED) == {name.split(".")[0] for name in ALL}
+    assert {"scene.pose", "baselines.sift", "benchmark.cli"} <= set(ALL)
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_arrows_run_one_way(package: str) -> None:
+    forbidden = set(ALLOWED) - ALLOWED[package] - {package}
+    wrong = {
+        (name, target)
+        for name, tree in modules(package).items()
+        for target in imports_anywhere(tree)
+        if target.split(".")[0] in forbidden
+    }
+    assert not wrong
+
+
+@pytest.mark.parametrize("library", ADAPTERS)
+def test_one_module_speaks_to(library: str) -> None:
+    users = {
+        name
+        for name, tree in ALL.items()
+        if any(target.split(".")[0] == library for target in imports_anywhere(tree))
+    }
+    assert users <= {ADAPTERS[library]}
+
+
+def test_there_is_no_circle_at_import_time() -> None:
+    graph = {
+        name: {target for target in imports_when_loaded(tree) if target in ALL and target != name}
+        for name, tree in ALL.items()
+    }
+    try:
+        order = list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        pytest.fail(f"modules import one another: {' -> '.join(error.args[1])}")
+    assert set(order) == set(ALL)
+
+
+def loaded_by(names: list[str]) -> set[str]:
+    """Top-level modules in memory after importing ``names`` in a process of their own."""
+    lines = [f"import {name}" for name in names]
+    code = "\n".join([*lines, "import sys", "print(*{m.split('.')[0] for m in sys.modules})"])
+    answer = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return set(answer.stdout.split())
+
+
+def test_blender_is_loaded_by_nobody_who_does_not_render() -> None:
+    names = [name for name in ALL if not name.startswith("simulate")]
+    loaded = loaded_by(names)
+    assert {"scene", "baselines", "objconnect", "benchmark"} <= loaded
+    assert not {"bpy", "mathutils"} & loaded
+
+
+def test_scene_loads_no_other_package() -> None:
+    loaded = loaded_by([name for name in ALL if name.startswith("scene")])
+    assert not (set(ALLOWED) - {"scene"}) & loaded
