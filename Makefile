@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: demo test lint install clean
+.PHONY: demo test lint bench install clean
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -44,3 +44,6 @@ lint: install
 
 clean:
 	rm -rf $(VENV) runs build *.egg-info
+
+bench: install
+	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-columns=median,iqr,rounds

@@ -63,6 +63,13 @@ Json = Annotated[
     bool, typer.Option("--json", help="Print a machine-readable summary on standard output.")
 ]
 
+Cache = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="Folder where methods keep what they build per map, for next time."
+    ),
+]
+
 
 def _version(wanted: bool) -> None:
     if wanted:
@@ -112,12 +119,7 @@ def evaluate(
     start: Annotated[
         Start, typer.Option(help="Hand each query's own prior to the method, or nothing.")
     ] = Start.PRIOR,
-    cache: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder where methods keep what they build per map, for next time."
-        ),
-    ] = None,
+    cache: Cache = None,
     as_json: Json = False,
 ) -> None:
     """Localize the queries of data sets and score the poses.
@@ -245,12 +247,13 @@ def build_map(
 @app.command()
 def validate(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene or flight to check.")],
+    cache: Cache = None,
     as_json: Json = False,
 ) -> None:
     """Check a scene's or flight's conventions and exactness, and name what is wrong."""
     from benchmark.validate import validate as run
 
-    report = run(scene)
+    report = run(scene, cache)
     if as_json:
         _print_json(report.as_dict())
     else:

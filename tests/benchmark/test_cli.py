@@ -362,7 +362,7 @@ def test_map_of_no_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("ok", "code"), [(True, 0), (False, 2)])
 def test_validate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ok: bool, code: int) -> None:
     report = SimpleNamespace(ok=ok, text=lambda: "the findings", as_dict=lambda: {"ok": ok})
-    module = SimpleNamespace(validate=lambda path: report)
+    module = SimpleNamespace(validate=lambda path, cache: report)
     monkeypatch.setitem(sys.modules, "benchmark.validate", module)
     result = invoke("validate", tmp_path)
     assert (result.exit_code, result.stdout) == (code, "the findings\n")
