@@ -30,7 +30,7 @@ demo: libraries
 	$(BIN)/objconnect simulate --config configs/demo.yaml --out $(DEMO)/scene
 	test -d $(DEMO)/scene/map || $(BIN)/objconnect map $(DEMO)/scene
 	$(BIN)/objconnect validate $(DEMO)/scene
-	$(BIN)/objconnect evaluate $(DEMO)/scene --method sift --out $(DEMO)/results --cache $(DEMO)/cache
+	$(BIN)/objconnect evaluate $(DEMO)/scene --method sift --out $(DEMO)/results --cache $(DEMO)/cache >/dev/null
 	$(BIN)/objconnect leaderboard $(DEMO)/results --out $(DEMO)/leaderboard
 	@echo "Pictures: $(DEMO)/scene/pictures, $(DEMO)/results; table: $(DEMO)/leaderboard"
 

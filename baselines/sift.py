@@ -19,6 +19,8 @@ from scene.colmap import SiftExtractor, SiftOptions, estimate_absolute_pose, ext
 from scene.config import Config
 from scene.errors import InputError
 from scene.features import Features, read_features, unit_descriptors, write_features
+from scene.files import sha256_of
+from scene.images import check_photographs
 from scene.localizer import Estimate, Query, Status, Stopwatch
 from scene.matching import match
 from scene.progress import progress_bar
@@ -153,13 +155,14 @@ def _map_features(
     sparse_map: SparseMap, images: Path, options: SiftOptions, cache: Path | None
 ) -> dict[str, Features]:
     """Features of the map's photographs, read from the cache when it holds them."""
-    key = hashlib.sha256(f"{sparse_map.sha256} {options}".encode()).hexdigest()[:16]
-    path = cache / f"sift-{key}.h5" if cache else None
-    if path is not None and path.is_file():
-        return read_features(path)
-    for name in sparse_map.names:
-        if not (images / name).is_file():
-            raise InputError(f"photograph {images / name} of the map does not exist")
+    check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
+    path = None
+    if cache is not None:
+        photographs = [sha256_of(images / name) for name in sparse_map.names]
+        key = hashlib.sha256(f"{sparse_map.sha256} {photographs} {options}".encode()).hexdigest()
+        path = cache / f"sift-{key[:16]}.h5"
+        if path.is_file():
+            return read_features(path)
     with progress_bar("map features", len(sparse_map.names)) as advance:
         features = extract_sift(images, sparse_map.names, options, on_progress=advance)
     if path is not None:

@@ -19,6 +19,7 @@ from scene.camera import Camera
 from scene.colmap_files import read_model
 from scene.errors import InputError
 from scene.features import Features, unit_descriptors
+from scene.images import check_photographs
 from scene.matching import match
 from scene.pose import Pose, transform_jacobian
 from scene.sparse_map import SparseMap
@@ -295,8 +296,10 @@ def triangulate(
         The map as written, and the features it was built from by image name.
 
     Raises:
-        InputError: an image cannot be read, or no point could be triangulated.
+        InputError: an image is missing, damaged or not of its camera's size, or no point could be
+            triangulated.
     """
+    check_photographs(root, {image.name: image.camera for image in images})
     features = extract_sift(root, [image.name for image in images], options, on_progress)
     model, ids = _posed_model(images, features)
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:

@@ -117,6 +117,7 @@ def write_frames(
         images: one dictionary of layers per frame, in order; consumed one at a time.
 
     Raises:
+        ValueError: fewer images than frames.
         InputError: the file cannot be written.
     """
     cameras = list(dict.fromkeys(frames.cameras))
@@ -126,6 +127,7 @@ def write_frames(
         file["camera_index"] = [cameras.index(camera) for camera in frames.cameras]
         for key in _VECTORS:
             file[key] = getattr(frames, key)
+        done = 0
         for index, layers in enumerate(images):
             for layer in dense:
                 image = layers[layer]
@@ -140,6 +142,9 @@ def write_frames(
                         shuffle=True,
                     )
                 file[layer][index] = image
+            done = index + 1
+        if dense and done < len(frames):
+            raise ValueError(f"{path}: {len(frames)} frames but images of {done}")
 
 
 @contextmanager

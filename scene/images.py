@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
@@ -15,6 +16,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from scene.camera import Camera
 from scene.errors import InputError
+from scene.files import written_whole
 from scene.geodesy import Geodetic
 
 
@@ -45,6 +47,22 @@ def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
     return pixels
 
 
+def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
+    """Make sure photographs are there, whole, and of the size of their cameras.
+
+    COLMAP skips what it cannot read and decodes half of a truncated file without a word.
+
+    Args:
+        root: folder the names are relative to.
+        cameras: by image name.
+
+    Raises:
+        InputError: as ``read_rgb``, about the first photograph at fault.
+    """
+    for name, camera in cameras.items():
+        read_rgb(root / name, camera)
+
+
 @dataclass(frozen=True)
 class Exif:
     """What a drone writes into a photograph.
@@ -67,11 +85,15 @@ class Exif:
 def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95) -> None:
     """Write a photograph with EXIF. ``rgb`` is (H, W, 3) uint8.
 
-    The quality keeps 4:4:4 chroma, so that compression costs features little.
+    Chroma is kept at full resolution, so that compression costs features little.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
     """
-    Image.fromarray(rgb).save(
-        path, "JPEG", quality=quality, subsampling=0, exif=_encode(exif).tobytes()
-    )
+    with written_whole(path) as partial:
+        Image.fromarray(rgb).save(
+            partial, "JPEG", quality=quality, subsampling=0, exif=_encode(exif).tobytes()
+        )
 
 
 def _encode(exif: Exif) -> Image.Exif:

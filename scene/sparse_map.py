@@ -73,7 +73,7 @@ class SparseMap:
 
     @cached_property
     def sha256(self) -> str:
-        """Digest of everything a localizer can read from the map."""
+        """Digest of cameras, poses, observations and points; colours and errors are left out."""
         digest = hashlib.sha256()
         for name in self.names:
             image = self.images[name]

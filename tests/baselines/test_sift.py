@@ -190,3 +190,19 @@ def test_photographs_of_another_place_are_noticed(flight: Flight, tmp_path: Path
         blank: NDArray[np.uint8] = np.full((576, 1024, 3), 128, np.uint8)
         Image.fromarray(blank).save(tmp_path / name)
     assert "no keypoint" in refused(flight, tmp_path)
+
+
+def test_a_truncated_photograph_of_the_map_is_named(flight: Flight, tmp_path: Path) -> None:
+    """COLMAP itself would take the half it can decode."""
+    path = copied(flight, tmp_path) / flight.sparse_map.names[1]
+    path.chmod(0o644)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert f"{path} is damaged" in refused(flight, tmp_path)
+
+
+def test_a_resized_photograph_of_the_map_is_named(flight: Flight, tmp_path: Path) -> None:
+    path = copied(flight, tmp_path) / flight.sparse_map.names[1]
+    path.chmod(0o644)
+    with Image.open(path) as image:
+        image.resize((512, 288)).save(path)
+    assert "is 512 x 288 pixels but its camera is 1024 x 576" in refused(flight, tmp_path)

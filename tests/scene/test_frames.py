@@ -239,3 +239,11 @@ def test_one_camera_is_stored_once(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "frames.h5") as file:
         assert file.attrs["cameras"].count("PINHOLE") == 1
     assert read_frames(tmp_path / "frames.h5").cameras == (camera,) * 4
+
+
+def test_too_few_images_leave_no_file(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="3 frames but images of 2"):
+        write_frames(
+            tmp_path / "frames.h5", made_frames(3), ALL, (made_layers(k) for k in range(2))
+        )
+    assert not list(tmp_path.iterdir())
