@@ -69,19 +69,19 @@ class SiftLocalizer:
         features = _map_features(sparse_map, images, self._options, cache)
         self._map = sparse_map
         self._centres = sparse_map.centres
-        self._descriptors = [unit_descriptors(features[name]) for name in sparse_map.names]
+        descriptors = [unit_descriptors(features[name]) for name in sparse_map.names]
         # Only keypoints with a 3D point can vote for a pose.
         self._lifted: list[tuple[NDArray[np.int64], torch.Tensor]] = []
-        for name, descriptors in zip(sparse_map.names, self._descriptors, strict=True):
+        for name, unit in zip(sparse_map.names, descriptors, strict=True):
             rows = _points_of_keypoints(features[name], sparse_map.images[name])
             kept = np.flatnonzero(rows >= 0)
-            self._lifted.append((rows[kept], descriptors[kept]))
+            self._lifted.append((rows[kept], unit[kept]))
         if not any(len(rows) for rows, _ in self._lifted):
             raise InputError(
                 f"no keypoint of the photographs in {images} lies where the map has a point: they "
                 "are not the photographs the map was built from, or were resized since"
             )
-        self._index = VladIndex.build([d.numpy() for d in self._descriptors])
+        self._index = VladIndex.build([unit.numpy() for unit in descriptors])
 
     def localize(self, query: Query) -> Estimate:
         """Extract, choose references, match, lift and solve."""
