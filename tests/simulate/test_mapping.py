@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from scene.bundle import Scene
+from scene.errors import InputError
 from scene.features import read_features
 from simulate.mapping import FEATURES, build_map, choose_pairs
 
@@ -59,3 +61,13 @@ def test_mapping_again_replaces_the_map(rendered_copy: Path) -> None:
 def test_pairs_are_the_overlapping_ones() -> None:
     overlap = np.array([[0, 0.9, 0.1], [0.9, 0, 0.3], [0.1, 0.3, 0]])
     assert choose_pairs(overlap) == [(0, 1), (1, 2)]
+
+
+def test_a_damaged_photograph_keeps_the_old_map(rendered_copy: Path) -> None:
+    before = Scene.open(rendered_copy).sparse_map()
+    photograph = rendered_copy / "sessions" / before.names[3]
+    photograph.write_bytes(photograph.read_bytes()[:4000])
+    with pytest.raises(InputError, match=f"{photograph} is damaged"):
+        build_map(rendered_copy)
+    assert Scene.open(rendered_copy).sparse_map().sha256 == before.sha256
+    assert not list(rendered_copy.glob(".*"))
