@@ -219,29 +219,32 @@ def simulate(
         print(f"{scene.path}: {', '.join(scene.sessions)}")
 
 
+class MapMethod(StrEnum):
+    """How a map is built."""
+
+    TRIANGULATE = "triangulate"
+    SFM = "sfm"
+
+
 @app.command(name="map")
 def build_map(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to map.")],
+    method: Annotated[
+        MapMethod,
+        typer.Option(
+            help="Triangulate with the exact poses, or structure from motion aligned to them."
+        ),
+    ] = MapMethod.TRIANGULATE,
     as_json: Json = False,
 ) -> None:
-    """Triangulate the sparse map of a scene from its map frames."""
+    """Build the sparse map of a scene from its map frames, and measure it against the truth."""
     from simulate.mapping import build_map as run
 
-    sparse_map = run(scene)
-    figures = {
-        "map": str(scene / "map"),
-        "images": len(sparse_map.images),
-        "points": len(sparse_map.xyz),
-        "reprojection_error_px": sparse_map.reprojection_error(),
-    }
+    report = run(scene, method.value)
     if as_json:
-        _print_json(figures)
+        _print_json(report.as_dict())
     else:
-        print(
-            "{map}: {images} images, {points} points, {reprojection_error_px:.2f} px".format_map(
-                figures
-            )
-        )
+        print(report.text())
 
 
 @app.command()
