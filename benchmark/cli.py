@@ -98,8 +98,8 @@ def evaluate(
         list[Path],
         typer.Argument(
             metavar="DATASET",
-            help="Scenes, folders of flights, Extended CMU Seasons or one slice of it. A flight with a "
-            "hard split is two data sets; FLIGHT-sparse names the hard split alone.",
+            help="Scenes, folders of flights, Extended CMU Seasons or one slice of it. A flight "
+            "with a hard split is two data sets; FLIGHT-sparse names the hard split alone.",
         ),
     ],
     method: Annotated[
