@@ -21,6 +21,7 @@ from scene.errors import InputError
 if TYPE_CHECKING:
     from benchmark.datasets import Dataset
 
+_REGRESSION = 1
 _INPUT_AT_FAULT = 2
 _INTERRUPTED = 130
 
@@ -170,6 +171,40 @@ def leaderboard(
         _print_json({"tables": tables(results)})
     else:
         print(text, end="")
+
+
+@app.command()
+def regress(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that evaluate wrote.")],
+    against: Annotated[
+        Path, typer.Option(metavar="BASELINE", help="Folder of the recorded results.")
+    ],
+    update: Annotated[
+        bool, typer.Option("--update", help="Make RESULTS the baseline instead of comparing.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Compare recall with a baseline, query by query; exit 1 when it dropped by more than chance.
+
+    McNemar's exact test on the same queries, at 5 % for each method and data set together.
+    """
+    from benchmark.regress import regress as run
+    from benchmark.regress import update as record
+
+    if update:
+        written = record(results, against)
+        if as_json:
+            _print_json({"written": [str(path) for path in written]})
+        else:
+            print("\n".join(str(path) for path in written))
+        return
+    comparisons = run(results, against)
+    if as_json:
+        _print_json({"comparisons": [comparison.as_dict() for comparison in comparisons]})
+    else:
+        print("\n".join(comparison.text() for comparison in comparisons))
+    if any(comparison.dropped for comparison in comparisons):
+        raise typer.Exit(_REGRESSION)
 
 
 @app.command()
