@@ -64,6 +64,15 @@ Json = Annotated[
     bool, typer.Option("--json", help="Print a machine-readable summary on standard output.")
 ]
 
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one value of the methods' configuration; repeat for several.",
+    ),
+]
+
 Cache = Annotated[
     Path | None,
     typer.Option(
@@ -109,14 +118,7 @@ def evaluate(
     out: Annotated[
         Path, typer.Option(metavar="RESULTS", help="Folder for <dataset>/<method>.json.")
     ],
-    overrides: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change one value of the methods' configuration; repeat for several.",
-        ),
-    ] = None,
+    overrides: Settings = None,
     start: Annotated[
         Start, typer.Option(help="Hand each query's own prior to the method, or nothing.")
     ] = Start.PRIOR,
@@ -171,6 +173,61 @@ def leaderboard(
         _print_json({"tables": tables(results)})
     else:
         print(text, end="")
+
+
+@app.command()
+def localize(
+    place: Annotated[
+        Path, typer.Option("--map", metavar="PLACE", help="Scene with its map, or a flight.")
+    ],
+    images: Annotated[Path, typer.Option(metavar="DIR", help="Folder of new photographs.")],
+    out: Annotated[
+        Path, typer.Option(metavar="POSES", help="Text file of the poses; a CSV lies beside it.")
+    ],
+    method: Annotated[str, typer.Option(metavar="METHOD", help="Localizer to run.")] = "sift",
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'MODEL W H PARAMS'",
+            help="Calibration of the photographs; else the map's camera of their size.",
+        ),
+    ] = None,
+    priors: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="Positions and attitudes; else positions from EXIF."),
+    ] = None,
+    gps_sigma: Annotated[
+        float, typer.Option(help="Standard deviation of EXIF positions, metres.", min=0.01)
+    ] = 10.0,
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Find the poses of new photographs in a map.
+
+    Writes POSES (name qw qx qy qz tx ty tz, world to camera) and a CSV beside it with latitude,
+    longitude, altitude, sigma and, for photographs not found, the reason.
+    """
+    from baselines.registry import create
+    from benchmark.localize import localize as run
+    from benchmark.localize import open_place
+    from scene.camera import Camera
+
+    located = run(
+        open_place(place),
+        images,
+        create(method, _settings(overrides or [])),
+        out,
+        camera=Camera.parse(camera.split()) if camera is not None else None,
+        priors=priors,
+        gps_sigma_m=gps_sigma,
+        cache=cache,
+    )
+    found = sum(item.found for item in located)
+    if as_json:
+        _print_json({"poses": str(out), "photographs": len(located), "found": found})
+    else:
+        print(f"{out}: {found} of {len(located)} photographs found")
 
 
 @app.command()
