@@ -339,6 +339,47 @@ def build_map(
         print(report.text())
 
 
+class ExportFormat(StrEnum):
+    """Programs that scenes are exported to."""
+
+    COLMAP = "colmap"
+    NERFSTUDIO = "nerfstudio"
+    TUM = "tum"
+    HLOC = "hloc"
+
+
+@app.command()
+def export(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to export.")],
+    file_format: Annotated[
+        ExportFormat,
+        typer.Option(
+            "--format",
+            help="colmap: a model of all poses, with the map's points. nerfstudio: "
+            "transforms.json. tum: a trajectory per session. hloc: query list with intrinsics, "
+            "and pair lists from the covisibility.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder.")],
+    session: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Session to export; repeat for several, omit for all."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write the poses and cameras of a scene for another program; photographs stay in the scene.
+
+    Image names in the files are relative to SCENE/sessions; in transforms.json, to the file itself.
+    """
+    from scene.exports import export as run
+
+    summary = run(scene, file_format.value, out, session or ())
+    if as_json:
+        _print_json(summary)
+    else:
+        print("{out}: {frames} frames for {format}".format_map(summary))
+
+
 @app.command()
 def validate(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene or flight to check.")],

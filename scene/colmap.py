@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -378,6 +379,32 @@ def reconstruct(
     return read_map(out), features
 
 
+def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out: Path) -> None:
+    """Write images with their poses as a binary model.
+
+    Args:
+        images: of the model, in the order of their identifiers.
+        sparse_map: whose keypoints the images take, and those of whose points they observe.
+        out: existing folder for the model.
+    """
+    mapped = sparse_map.images if sparse_map is not None else {}
+    nothing = np.zeros((0, 2))
+    keypoints = {i.name: mapped[i.name].xy if i.name in mapped else nothing for i in images}
+    model, ids = _posed_model(images, keypoints)
+    if sparse_map is not None:
+        tracks: dict[int, list[pycolmap.TrackElement]] = {}
+        for name in [image.name for image in images if image.name in mapped]:
+            rows = mapped[name].point_rows
+            for keypoint in np.flatnonzero(rows >= 0).tolist():
+                element = pycolmap.TrackElement(ids[name], keypoint)
+                tracks.setdefault(int(rows[keypoint]), []).append(element)
+        for row, elements in sorted(tracks.items()):
+            track = pycolmap.Track(elements)
+            model.add_point3D(sparse_map.xyz[row], track, sparse_map.rgb[row])
+        model.update_point_3d_errors()
+    model.write(out)
+
+
 def _pipeline_options() -> pycolmap.IncrementalPipelineOptions:
     pipeline = pycolmap.IncrementalPipelineOptions()
     pipeline.random_seed = pipeline.triangulation.random_seed = _SEED
@@ -399,7 +426,7 @@ def _match_all(
     """Fill a database with verified matches; the posed images as a model, and their features."""
     check_photographs(root, {image.name: image.camera for image in images})
     features = extract_sift(root, [image.name for image in images], options, on_progress)
-    model, ids = _posed_model(images, features)
+    model, ids = _posed_model(images, {name: item.xy for name, item in features.items()})
     _write_database(database, model, ids, features)
     descriptors = {name: unit_descriptors(item) for name, item in features.items()}
     with pycolmap.Database.open(database) as db:
@@ -417,9 +444,9 @@ def _match_all(
 
 
 def _posed_model(
-    images: Sequence[PosedImage], features: Mapping[str, Features]
+    images: Sequence[PosedImage], keypoints: Mapping[str, NDArray[Any]]
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
-    """A model of keypoints and poses without points, and the identifier of each image."""
+    """A model of keypoints (K, 2) and poses without points, and the identifier of each image."""
     model = pycolmap.Reconstruction()
     cameras = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
     for camera, camera_id in cameras.items():
@@ -428,7 +455,7 @@ def _posed_model(
     for image in images:
         native = pycolmap.Image(
             name=image.name,
-            keypoints=features[image.name].xy.astype(np.float64),
+            keypoints=keypoints[image.name].astype(np.float64),
             camera_id=cameras[image.camera],
             image_id=ids[image.name],
         )

@@ -13,8 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene.bundle import MANIFEST, Scene, finish
+from scene.bundle import COVISIBILITY, MANIFEST, Scene, finish
 from scene.camera import Camera
+from scene.covisibility import write_covisibility
 from scene.errors import InputError
 from scene.files import write_text
 from scene.frames import LAYERS, Frames, Layer, read_frames, write_frames
@@ -32,6 +33,7 @@ from scene.manifest import (
 )
 from scene.pose import Pose
 from scene.progress import progress_bar
+from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flights import plan_nadir, plan_oblique
@@ -67,8 +69,11 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
         _make_session(out / "sessions", name, index, session, config, world, jobs)
     write_json(out / "objects.json", _objects(world))
     write_json(out / "splits.json", _splits(out, config))
-    draw_pictures(Scene(out, _manifest(config)))
-    scene = finish(out, _manifest(config))
+    scene = Scene(out, _manifest(config))
+    write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
+    draw_pictures(scene)
+    pixels = {"pixels_sha256": pixel_digests(scene)}
+    scene = finish(out, scene.manifest.model_copy(update=pixels))
     (out / _CONFIG).unlink()
     return scene
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from scene.bundle import Scene, finish
 from scene.colmap import PosedImage, SiftOptions, reconstruct, triangulate
-from scene.covisibility import overlap_matrix, surface_points
 from scene.errors import InputError
 from scene.features import write_features
 from scene.files import folder_written_whole
@@ -45,8 +44,9 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
         InputError: not a finished scene, a photograph is damaged, or no map came of it.
     """
     scene = Scene.open(path)
-    images, overlap, seen = _map_frames(scene)
-    pairs = [(images[i].name, images[j].name) for i, j in choose_pairs(overlap)]
+    images, seen = _map_frames(scene)
+    names = [image.name for image in images]
+    pairs = [(names[i], names[j]) for i, j in choose_pairs(scene.covisibility.of(names).mutual)]
     if not pairs:
         raise InputError(f"the map frames of {path} do not overlap: fly more of them")
     build, steps = {
@@ -74,10 +74,10 @@ def choose_pairs(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _map_frames(scene: Scene) -> tuple[list[PosedImage], NDArray[np.float64], set[int]]:
-    """The map's photographs, N of them, their overlap (N, N), and the objects they show."""
+def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
+    """The map's photographs and the objects they show."""
     wanted = set(scene.splits.map)
-    images, points = [], []
+    images = []
     seen: set[int] = set()
     for session in scene.sessions:
         frames = scene.frames(session)
@@ -86,10 +86,7 @@ def _map_frames(scene: Scene) -> tuple[list[PosedImage], NDArray[np.float64], se
                 if name in wanted:
                     camera, pose = frames.cameras[k], frames.cam_from_world[k]
                     images.append(PosedImage(name, camera, pose))
-                    points.append(surface_points(camera, pose, dense.read("depth", k)))
                     seen |= set(np.unique(dense.read("instance", k)).tolist())
     if not images:
         raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
-    poses = np.stack([image.cam_from_world for image in images])
-    cameras = [image.camera for image in images]
-    return images, overlap_matrix(cameras, poses, np.stack(points)), seen
+    return images, seen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ import pytest
 
 from scene.bundle import Scene
 from scene.errors import InputError
+from scene.frames import LAYERS
 from scene.geodesy import geodetic_from_enu
 from scene.images import read_exif, read_rgb
 from simulate.command import simulate
@@ -63,6 +65,20 @@ def test_photographs_carry_what_a_drone_writes(rendered: Scene) -> None:
         assert exif.time.timestamp() == pytest.approx(frames.time[k], abs=1)
         assert exif.focal_35mm == round(36 * frames.cameras[k].focal[0] / frames.cameras[k].width)
         assert read_rgb(rendered.images_root / name, frames.cameras[k]).std() > 10
+
+
+def test_pixels_are_recorded_apart_from_their_compression(rendered: Scene) -> None:
+    pixels = rendered.manifest.pixels_sha256
+    assert list(pixels) == list(rendered.covisibility.names)
+    session = "winter-dusk-oblique-query"
+    frames = rendered.frames(session)
+    digest = pixels[frames.names[1]]
+    assert set(digest) == {"image", *LAYERS}
+    rgb = read_rgb(rendered.images_root / frames.names[1], frames.cameras[1])
+    assert digest["image"] == hashlib.sha256(rgb.tobytes()).hexdigest()
+    with rendered.dense(session) as dense:
+        depth = dense.read("depth", 1)
+    assert digest["depth"] == hashlib.sha256(depth.tobytes()).hexdigest()
 
 
 def test_map_and_query_flights_differ(rendered: Scene) -> None:
