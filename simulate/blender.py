@@ -41,7 +41,7 @@ def main(chunk_path: str) -> None:
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
     job = chunk.job
     world = preset(job.preset)(job.seed, job.area_m)
-    _build_scene(world, condition(job.condition))
+    _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
     with tempfile.TemporaryDirectory(prefix="frame-") as scratch:
         for frame, rows in job.poses.items():
@@ -76,7 +76,8 @@ def _build_scene(world: World, light: Condition) -> None:
     """Fill an empty Blender file with the world under a condition."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     albedo = ground.bake(world.ground, light, world.seed)
-    materials = build_materials(bpy.data, light, albedo)
+    water = ground.water(world.ground, light, world.seed)
+    materials = build_materials(bpy.data, light, albedo, water)
     terrain = _add("terrain", _mesh_data("terrain", _terrain_mesh(world), materials))
     terrain.pass_index = 0
     shared: dict[str, Any] = {}
@@ -151,7 +152,7 @@ def _add(name: str, data: Any) -> Any:
 def _add_light(light: Condition) -> None:
     """The sun, and a sky that brightens towards the horizon."""
     sun = bpy.data.lights.new("sun", "SUN")
-    sun.energy, sun.color, sun.angle = light.sun_watts, light.sun_rgb, np.radians(0.53)
+    sun.energy, sun.color, sun.angle = light.sun_watts, light.sun_rgb, np.radians(light.sun_angle)
     elevation, azimuth = np.radians([light.sun_elevation, light.sun_azimuth])
     _add("sun", sun).rotation_euler = (0.5 * np.pi - elevation, 0.0, np.pi - azimuth)
 

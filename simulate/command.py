@@ -176,6 +176,7 @@ def _make_session(
         seed=config.seed,
         area_m=config.area,
         condition=session.condition,
+        origin=config.origin,
         camera=PinholeCamera(
             width=camera.width,
             height=camera.height,
@@ -253,7 +254,7 @@ def _frames(
     gps_sigma = np.tile(np.array(config.gps_sigma_m), (n, 1))
     tilt = np.radians(config.attitude_sigma_deg) * rng.standard_normal((n, 3))
     noise = Pose.exp(torch.from_numpy(np.hstack([tilt, np.zeros((n, 3))])))
-    start = condition(session.condition).time.timestamp()
+    start = condition(session.condition, config.origin).time.timestamp()
     return Frames(
         names=tuple(f"{name}/images/{k:06d}.jpg" for k in range(n)),
         cameras=(camera,) * n,

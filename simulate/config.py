@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from scene.camera import Camera
 from scene.config import Config, load_config
 from scene.geodesy import Geodetic
-from simulate.conditions import condition
+from simulate.conditions import PLACE, condition
 from simulate.presets import preset
 
 Role = Literal["map", "query"]
@@ -23,7 +23,7 @@ class SessionConfig(Config):
     """One flight under one condition.
 
     Attributes:
-        condition: season and light.
+        condition: SEASON-LIGHT[-WEATHER], see ``simulate.conditions``.
         flight: lawn-mower looking down, or orbit looking inwards at 45 degrees.
         role: its frames build the map, or are queries.
         frames: photographs; None takes the scene's ``frames``.
@@ -37,8 +37,7 @@ class SessionConfig(Config):
     @field_validator("condition")
     @classmethod
     def _known_condition(cls, name: str) -> str:
-        condition(name)
-        return name
+        return condition(name).name
 
 
 class FlightPlan(Config):
@@ -122,7 +121,7 @@ class SimulateConfig(Config):
     attitude_sigma_deg: float = Field(2.0, ge=0)
     interval_s: float = Field(2.0, gt=0)
     jpeg_quality: int = Field(95, ge=1, le=100)
-    origin: Geodetic = Geodetic(47.0, 8.0, 450.0)
+    origin: Geodetic = PLACE
 
     @field_validator("preset")
     @classmethod
@@ -145,6 +144,12 @@ class SimulateConfig(Config):
     def _map_exists(self) -> SimulateConfig:
         if not any(session.role == "map" for session in self.sessions):
             raise ValueError("at least one session must have the role map")
+        return self
+
+    @model_validator(mode="after")
+    def _sun_rises(self) -> SimulateConfig:
+        for session in self.sessions:
+            condition(session.condition, self.origin)
         return self
 
     @staticmethod

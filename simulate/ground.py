@@ -26,6 +26,8 @@ _TEXTURE: dict[str, tuple[float, float]] = {
     "driveway": (0.10, 0.07),
     "path": (0.12, 0.08),
 }
+_SEALED = ("road", "pavement", "parking", "driveway")  # where rain stays on top
+_WET_DARKENING = 0.5
 # Share of its snow that each kind of ground keeps: traffic and shovels clear the others.
 _SNOW_KEPT: dict[str, float] = {
     "grass": 1.0,
@@ -94,6 +96,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     albedo *= _kerbs(ground)[..., None]
     paint_mask = _marking_mask(ground) * np.clip(0.85 + 0.25 * blotch, 0.3, 1)
     albedo += paint_mask[..., None] * (np.float32(0.72) - albedo)
+    albedo *= 1 - _WET_DARKENING * condition.wet
     if condition.snow > 0:
         # Road edges keep what the wheels throw there, hence the blurred coverage.
         kept = cv2.GaussianBlur(snow[labels], (0, 0), 0.5 / ground.texel_m)
@@ -101,6 +104,20 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
         white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
         albedo += (0.93 * cover)[..., None] * (white - albedo)
     return _srgb(albedo)
+
+
+def water(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
+    """How much of a mirror the ground is, (n, n) uint8: a film on sealed ground, and puddles."""
+    n = len(ground.labels)
+    if condition.wet == 0:
+        return np.zeros((n, n), np.uint8)
+    rng = np.random.default_rng([seed, 2])
+    across = n * ground.texel_m
+    hollows = 0.6 * _noise(rng, n, across / 7.0) + 0.4 * _noise(rng, n, across / 2.0)
+    puddles = np.clip((hollows - 0.35) / 0.08, 0, 1)
+    sealed = np.isin(ground.labels, [CLASSES[c] for c in _SEALED])
+    mirror = sealed * condition.wet * (0.25 + 0.75 * puddles)
+    return np.asarray(255 * mirror, np.uint8)
 
 
 def _to_raster(points: NDArray[np.float64], texel: float, n: int) -> NDArray[np.int32]:

@@ -1,7 +1,7 @@
 """Trees and hedges: lumpy crowns of small opaque leaf triangles, no transparency anywhere.
 
 Leaf triangles are tinted by (depth in the crown, 0, 0): 0 deep inside, 1 at the tips. The
-material turns that into the season's two leaf colours.
+material turns that into the season's two leaf colours, or into those of needles.
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ def conifer(variant: int) -> Mesh:
     for a, b in zip(foot, np.roll(foot, -1, 0), strict=True):
         cone.polygon([a, b, (0, 0, 8.6)], "leaf", (0.05, 0, 0))
     parts += [cone.build(), _trunk(2.0, 0.18)]
-    return merged(parts)
+    tree = merged(parts)
+    evergreen = tuple("needle" if name == "leaf" else name for name in tree.materials)
+    return replace(tree, materials=evergreen)
 
 
 def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:

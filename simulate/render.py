@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from simulate.conditions import condition
+from scene.geodesy import Geodetic
+from simulate.conditions import PLACE, condition
 from simulate.presets import preset
 
 _APT_PACKAGES = (
@@ -42,7 +43,7 @@ class RenderJob(BaseModel):
     """One flight under one condition.
 
     `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
-    paths per pixel, denoised afterwards.
+    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -51,6 +52,7 @@ class RenderJob(BaseModel):
     seed: int = Field(ge=0)
     area_m: float = Field(gt=0)
     condition: str
+    origin: Geodetic = PLACE
     camera: PinholeCamera
     samples: int = Field(default=4, ge=1)
     poses: dict[int, list[list[float]]]
@@ -100,10 +102,10 @@ def render(
     `on_frame` is called in this thread with the number of each frame as it is finished.
 
     Raises:
-        InputError: an unknown preset or condition.
+        InputError: an unknown preset or condition, or no sun at the origin that day.
         RenderError: a process died; the frames finished before remain.
     """
-    condition(job.condition)
+    condition(job.condition, job.origin)
     preset(job.preset)
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
