@@ -28,6 +28,7 @@ from simulate.plants import fence_mesh, hedge_mesh
 from simulate.presets import preset
 from simulate.props import shape_mesh
 from simulate.render import FrameDone, PinholeCamera, RenderChunk, frame_path
+from simulate.resample import Cast, resample
 from simulate.world import World, WorldObject, class_lookup
 
 _SENSOR_MM = 36.0
@@ -43,6 +44,8 @@ def main(chunk_path: str) -> None:
     world = preset(job.preset)(job.seed, job.area_m)
     _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
+    rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
+    caster = _Caster()
     with tempfile.TemporaryDirectory(prefix="frame-") as scratch:
         for frame, rows in job.poses.items():
             path = frame_path(chunk.out_dir, frame)
@@ -54,7 +57,10 @@ def main(chunk_path: str) -> None:
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             arrays = _render(pose, Path(scratch))
-            arrays["semantic"] = _semantic(world, job.camera, pose, arrays)
+            if chunk.rays is not None:
+                c = job.camera
+                arrays = resample(arrays, c.f * rays + [c.cx, c.cy], rays, caster.seen_from(pose))
+            arrays["semantic"] = _semantic(world, rays, pose, arrays)
             _save(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
@@ -251,18 +257,55 @@ def _render(cam_from_world: NDArray[np.float64], scratch: Path) -> dict[str, NDA
     }
 
 
+def _pinhole_rays(camera: PinholeCamera) -> NDArray[np.float64]:
+    """x/z and y/z through every pixel centre, (H, W, 2)."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    return np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f], -1)
+
+
+class _Caster:
+    """Casts rays at objects, as `simulate.resample` asks for them."""
+
+    def __init__(self) -> None:
+        bpy.context.view_layer.update()
+        self._objects: dict[int, list[Any]] = {}
+        for thing in bpy.context.scene.objects:
+            if thing.type == "MESH":
+                self._objects.setdefault(thing.pass_index, []).append(thing)
+
+    def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
+        """Of the camera at a pose."""
+        world_from_cam = np.linalg.inv(cam_from_world)
+
+        def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+            nearest = np.full(len(rays), np.inf)
+            ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
+            for thing in self._objects[number]:
+                local_from_cam = np.linalg.inv(np.array(thing.matrix_world)) @ world_from_cam
+                origin = local_from_cam[:3, 3]
+                directions = ahead @ local_from_cam[:3, :3].T
+                start = origin.tolist()
+                for k, direction in enumerate(directions):
+                    hit, at, _, _ = thing.ray_cast(start, direction.tolist())
+                    if hit:  # along (x/z, y/z, 1) the planar depth is the length
+                        z = (np.array(at) - origin) @ direction / (direction @ direction)
+                        nearest[k] = min(nearest[k], z)
+            return nearest
+
+        return cast
+
+
 def _semantic(
     world: World,
-    camera: PinholeCamera,
+    rays: NDArray[np.float64],
     cam_from_world: NDArray[np.float64],
     arrays: dict[str, NDArray[Any]],
 ) -> NDArray[np.uint8]:
-    """Labels (H, W): the class of the object, or of the ground each pixel's ray meets."""
+    """Labels (H, W): the class of the object, or of the ground each pixel's ray (H, W, 2) meets."""
     depth, instance = arrays["depth"], arrays["instance"]
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f, 0 * u + 1], -1)
+    ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], -1)
     rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
-    points = (rays * depth[..., None] - translation) @ rotation
+    points = (ahead * depth[..., None] - translation) @ rotation
     labels = class_lookup(world.objects)[instance]
     on_ground = (instance == 0) & (depth > 0)
     labels[on_ground] = world.ground.label(points[on_ground, 0], points[on_ground, 1])

@@ -37,9 +37,10 @@ from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flights import plan_nadir, plan_oblique
+from simulate.lens import rendered_through
 from simulate.pictures import draw_pictures
 from simulate.presets import preset
-from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
+from simulate.render import RenderError, RenderJob, frame_path, render
 from simulate.world import CLASSES, World
 
 _CONFIG = ".config.json"
@@ -169,7 +170,8 @@ def _make_session(
     # One generator per session: adding a session changes no other.
     rng = np.random.default_rng([config.seed, index])
     poses = _plan(session, config, world, rng)
-    camera = config.camera()
+    camera = config.photo_camera()
+    pinhole, lens = rendered_through(camera)
     rendered = folder / _RENDERED
     job = RenderJob(
         preset=config.preset,
@@ -177,13 +179,8 @@ def _make_session(
         area_m=config.area,
         condition=session.condition,
         origin=config.origin,
-        camera=PinholeCamera(
-            width=camera.width,
-            height=camera.height,
-            f=camera.focal[0],
-            cx=camera.principal[0],
-            cy=camera.principal[1],
-        ),
+        camera=pinhole,
+        lens=lens,
         samples=config.spp,
         poses={k: pose.tolist() for k, pose in enumerate(poses)},
     )
@@ -224,7 +221,7 @@ def _plan(
             attitude_jitter_deg=config.attitude_jitter_deg,
             rng=rng,
         )
-    camera = config.camera()
+    camera = config.photo_camera()
     return plan_nadir(
         config.area,
         world.terrain.height,

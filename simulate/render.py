@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scene.geodesy import Geodetic
@@ -43,7 +44,9 @@ class RenderJob(BaseModel):
     """One flight under one condition.
 
     `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
-    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from.
+    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from. `lens` is
+    the camera of the photographs, as `str(scene.camera.Camera)`, when it is not the pinhole
+    `camera`, which then covers its view.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -54,6 +57,7 @@ class RenderJob(BaseModel):
     condition: str
     origin: Geodetic = PLACE
     camera: PinholeCamera
+    lens: str | None = None
     samples: int = Field(default=4, ge=1)
     poses: dict[int, list[list[float]]]
 
@@ -72,6 +76,7 @@ class RenderChunk(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     job: RenderJob
+    rays: Path | None  # npy (H, W, 2): x/z and y/z of the lens's pixels; None: of the pinhole's
     out_dir: Path
     threads: int = Field(ge=0)  # 0: as many as there are processors
 
@@ -115,10 +120,14 @@ def render(
     threads = 0 if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
     with tempfile.TemporaryDirectory(prefix="render-") as scratch:
         children: list[_Child] = []
+        rays = None
+        if job.lens is not None:
+            rays = Path(scratch) / "rays.npy"
+            np.save(rays, _lens_rays(job.lens))
         try:
             for k, share in enumerate(np.array_split(missing, jobs)):
                 part = job.model_copy(update={"poses": {int(i): job.poses[int(i)] for i in share}})
-                chunk = RenderChunk(job=part, out_dir=out_dir.resolve(), threads=threads)
+                chunk = RenderChunk(job=part, rays=rays, out_dir=out_dir.resolve(), threads=threads)
                 path = Path(scratch) / f"{k}.json"
                 path.write_text(chunk.model_dump_json())
                 children.append(_Child(path))
@@ -129,6 +138,15 @@ def render(
     left = sum(not frame_path(out_dir, i).exists() for i in missing)
     if left:
         raise RenderError(f"the rendering processes ended with {left} frames missing")
+
+
+def _lens_rays(lens: str) -> NDArray[np.float64]:
+    """x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
+    from scene.camera import Camera  # torch, which Blender's processes need not load
+
+    camera = Camera.parse(lens.split())
+    rays, _ = camera.unproject(camera.pixel_grid())
+    return np.asarray(rays[..., :2].numpy())
 
 
 class _Child:
