@@ -154,6 +154,24 @@ def _splits(out: Path, config: SimulateConfig) -> Splits:
     )
 
 
+def render_job(
+    config: SimulateConfig, session: SessionConfig, poses: NDArray[np.float64]
+) -> RenderJob:
+    """What the renderer is told of a session: poses (N, 4, 4) become frames 0 to N - 1."""
+    pinhole, lens = rendered_through(config.photo_camera())
+    return RenderJob(
+        preset=config.preset,
+        seed=config.seed,
+        area_m=config.area,
+        condition=session.condition,
+        origin=config.origin,
+        camera=pinhole,
+        lens=lens,
+        samples=config.spp,
+        poses={k: pose.tolist() for k, pose in enumerate(poses)},
+    )
+
+
 def _make_session(
     root: Path,
     name: str,
@@ -171,19 +189,8 @@ def _make_session(
     rng = np.random.default_rng([config.seed, index])
     poses = _plan(session, config, world, rng)
     camera = config.photo_camera()
-    pinhole, lens = rendered_through(camera)
     rendered = folder / _RENDERED
-    job = RenderJob(
-        preset=config.preset,
-        seed=config.seed,
-        area_m=config.area,
-        condition=session.condition,
-        origin=config.origin,
-        camera=pinhole,
-        lens=lens,
-        samples=config.spp,
-        poses={k: pose.tolist() for k, pose in enumerate(poses)},
-    )
+    job = render_job(config, session, poses)
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)
