@@ -285,11 +285,13 @@ class _Caster:
                 origin = local_from_cam[:3, 3]
                 directions = ahead @ local_from_cam[:3, :3].T
                 start = origin.tolist()
-                for k, direction in enumerate(directions):
-                    hit, at, _, _ = thing.ray_cast(start, direction.tolist())
-                    if hit:  # along (x/z, y/z, 1) the planar depth is the length
-                        z = (np.array(at) - origin) @ direction / (direction @ direction)
-                        nearest[k] = min(nearest[k], z)
+                # One list, then arrays: numpy a ray would cost more than the rays themselves.
+                answers = [thing.ray_cast(start, way) for way in directions.tolist()]
+                hit = np.array([answer[0] for answer in answers], bool)
+                at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
+                # Along (x/z, y/z, 1) the planar depth is the length.
+                z = ((at - origin) * directions).sum(-1) / np.square(directions).sum(-1)
+                nearest = np.where(hit, np.minimum(nearest, z), nearest)
             return nearest
 
         return cast
