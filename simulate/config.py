@@ -102,7 +102,7 @@ class SimulateConfig(Config):
 
     preset: str = "town"
     seed: int = Field(0, ge=0)
-    area: float = Field(200.0, ge=120, le=600)
+    area: float = Field(200.0, ge=120, le=2000)
     size: int = Field(512, ge=64, le=4096)
     fov_deg: float = Field(60.0, gt=5, lt=120)
     camera: CameraConfig | None = None

@@ -1,0 +1,63 @@
+"""Blocks of open land: parks and fields."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from simulate.site import Site
+from simulate.streets import Block
+from simulate.things import barrier, bench, tree
+from simulate.world import polyline_length, polyline_points, ribbon
+
+
+def park(site: Site, block: Block) -> None:
+    """Grass, two winding paths with benches, perhaps a pitch, and many trees."""
+    rng = site.rng
+    at = block.front(1)
+    length, depth = block.length, block.depth
+    site.paint("grass", at.quad(0, length, 0, depth), float(rng.random()))
+    t = np.linspace(0, 1, 25)
+    for (a0, b0), (a1, b1) in (
+        ((0.15 * length, -1.5), (0.85 * length, depth + 1.5)),
+        ((-1.5, rng.uniform(0.5, 0.9) * depth), (length + 1.5, rng.uniform(0.1, 0.5) * depth)),
+    ):
+        bend = rng.uniform(-5, 5) * np.sin(np.pi * t) + rng.uniform(-3, 3) * np.sin(2 * np.pi * t)
+        path = at.point(a0 + t * (a1 - a0) + bend, b0 + t * (b1 - b0) + bend)
+        site.paint("path", ribbon(path, 2.4), float(rng.random()))
+        for p, q in pairwise(path):
+            site.reserve(ribbon(np.stack([p, q]), 2.6))
+        for s in np.arange(rng.uniform(4, 9), polyline_length(path), 13.0):
+            (p,), (along,) = polyline_points(path, s)
+            side = site.choose((1.0, -1.0))
+            yaw = float(np.arctan2(along[1], along[0])) + (0 if side > 0 else np.pi)
+            bench(site, p + side * 1.9 * np.array([-along[1], along[0]]), yaw)
+    for _ in range(12):  # a pitch, if the paths leave room for one
+        share = rng.uniform(0.7, 1.0)
+        half = 13.0 * share, 8.0 * share
+        a, b = rng.uniform(half[0], length - half[0]), rng.uniform(half[1], depth - half[1])
+        pitch = at.quad(a - half[0], a + half[0], b - half[1], b + half[1])
+        if site.free(at.point(a, b), (2 * half[0] + 3, 2 * half[1] + 3), at.yaw(a, b)):
+            site.paint("grass", pitch, 0.9)
+            site.reserve(pitch)
+            site.mark(np.vstack([pitch, pitch[:1]]))
+            site.mark(at.point([a, a], [b - half[1], b + half[1]]))
+            break
+    for _ in range(int(0.09 * length * depth)):
+        a, b = rng.uniform(0, length), rng.uniform(0, depth)
+        tree(site, at.point(a, b), rng.uniform(1.6, 5.0), conifers=0.25)
+
+
+def field(site: Site, block: Block) -> None:
+    """Crops, hedged on two sides, with a line of trees."""
+    rng = site.rng
+    at = block.front(int(rng.choice([1, -1])))
+    length, depth = block.length, block.depth
+    split = rng.uniform(0.35, 0.65) * length
+    site.paint("field", at.quad(1, split, 1, depth - 1), float(rng.random()))
+    site.paint("field", at.quad(split, length - 1, 1, depth - 1), float(rng.random()))
+    for a0 in np.arange(0.5, length - 12.0, 11.0):
+        barrier(site, "hedge", at, (a0, 0.5), (a0 + 10.0, 0.5), 1.2, rng.uniform(1.4, 2.2))
+    for b in np.arange(4.0, depth - 3.0, 7.0):
+        tree(site, at.point(split, b), rng.uniform(1.8, 3.4))
