@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.conditions import Condition
-from simulate.world import CLASSES, Ground, Marking, Region
+from simulate.world import CLASSES, Ground, Marking, Region, Rgb
 
 TEXEL_M = 0.1
 MAX_TEXELS = 4096  # a side; larger places get coarser texels, not larger images
@@ -25,7 +25,10 @@ _TEXTURE: dict[str, tuple[float, float]] = {
     "parking": (0.10, 0.05),
     "driveway": (0.10, 0.07),
     "path": (0.12, 0.08),
+    "water": (0.10, 0.0),
 }
+# What looks the same in every season: linear albedo (deep, shallow).
+_SEASONLESS: dict[str, tuple[Rgb, Rgb]] = {"water": ((0.012, 0.024, 0.026), (0.020, 0.034, 0.028))}
 # Share of its snow that each kind of ground keeps: traffic and shovels clear the others.
 _SNOW_KEPT: dict[str, float] = {
     "grass": 1.0,
@@ -35,6 +38,7 @@ _SNOW_KEPT: dict[str, float] = {
     "parking": 0.4,
     "driveway": 0.5,
     "path": 0.6,
+    "water": 0.0,
 }
 
 
@@ -58,6 +62,11 @@ def paint(
     return Ground(texel, labels, tone, tuple(markings))
 
 
+def water(ground: Ground) -> NDArray[np.bool_]:
+    """Where (n, n) the ground is under water."""
+    return np.asarray(ground.labels == CLASSES["water"])
+
+
 def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     """Albedo (n, n, 3) uint8 sRGB of `ground` under `condition`, row 0 in the south.
 
@@ -78,7 +87,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     soft, sharp, snow = (np.zeros(size, np.float32) for _ in range(3))
     for name, (low, high) in _TEXTURE.items():
         k = CLASSES[name]
-        colour[k], dry[k] = condition.ground[name]
+        colour[k], dry[k] = _SEASONLESS.get(name) or condition.ground[name]
         soft[k], sharp[k], snow[k] = low, high, _SNOW_KEPT[name]
 
     labels = ground.labels

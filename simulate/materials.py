@@ -17,14 +17,17 @@ from simulate.world import Rgb
 _SNOW: Rgb = (0.76, 0.79, 0.84)
 
 
-def build_materials(data: Any, condition: Condition, ground: NDArray[np.uint8]) -> dict[str, Any]:
-    """Blender materials by the names meshes use; `data` is bpy.data, `ground` the baked albedo.
+def build_materials(
+    data: Any, condition: Condition, ground: NDArray[np.uint8], water: NDArray[np.bool_]
+) -> dict[str, Any]:
+    """Blender materials by the names meshes use; `data` is bpy.data, `ground` the baked albedo
+    (n, n, 3), `water` (n, n) where it is under water.
 
     Meshes bring the attribute "tint" and the texture coordinates "uv"; objects their colour.
     """
     build = _Builder(data, condition)
-    albedo = np.dstack([ground, np.full(ground.shape[:2], 255, np.uint8)])
-    materials = {"ground": build.ground(build.image("ground", albedo))}
+    albedo = np.dstack([ground, np.where(water, 0, 255).astype(np.uint8)])
+    materials = {"ground": build.ground(build.image("ground", albedo), wet=bool(water.any()))}
     for style in range(textures.FACADES):
         name = f"facade_{style}"
         materials[name] = build.textured(name, textures.facade(style))
@@ -51,11 +54,16 @@ class _Builder:
         image.update()
         return image
 
-    def ground(self, image: Any) -> Any:
-        """The baked ground, mirrored beyond the area; its snow is in the bake."""
+    def ground(self, image: Any, wet: bool) -> Any:
+        """The baked ground, mirrored beyond the area; its snow is in the bake. Where it is `wet`
+        the image's alpha is 0: still water, a faintly rippled mirror over its own dark colour."""
         graph = _Graph(self.data, "ground")
         texture = graph.image(image, extension="MIRROR")
-        graph.finish(graph.diffuse(texture.outputs["Color"]))
+        surface = graph.diffuse(texture.outputs["Color"])
+        if wet:
+            water = graph.glossy(texture.outputs["Color"], roughness=0.08)
+            surface = graph.blend(texture.outputs["Alpha"], water, surface)
+        graph.finish(surface)
         return graph.material
 
     def textured(self, name: str, pixels: NDArray[np.uint8]) -> Any:
@@ -182,6 +190,13 @@ class _Graph:
 
     def multiply(self, a: Any, b: Any) -> Any:
         return self.mix(1.0, a, b, blend="MULTIPLY")
+
+    def blend(self, factor: Any, a: Any, b: Any) -> Any:
+        """Surface `a` where `factor` is 0, `b` where it is 1."""
+        node = self.tree.nodes.new("ShaderNodeMixShader")
+        for socket, value in zip(node.inputs, (factor, a, b), strict=True):
+            self._set(socket, value)
+        return node.outputs[0]
 
     def diffuse(self, colour: Any) -> Any:
         return self.node("ShaderNodeBsdfDiffuse", Color=colour).outputs[0]
