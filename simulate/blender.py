@@ -25,6 +25,7 @@ from simulate.conditions import Condition, condition
 from simulate.materials import build_materials
 from simulate.mesh import Mesh, grid_mesh
 from simulate.plants import fence_mesh, hedge_mesh
+from simulate.power import wire_mesh
 from simulate.presets import preset
 from simulate.props import shape_mesh
 from simulate.render import FrameDone, PinholeCamera, RenderChunk, frame_path
@@ -82,8 +83,8 @@ def _build_scene(world: World, light: Condition) -> None:
     """Fill an empty Blender file with the world under a condition."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     albedo = ground.bake(world.ground, light, world.seed)
-    water = ground.water(world.ground, light, world.seed)
-    materials = build_materials(bpy.data, light, albedo, water)
+    mirror = ground.mirror(world.ground, light, world.seed)
+    materials = build_materials(bpy.data, light, albedo, mirror)
     terrain = _add("terrain", _mesh_data("terrain", _terrain_mesh(world), materials))
     terrain.pass_index = 0
     shared: dict[str, Any] = {}
@@ -113,6 +114,8 @@ def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:
         return hedge_mesh(thing, world.terrain)
     if thing.class_name == "fence":
         return fence_mesh(thing, world.terrain)
+    if thing.class_name == "wire":
+        return wire_mesh(thing, world.terrain)
     return None
 
 

@@ -1,4 +1,4 @@
-"""Blocks of open land: parks and fields."""
+"""Blocks of open land: parks, fields, woods and meadows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from simulate.site import Site
 from simulate.streets import Block
-from simulate.things import barrier, bench, tree
+from simulate.things import barrier, bench, small, tree
 from simulate.world import polyline_length, polyline_points, ribbon
 
 
@@ -61,3 +61,37 @@ def field(site: Site, block: Block) -> None:
         barrier(site, "hedge", at, (a0, 0.5), (a0 + 10.0, 0.5), 1.2, rng.uniform(1.4, 2.2))
     for b in np.arange(4.0, depth - 3.0, 7.0):
         tree(site, at.point(split, b), rng.uniform(1.8, 3.4))
+
+
+def woods(site: Site, block: Block) -> None:
+    """Large trees as close as they stand, a path winding through."""
+    rng = site.rng
+    at = block.front(1)
+    length, depth = block.length, block.depth
+    site.paint("grass", at.quad(0, length, 0, depth), float(rng.uniform(0, 0.4)))
+    t = np.linspace(0, 1, 25)
+    start, end = rng.uniform(0.2, 0.8, 2) * length
+    bend = rng.uniform(-0.1, 0.1) * length * np.sin(2 * np.pi * t)
+    path = at.point(start + t * (end - start) + bend, -1.5 + t * (depth + 3.0))
+    site.paint("path", ribbon(path, 1.8), float(rng.random()))
+    for p, q in pairwise(path):
+        site.reserve(ribbon(np.stack([p, q]), 2.0))
+    conifers = rng.uniform(0.1, 0.7)
+    for _ in range(int(0.03 * length * depth)):
+        a, b = rng.uniform(0, length), rng.uniform(0, depth)
+        tree(site, at.point(a, b), rng.uniform(2.2, 5.0), conifers)
+
+
+def meadow(site: Site, block: Block) -> None:
+    """Open grass with clumps of trees, and tables in their shade."""
+    rng = site.rng
+    at = block.front(1)
+    length, depth = block.length, block.depth
+    site.paint("grass", at.quad(0, length, 0, depth), float(rng.random()))
+    for _ in range(1 + int(length * depth / 2500)):
+        a, b = rng.uniform(6, length - 6), rng.uniform(6, depth - 6)
+        small(site, "table", at.point(a, b), rng.uniform(-np.pi, np.pi))
+        small(site, "bin", at.point(a + 2.5, b), 0.0)
+        for _ in range(5):
+            spot = at.point(a + rng.normal(0, 7), b + rng.normal(0, 7))
+            tree(site, spot, rng.uniform(1.8, 4.2), conifers=0.2)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.site import Site
-from simulate.things import LAMP_M, car, truck
+from simulate.things import LAMP_M, car, small, truck
 from simulate.world import polyline_length, polyline_points
 
 Array = NDArray[np.float64]
@@ -23,6 +23,22 @@ def street_lamps(site: Site) -> None:
             at = p + (0.5 * road.width_m + 0.2) * across
             if off_junction(site, at, 1.5):
                 site.place("lamp", "lamp", at, LAMP_M, yaw, (0.25, 0.26, 0.27), on_road=True)
+
+
+def street_furniture(site: Site) -> None:
+    """Bins, hydrants, signs and bollards by turns on the pavements."""
+    kinds = ("sign", "bin", "hydrant", "bollard")
+    placed = 0
+    for road in site.roads:
+        length = polyline_length(road.line)
+        for s in np.arange(site.rng.uniform(5, 20), length, 22.0):
+            (p,), (along,) = polyline_points(road.line, s)
+            side = site.choose((1.0, -1.0))
+            at = p + side * (0.5 * road.width_m + 1.2) * np.array([-along[1], along[0]])
+            # Signs face those who drive towards them on their right.
+            yaw = float(np.arctan2(side * along[1], side * along[0]))
+            if off_junction(site, at, 6.0):
+                placed += small(site, kinds[placed % len(kinds)], at, yaw, on_road=True)
 
 
 def traffic(site: Site) -> None:
@@ -57,6 +73,17 @@ def traffic(site: Site) -> None:
                     float(np.arctan2(along[1], along[0])) + site.choose((0.0, np.pi)),
                     gap_m=0.5,
                 )
+
+
+def deliveries(site: Site) -> None:
+    """Lorries standing at the kerb."""
+    for road in site.roads:
+        for s in np.arange(site.rng.uniform(10, 40), polyline_length(road.line), 30.0):
+            (p,), (along,) = polyline_points(road.line, s)
+            at = p + (0.5 * road.width_m - 1.5) * np.array([along[1], -along[0]])
+            yaw = float(np.arctan2(along[1], along[0]))
+            if site.chance(0.3) and off_junction(site, at, 8.0):
+                truck(site, at, yaw, shapes=("lorry",), on_road=True)
 
 
 def off_junction(site: Site, at: Array, clear_m: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -156,6 +157,55 @@ class Site:
         box = np.array([length, width, height], float)
         self._add(class_name, shape, centre, box, yaw, colour, style)
         return True
+
+    def span(
+        self,
+        class_name: str,
+        ends: Array,
+        heights: tuple[float, float],
+        width_m: float,
+        low_m: float,
+    ) -> None:
+        """Hang something between two points in the air: it claims no ground.
+
+        `ends` (2, 2) and the `heights` above them in world metres; `low_m` is the height of its
+        lowest point.
+        """
+        a, b = ends
+        size = np.array([np.linalg.norm(b - a), width_m, max(heights) - low_m])
+        centre = np.array([*(0.5 * (a + b)), 0.5 * (max(heights) + low_m)])
+        yaw = float(np.arctan2(*(b - a)[::-1]))
+        self._add(class_name, class_name, centre, size, yaw, (0.05, 0.05, 0.05))
+
+    def flood(self, shore: Array, bank_m: float) -> None:
+        """Paint still water inside a `shore` (K, 2), and level the ground under it.
+
+        The ground around it slopes to the water over `bank_m` metres beyond the last cell of the
+        terrain that the water touches; nothing may stand there yet.
+        """
+        spacing, nodes = self.terrain.spacing_m, self.terrain.nodes.copy()
+        axis = np.arange(len(nodes)) * spacing - self.terrain.half_side_m
+        margin = 1.5 * spacing
+        spans = [
+            slice(*np.searchsorted(axis, [low - margin - bank_m, high + margin + bank_m]))
+            for low, high in zip(shore.min(0), shore.max(0), strict=True)
+        ]
+        columns, rows = spans
+        outline = shore.astype(np.float32)
+        outside = np.array(
+            [
+                [-cv2.pointPolygonTest(outline, (x, y), True) for x in axis[columns]]
+                for y in axis[rows]
+            ]
+        )
+        if outside.size == 0:
+            return
+        level = float(self.terrain.height(*shore.T).mean()) - 0.3
+        share = np.clip((outside - margin) / bank_m, 0.0, 1.0)
+        share = share * share * (3 - 2 * share)
+        nodes[rows, columns] = level + share * (nodes[rows, columns] - level)
+        self.terrain = Heightfield(nodes, spacing)
+        self.paint("water", shore)
 
     def _add(
         self,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,6 +51,40 @@ CONTAINER_M: dict[str, Size] = {
     "container": (6.06, 2.44, 2.59),
     "long_container": (12.19, 2.44, 2.59),
 }
+_GREY: Rgb = (0.20, 0.205, 0.21)
+_CREOSOTE: Rgb = (0.12, 0.085, 0.06)
+# Size, and the colours its painted parts come in.
+_SMALL: dict[str, tuple[Size, tuple[Rgb, ...]]] = {
+    "bin": ((0.60, 0.60, 1.05), ((0.03, 0.10, 0.05), _GREY, (0.035, 0.04, 0.05))),
+    "hydrant": ((0.40, 0.48, 0.85), ((0.45, 0.03, 0.02), (0.50, 0.36, 0.03))),
+    "sign": ((0.13, 0.80, 2.68), ((0.48, 0.03, 0.02), (0.02, 0.09, 0.40), (0.55, 0.42, 0.02))),
+    "bollard": ((0.24, 0.24, 1.05), (_GREY, (0.50, 0.38, 0.03))),
+    "table": ((1.90, 1.70, 0.76), ((0.24, 0.15, 0.085),)),
+    "bale": ((1.50, 1.24, 1.50), ((1.0, 1.0, 1.0),)),
+    "tractor": ((4.00, 2.22, 2.62), ((0.05, 0.17, 0.03), (0.40, 0.03, 0.02), (0.03, 0.10, 0.32))),
+    "pole": ((0.34, 2.00, 9.00), (_CREOSOTE,)),
+    "tank": ((6.00, 6.00, 10.0), ((0.50, 0.50, 0.49), (0.42, 0.44, 0.46), (0.35, 0.38, 0.33))),
+    "pallet": ((1.20, 0.80, 1.16), ((0.35, 0.26, 0.16), (0.30, 0.31, 0.32), (0.08, 0.16, 0.30))),
+    "boat": ((4.20, 1.50, 0.66), ((0.55, 0.55, 0.53), (0.30, 0.04, 0.03), (0.03, 0.12, 0.25))),
+}
+
+
+def small(
+    site: Site,
+    kind: str,
+    at: Array,
+    yaw: float,
+    *,
+    on_road: bool = False,
+    on_reserved: bool = False,
+    gap_m: float = 0.15,
+) -> bool:
+    """A thing that is its own class and shape: bin, hydrant, sign, table, bale, boat, ..."""
+    size, colours = _SMALL[kind]
+    colour = vary(site, site.choose(colours))
+    return site.place(
+        kind, kind, at, size, yaw, colour, on_road=on_road, on_reserved=on_reserved, gap_m=gap_m
+    )  # fmt: skip
 
 
 def steel(site: Site) -> Rgb:
@@ -102,6 +138,15 @@ def barrier(
     site.place(kind, kind, 0.5 * (p + q), (length, thick, high), yaw, colour, gap_m=0.02)
 
 
+def fenced(site: Site, at: Frame, length: float, depth: float, high: float) -> None:
+    """Fences along both sides and the back of a block, in pieces that follow its bends."""
+    for b in np.arange(0.8, depth - 13.0, 12.0):
+        for a in (0.3, length - 0.3):
+            barrier(site, "fence", at, (a, b), (a, b + 12.0), 0.10, high)
+    for a in np.arange(0.8, length - 13.0, 12.0):
+        barrier(site, "fence", at, (a, depth - 0.4), (a + 12.0, depth - 0.4), 0.10, high)
+
+
 def car(site: Site, at: Array, yaw: float, gap_m: float = 0.15) -> bool:
     shape = site.choose(tuple(_CARS))
     paint = vary(site, site.choose(_PAINTS))
@@ -113,13 +158,21 @@ def car(site: Site, at: Array, yaw: float, gap_m: float = 0.15) -> bool:
 def van(site: Site, at: Array, yaw: float) -> bool:
     paint = vary(site, site.choose(_PAINTS[:4]))
     return site.place(
-        "truck", "van", at, _TRUCKS["van"], yaw, paint, on_road=True, on_reserved=True
+        "van", "van", at, _TRUCKS["van"], yaw, paint, on_road=True, on_reserved=True
     )  # fmt: skip
 
 
-def truck(site: Site, at: Array, yaw: float, *, on_road: bool = False) -> bool:
-    shape = site.choose(tuple(_TRUCKS))
+def truck(
+    site: Site,
+    at: Array,
+    yaw: float,
+    *,
+    shapes: Sequence[str] = tuple(_TRUCKS),
+    on_road: bool = False,
+) -> bool:
+    shape = site.choose(shapes)
     paint = vary(site, site.choose(_PAINTS[:2] + STEEL))
+    class_name = "van" if shape == "van" else "truck"
     return site.place(
-        "truck", shape, at, _TRUCKS[shape], yaw, paint, on_road=on_road, on_reserved=on_road
+        class_name, shape, at, _TRUCKS[shape], yaw, paint, on_road=on_road, on_reserved=on_road
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from simulate.dwellings import flats, housing
 from simulate.greens import field, park
 from simulate.plan import Plan
-from simulate.roadside import street_lamps, traffic
+from simulate.roadside import deliveries, street_furniture, street_lamps, traffic
 from simulate.trade import trade
 from simulate.world import World
 
@@ -15,7 +15,7 @@ TOWN = Plan(
     uses={housing: 0.60, flats: 0.14, trade: 0.13, park: 0.13},
     open_land=field,
     open_share=0.12,
-    after=(street_lamps, traffic),
+    after=(street_lamps, traffic, street_furniture, deliveries),
 )
 
 
