@@ -26,6 +26,7 @@ from simulate.materials import build_materials
 from simulate.mesh import Mesh, grid_mesh
 from simulate.plants import fence_mesh, hedge_mesh
 from simulate.presets import preset
+from simulate.process import end_with, resident_bytes
 from simulate.props import shape_mesh
 from simulate.render import FrameDone, PinholeCamera, RenderChunk, frame_path
 from simulate.world import World, WorldObject, class_lookup
@@ -39,10 +40,12 @@ def main(chunk_path: str) -> None:
     """Render the frames of a RenderChunk file that are not there yet."""
     reports = _claim_stdout()
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
+    end_with(chunk.parent)
     job = chunk.job
     world = preset(job.preset)(job.seed, job.area_m)
     _build_scene(world, condition(job.condition))
     _set_up_render(job.camera, job.samples, chunk.threads)
+    held = None  # bytes, after the first frame
     with tempfile.TemporaryDirectory(prefix="frame-") as scratch:
         for frame, rows in job.poses.items():
             path = frame_path(chunk.out_dir, frame)
@@ -58,6 +61,9 @@ def main(chunk_path: str) -> None:
             _save(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
+            held = held or resident_bytes()
+            if resident_bytes() - held >= chunk.may_grow_bytes:
+                break
 
 
 def _claim_stdout() -> TextIO:

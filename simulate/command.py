@@ -36,6 +36,7 @@ from scene.progress import progress_bar
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
+from simulate.disk import bytes_needed, require_space
 from simulate.flights import plan_nadir, plan_oblique
 from simulate.pictures import draw_pictures
 from simulate.presets import preset
@@ -60,6 +61,8 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     Raises:
         InputError: ``out`` holds something else or cannot be written, or rendering failed.
     """
+    if not (out / MANIFEST).is_file():
+        require_space(out, bytes_needed(_left(out, config), config.size**2))
     finished = _claim(out, config)
     if finished is not None:
         return finished
@@ -76,6 +79,17 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     scene = finish(out, scene.manifest.model_copy(update=pixels))
     (out / _CONFIG).unlink()
     return scene
+
+
+def _left(out: Path, config: SimulateConfig) -> dict[str, tuple[int, int]]:
+    """Frames that each unfinished session still has to render, and to pack."""
+    left = {}
+    for name, session in zip(config.session_names(), config.sessions, strict=True):
+        folder, frames = out / "sessions" / name, session.frames or config.frames
+        if not (folder / "frames.h5").is_file():
+            done = sum(frame_path(folder / _RENDERED, k).exists() for k in range(frames))
+            left[name] = (frames - done, frames)
+    return left
 
 
 def _claim(out: Path, config: SimulateConfig) -> Scene | None:

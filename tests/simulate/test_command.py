@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from scene.geodesy import geodetic_from_enu
 from scene.images import read_exif, read_rgb
 from simulate.command import simulate
 from simulate.config import SimulateConfig
+from simulate.disk import bytes_needed
 from simulate.libraries import PACKAGES, require_libraries
 from tests.conftest import RENDERED
 
@@ -135,6 +137,25 @@ def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not empty and not a scene"):
         simulate(RENDERED, tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_full_disk_is_said_before_anything_is_rendered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=5_000_000))
+    with pytest.raises(InputError, match=r"needs up to \d+ MB more .* has 5 MB free: ") as caught:
+        simulate(RENDERED, tmp_path / "deep" / "scene")
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_estimate_holds_what_a_scene_takes(rendered: Scene) -> None:
+    sessions = {name: (n, n) for name, n in zip("abc", (12, 4, 3), strict=True)}
+    packed = sum(file.stat().st_size for file in rendered.images_root.rglob("*") if file.is_file())
+    needed = bytes_needed(sessions, RENDERED.size**2)
+    assert packed + 13 * 12 * RENDERED.size**2 < needed < 3 * packed + 13 * 12 * RENDERED.size**2
+    assert bytes_needed({}, 512**2) == 0
 
 
 @pytest.mark.parametrize(
