@@ -33,8 +33,8 @@ from simulate.world import World, WorldObject, class_lookup
 
 _SENSOR_MM = 36.0
 _APRON_M, _APRON_STEP_M = 400.0, 8.0  # mirrored ground around the area, for the oblique views
-# Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by this
-# much to the right and upwards (px; found by ray casting, the same at every pixel).
+# Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by
+# this much to the right and upwards (px; found by ray casting, the same at every pixel).
 _FIRST_RAY_PX = 0.000526
 _NO_SURFACE_M = 1e9  # Cycles writes 1e10 where a ray hits nothing
 

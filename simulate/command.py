@@ -17,7 +17,7 @@ from scene.bundle import COVISIBILITY, MANIFEST, Scene, finish
 from scene.camera import Camera
 from scene.covisibility import write_covisibility
 from scene.errors import InputError
-from scene.files import write_text
+from scene.files import remove_partial, write_text
 from scene.frames import LAYERS, Frames, Layer, read_frames, write_frames
 from scene.geodesy import geodetic_from_enu
 from scene.images import Exif, write_jpeg
@@ -100,6 +100,7 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
             raise InputError(
                 f"{out} holds a scene of another configuration: choose another folder or remove it"
             )
+        (out / _CONFIG).unlink(missing_ok=True)  # left by a run killed at its very end
         return scene
     if (out / _CONFIG).is_file():
         if read_json(out / _CONFIG, SimulateConfig, "configuration of the unfinished scene") != (
@@ -109,14 +110,19 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
                 f"{out} holds an unfinished scene of another configuration: choose another folder "
                 "or remove it"
             )
+        remove_partial(out)
         return None
     try:
-        occupied = out.exists() and any(out.iterdir())
+        # A run killed while it claimed the folder left this beginning of its configuration.
+        occupied = out.exists() and any(
+            not item.name.startswith(f".{_CONFIG}.") for item in out.iterdir()
+        )
     except OSError as error:
         raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
     if occupied:
         raise InputError(f"{out} is not empty and not a scene: choose another folder")
     write_text(out / _CONFIG, config.model_dump_json())
+    remove_partial(out)
     return None
 
 
@@ -178,13 +184,14 @@ def _make_session(
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
     folder = root / name
+    rendered = folder / _RENDERED
     if (folder / "frames.h5").is_file():
+        shutil.rmtree(rendered, ignore_errors=True)  # left by a run killed before it could
         return
     # One generator per session: adding a session changes no other.
     rng = np.random.default_rng([config.seed, index])
     poses = _plan(session, config, world, rng)
     camera = config.camera()
-    rendered = folder / _RENDERED
     job = RenderJob(
         preset=config.preset,
         seed=config.seed,
