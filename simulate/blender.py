@@ -27,6 +27,7 @@ from simulate.mesh import Mesh, grid_mesh
 from simulate.plants import fence_mesh, hedge_mesh
 from simulate.power import wire_mesh
 from simulate.presets import preset
+from simulate.process import end_with, resident_bytes
 from simulate.props import shape_mesh
 from simulate.render import FrameDone, PinholeCamera, RenderChunk, frame_path
 from simulate.resample import Cast, resample
@@ -34,6 +35,9 @@ from simulate.world import World, WorldObject, class_lookup
 
 _SENSOR_MM = 36.0
 _APRON_M, _APRON_STEP_M = 400.0, 8.0  # mirrored ground around the area, for the oblique views
+# Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by
+# this much to the right and upwards (px; found by ray casting, the same at every pixel).
+_FIRST_RAY_PX = 0.000526
 _NO_SURFACE_M = 1e9  # Cycles writes 1e10 where a ray hits nothing
 
 
@@ -41,12 +45,14 @@ def main(chunk_path: str) -> None:
     """Render the frames of a RenderChunk file that are not there yet."""
     reports = _claim_stdout()
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
+    end_with(chunk.parent)
     job = chunk.job
     world = preset(job.preset)(job.seed, job.area_m)
     _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
     rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
     caster = _Caster()
+    held = None  # bytes, after the first frame
     with tempfile.TemporaryDirectory(prefix="frame-") as scratch:
         for frame, rows in job.poses.items():
             path = frame_path(chunk.out_dir, frame)
@@ -65,6 +71,9 @@ def main(chunk_path: str) -> None:
             _save(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
+            held = held or resident_bytes()
+            if resident_bytes() - held >= chunk.may_grow_bytes:
+                break
 
 
 def _claim_stdout() -> TextIO:
@@ -196,8 +205,8 @@ def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
     data.sensor_fit = "HORIZONTAL"
     data.sensor_width = _SENSOR_MM
     data.lens = camera.f * _SENSOR_MM / camera.width
-    data.shift_x = (0.5 * camera.width - camera.cx) / camera.width
-    data.shift_y = (camera.cy - 0.5 * camera.height) / camera.width
+    data.shift_x = (0.5 * camera.width - camera.cx - _FIRST_RAY_PX) / camera.width
+    data.shift_y = (camera.cy - _FIRST_RAY_PX - 0.5 * camera.height) / camera.width
     data.clip_start, data.clip_end = 0.1, 1e4
     scene.camera = _add("camera", data)
     scene.camera.rotation_mode = "QUATERNION"

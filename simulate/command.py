@@ -17,7 +17,7 @@ from scene.bundle import COVISIBILITY, MANIFEST, Scene, finish
 from scene.camera import Camera
 from scene.covisibility import write_covisibility
 from scene.errors import InputError
-from scene.files import write_text
+from scene.files import remove_partial, write_text
 from scene.frames import LAYERS, Frames, Layer, read_frames, write_frames
 from scene.geodesy import geodetic_from_enu
 from scene.images import Exif, write_jpeg
@@ -36,6 +36,7 @@ from scene.progress import progress_bar
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
+from simulate.disk import bytes_needed, require_space
 from simulate.flights import plan_nadir, plan_oblique
 from simulate.lens import rendered_through
 from simulate.pictures import draw_pictures
@@ -61,6 +62,8 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     Raises:
         InputError: ``out`` holds something else or cannot be written, or rendering failed.
     """
+    if not (out / MANIFEST).is_file():
+        require_space(out, bytes_needed(_left(out, config), config.size**2))
     finished = _claim(out, config)
     if finished is not None:
         return finished
@@ -79,6 +82,17 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     return scene
 
 
+def _left(out: Path, config: SimulateConfig) -> dict[str, tuple[int, int]]:
+    """Frames that each unfinished session still has to render, and to pack."""
+    left = {}
+    for name, session in zip(config.session_names(), config.sessions, strict=True):
+        folder, frames = out / "sessions" / name, session.frames or config.frames
+        if not (folder / "frames.h5").is_file():
+            done = sum(frame_path(folder / _RENDERED, k).exists() for k in range(frames))
+            left[name] = (frames - done, frames)
+    return left
+
+
 def _claim(out: Path, config: SimulateConfig) -> Scene | None:
     """Mark the folder as this configuration's; the scene itself when it is finished already."""
     if (out / MANIFEST).is_file():
@@ -87,6 +101,7 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
             raise InputError(
                 f"{out} holds a scene of another configuration: choose another folder or remove it"
             )
+        (out / _CONFIG).unlink(missing_ok=True)  # left by a run killed at its very end
         return scene
     if (out / _CONFIG).is_file():
         if read_json(out / _CONFIG, SimulateConfig, "configuration of the unfinished scene") != (
@@ -96,14 +111,19 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
                 f"{out} holds an unfinished scene of another configuration: choose another folder "
                 "or remove it"
             )
+        remove_partial(out)
         return None
     try:
-        occupied = out.exists() and any(out.iterdir())
+        # A run killed while it claimed the folder left this beginning of its configuration.
+        occupied = out.exists() and any(
+            not item.name.startswith(f".{_CONFIG}.") for item in out.iterdir()
+        )
     except OSError as error:
         raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
     if occupied:
         raise InputError(f"{out} is not empty and not a scene: choose another folder")
     write_text(out / _CONFIG, config.model_dump_json())
+    remove_partial(out)
     return None
 
 
@@ -183,7 +203,9 @@ def _make_session(
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
     folder = root / name
+    rendered = folder / _RENDERED
     if (folder / "frames.h5").is_file():
+        shutil.rmtree(rendered, ignore_errors=True)  # left by a run killed before it could
         return
     # One generator per session: adding a session changes no other.
     rng = np.random.default_rng([config.seed, index])
