@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -32,13 +32,14 @@ from scene.manifest import (
 )
 from scene.pose import Pose
 from scene.progress import progress_bar
+from simulate.change import ChangedWorld, changed_worlds, every_object
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flights import plan_nadir, plan_oblique
 from simulate.pictures import draw_pictures
 from simulate.presets import preset
 from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
-from simulate.world import CLASSES, World
+from simulate.world import CLASSES, World, WorldObject
 
 _CONFIG = ".config.json"
 _RENDERED = ".rendered"
@@ -61,14 +62,16 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     finished = _claim(out, config)
     if finished is not None:
         return finished
-    world = preset(config.preset)(config.seed, config.area)
+    base = preset(config.preset)(config.seed, config.area)
+    worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
     for index, (name, session) in enumerate(zip(names, config.sessions, strict=True)):
-        _make_session(out / "sessions", name, index, session, config, world, jobs)
-    write_json(out / "objects.json", _objects(world))
+        _make_session(out / "sessions", name, index, session, config, worlds[index], jobs)
+    write_json(out / "objects.json", _objects(every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
-    draw_pictures(Scene(out, _manifest(config)))
-    scene = finish(out, _manifest(config))
+    manifest = _manifest(config, worlds)
+    draw_pictures(Scene(out, manifest))
+    scene = finish(out, manifest)
     (out / _CONFIG).unlink()
     return scene
 
@@ -106,7 +109,7 @@ def _plain(config: SimulateConfig) -> dict[str, Any]:
     return plain
 
 
-def _manifest(config: SimulateConfig) -> Manifest:
+def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifest:
     return Manifest(
         versions={name: version(name) for name in ("objconnect", "bpy", "numpy", "pillow", "h5py")},
         preset=config.preset,
@@ -114,15 +117,19 @@ def _manifest(config: SimulateConfig) -> Manifest:
         config=_plain(config),
         origin=config.origin,
         sessions={
-            name: Session(condition=s.condition, flight=s.flight, role=s.role)
-            for name, s in zip(config.session_names(), config.sessions, strict=True)
+            name: Session(
+                condition=s.condition, flight=s.flight, role=s.role, change=changed.declared
+            )
+            for name, s, changed in zip(
+                config.session_names(), config.sessions, worlds, strict=True
+            )
         },
         sha256={},
     )
 
 
-def _objects(world: World) -> Objects:
-    def describe(item: Any) -> SceneObject:
+def _objects(things: Sequence[WorldObject]) -> Objects:
+    def describe(item: WorldObject) -> SceneObject:
         size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
         return SceneObject(
             id=item.id,
@@ -133,7 +140,7 @@ def _objects(world: World) -> Objects:
             size_class=size_class(size),
         )
 
-    return Objects(classes=CLASSES, objects=tuple(describe(item) for item in world.objects))
+    return Objects(classes=CLASSES, objects=tuple(describe(item) for item in things))
 
 
 def _splits(out: Path, config: SimulateConfig) -> Splits:
@@ -154,7 +161,7 @@ def _make_session(
     index: int,
     session: SessionConfig,
     config: SimulateConfig,
-    world: World,
+    changed: ChangedWorld,
     jobs: int,
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
@@ -163,7 +170,7 @@ def _make_session(
         return
     # One generator per session: adding a session changes no other.
     rng = np.random.default_rng([config.seed, index])
-    poses = _plan(session, config, world, rng)
+    poses = _plan(session, config, changed.world, rng)
     camera = config.camera()
     rendered = folder / _RENDERED
     job = RenderJob(
@@ -172,6 +179,8 @@ def _make_session(
         area_m=config.area,
         condition=session.condition,
         origin=config.origin,
+        change=changed.change,
+        first_new_id=changed.first_new_id,
         camera=PinholeCamera(
             width=camera.width,
             height=camera.height,

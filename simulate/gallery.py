@@ -70,6 +70,7 @@ def _photograph(
         area_m=config.area,
         condition=session.condition,
         origin=config.origin,
+        change=session.world_change,
         camera=PinholeCamera(
             width=camera.width,
             height=camera.height,

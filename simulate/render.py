@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scene.geodesy import Geodetic
+from simulate.change import Change
 from simulate.conditions import PLACE, condition
 from simulate.presets import preset
 
@@ -44,6 +45,7 @@ class RenderJob(BaseModel):
 
     `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
     paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from.
+    `change` and `first_new_id` make the world as `simulate.change.changed_world` does.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -53,6 +55,8 @@ class RenderJob(BaseModel):
     area_m: float = Field(gt=0)
     condition: str
     origin: Geodetic = PLACE
+    change: Change = Change()
+    first_new_id: int = Field(default=0, ge=0)
     camera: PinholeCamera
     samples: int = Field(default=4, ge=1)
     poses: dict[int, list[list[float]]]
