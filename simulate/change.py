@@ -34,9 +34,9 @@ class Change(Config):
     Sessions with the same change see the same world.
 
     Attributes:
-        cars_moved: share of cars and trucks that stand in another place.
+        cars_moved: share of the cars and trucks left that stand in another place, room permitting.
         objects_removed: share of cars, trucks, containers and benches that are gone.
-        objects_added: new ones, as a share of those there were.
+        objects_added: new ones, as a share of those the place was built with, room permitting.
         bare_trees: trees that shed their leaves have done so; true of leaf-off seasons.
         seed: another seed draws other objects.
     """
