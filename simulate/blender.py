@@ -21,6 +21,7 @@ from PIL import Image
 
 from simulate import ground
 from simulate.buildings import building_mesh
+from simulate.change import changed_world
 from simulate.conditions import Condition, condition
 from simulate.materials import build_materials
 from simulate.mesh import Mesh, grid_mesh
@@ -47,7 +48,8 @@ def main(chunk_path: str) -> None:
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
     end_with(chunk.parent)
     job = chunk.job
-    world = preset(job.preset)(job.seed, job.area_m)
+    base = preset(job.preset)(job.seed, job.area_m)
+    world = changed_world(base, job.change, job.first_new_id).world
     _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
     rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)

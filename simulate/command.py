@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -34,6 +34,7 @@ from scene.manifest import (
 from scene.pose import Pose
 from scene.progress import progress_bar
 from simulate.annotations import measure_covisibility, pixel_digests
+from simulate.change import ChangedWorld, changed_worlds, every_object
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.disk import bytes_needed, require_space
@@ -42,7 +43,7 @@ from simulate.lens import rendered_through
 from simulate.pictures import draw_pictures
 from simulate.presets import preset
 from simulate.render import RenderError, RenderJob, frame_path, render
-from simulate.world import CLASSES, World
+from simulate.world import CLASSES, World, WorldObject
 
 _CONFIG = ".config.json"
 _RENDERED = ".rendered"
@@ -67,13 +68,14 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     finished = _claim(out, config)
     if finished is not None:
         return finished
-    world = preset(config.preset)(config.seed, config.area)
+    base = preset(config.preset)(config.seed, config.area)
+    worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
     for index, (name, session) in enumerate(zip(names, config.sessions, strict=True)):
-        _make_session(out / "sessions", name, index, session, config, world, jobs)
-    write_json(out / "objects.json", _objects(world))
+        _make_session(out / "sessions", name, index, session, config, worlds[index], jobs)
+    write_json(out / "objects.json", _objects(every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
-    scene = Scene(out, _manifest(config))
+    scene = Scene(out, _manifest(config, worlds))
     write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
     draw_pictures(scene)
     pixels = {"pixels_sha256": pixel_digests(scene)}
@@ -132,7 +134,7 @@ def _plain(config: SimulateConfig) -> dict[str, Any]:
     return plain
 
 
-def _manifest(config: SimulateConfig) -> Manifest:
+def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifest:
     return Manifest(
         versions={name: version(name) for name in ("objconnect", "bpy", "numpy", "pillow", "h5py")},
         preset=config.preset,
@@ -140,15 +142,19 @@ def _manifest(config: SimulateConfig) -> Manifest:
         config=_plain(config),
         origin=config.origin,
         sessions={
-            name: Session(condition=s.condition, flight=s.flight, role=s.role)
-            for name, s in zip(config.session_names(), config.sessions, strict=True)
+            name: Session(
+                condition=s.condition, flight=s.flight, role=s.role, change=changed.declared
+            )
+            for name, s, changed in zip(
+                config.session_names(), config.sessions, worlds, strict=True
+            )
         },
         sha256={},
     )
 
 
-def _objects(world: World) -> Objects:
-    def describe(item: Any) -> SceneObject:
+def _objects(things: Sequence[WorldObject]) -> Objects:
+    def describe(item: WorldObject) -> SceneObject:
         size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
         return SceneObject(
             id=item.id,
@@ -159,7 +165,7 @@ def _objects(world: World) -> Objects:
             size_class=size_class(size),
         )
 
-    return Objects(classes=CLASSES, objects=tuple(describe(item) for item in world.objects))
+    return Objects(classes=CLASSES, objects=tuple(describe(item) for item in things))
 
 
 def _splits(out: Path, config: SimulateConfig) -> Splits:
@@ -175,9 +181,15 @@ def _splits(out: Path, config: SimulateConfig) -> Splits:
 
 
 def render_job(
-    config: SimulateConfig, session: SessionConfig, poses: NDArray[np.float64]
+    config: SimulateConfig,
+    session: SessionConfig,
+    poses: NDArray[np.float64],
+    first_new_id: int = 0,
 ) -> RenderJob:
-    """What the renderer is told of a session: poses (N, 4, 4) become frames 0 to N - 1."""
+    """What the renderer is told of a session: poses (N, 4, 4) become frames 0 to N - 1.
+
+    `first_new_id` is that of the session's changed world.
+    """
     pinhole, lens = rendered_through(config.photo_camera())
     return RenderJob(
         preset=config.preset,
@@ -185,6 +197,8 @@ def render_job(
         area_m=config.area,
         condition=session.condition,
         origin=config.origin,
+        change=session.world_change,
+        first_new_id=first_new_id,
         camera=pinhole,
         lens=lens,
         samples=config.spp,
@@ -198,7 +212,7 @@ def _make_session(
     index: int,
     session: SessionConfig,
     config: SimulateConfig,
-    world: World,
+    changed: ChangedWorld,
     jobs: int,
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
@@ -209,10 +223,10 @@ def _make_session(
         return
     # One generator per session: adding a session changes no other.
     rng = np.random.default_rng([config.seed, index])
-    poses = _plan(session, config, world, rng)
+    poses = _plan(session, config, changed.world, rng)
     camera = config.photo_camera()
     rendered = folder / _RENDERED
-    job = render_job(config, session, poses)
+    job = render_job(config, session, poses, changed.first_new_id)
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)

@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from scene.camera import Camera
 from scene.config import Config, load_config
 from scene.geodesy import Geodetic
+from simulate.change import Change
 from simulate.conditions import PLACE, condition
 from simulate.lens import CameraConfig
 from simulate.presets import preset
@@ -28,17 +29,26 @@ class SessionConfig(Config):
         flight: lawn-mower looking down, or orbit looking inwards at 45 degrees.
         role: its frames build the map, or are queries.
         frames: photographs; None takes the scene's ``frames``.
+        change: what stands elsewhere, is gone or is new since the place was built.
     """
 
     condition: str
     flight: Flight
     role: Role
     frames: int | None = Field(None, ge=1)
+    change: Change = Change()
 
     @field_validator("condition")
     @classmethod
     def _known_condition(cls, name: str) -> str:
         return condition(name).name
+
+    @property
+    def world_change(self) -> Change:
+        """The change asked for, and bare trees where the season has them."""
+        if not condition(self.condition).bare:
+            return self.change
+        return self.change.model_copy(update={"bare_trees": True})
 
 
 class FlightPlan(Config):

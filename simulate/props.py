@@ -11,7 +11,7 @@ import numpy as np
 
 from simulate.furniture import FURNITURE
 from simulate.mesh import Mesh, MeshBuilder
-from simulate.plants import broadleaf, conifer
+from simulate.plants import bare, broadleaf, conifer
 from simulate.world import Rgb
 
 _RUBBER: Rgb = (0.018, 0.018, 0.019)
@@ -37,6 +37,8 @@ def shape_mesh(name: str) -> Mesh:
     kind, _, variant = name.rpartition("_")
     if kind == "broadleaf":
         return broadleaf(int(variant)).fitted()
+    if kind == "bare":
+        return bare(int(variant)).fitted()
     if kind == "conifer":
         return conifer(int(variant)).fitted()
     if name in _CAR_SHAPES:

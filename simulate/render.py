@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scene.geodesy import Geodetic
+from simulate.change import Change
 from simulate.conditions import PLACE, condition
 from simulate.presets import preset
 
@@ -53,9 +54,10 @@ class RenderJob(BaseModel):
     """One flight under one condition.
 
     `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
-    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from. `lens` is
-    the camera of the photographs, as `str(scene.camera.Camera)`, when it is not the pinhole
-    `camera`, which then covers its view.
+    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from. `change`
+    and `first_new_id` make the world as `simulate.change.changed_world` does. `lens` is the camera
+    of the photographs, as `str(scene.camera.Camera)`, when it is not the pinhole `camera`, which
+    then covers its view.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -65,6 +67,8 @@ class RenderJob(BaseModel):
     area_m: float = Field(gt=0)
     condition: str
     origin: Geodetic = PLACE
+    change: Change = Change()
+    first_new_id: int = Field(default=0, ge=0)
     camera: PinholeCamera
     lens: str | None = None
     samples: int = Field(default=4, ge=1)
