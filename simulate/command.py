@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -34,10 +34,11 @@ from scene.manifest import (
 from scene.pose import Pose
 from scene.progress import progress_bar
 from simulate.annotations import measure_covisibility, pixel_digests
+from simulate.clearance import check_flight
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
-from simulate.flights import plan_nadir, plan_oblique
 from simulate.pictures import draw_pictures
+from simulate.planner import plan_session
 from simulate.presets import preset
 from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
 from simulate.world import CLASSES, World
@@ -60,13 +61,19 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     Raises:
         InputError: ``out`` holds something else or cannot be written, or rendering failed.
     """
-    finished = _claim(out, config)
+    finished = _finished(out, config)
     if finished is not None:
         return finished
     world = preset(config.preset)(config.seed, config.area)
     names = config.session_names()
-    for index, (name, session) in enumerate(zip(names, config.sessions, strict=True)):
-        _make_session(out / "sessions", name, index, session, config, world, jobs)
+    # All flights are planned before anything is written or rendered: one may be impossible.
+    planned = [
+        _plan(name, index, session, config, world)
+        for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
+    ]
+    write_text(out / _CONFIG, config.model_dump_json())
+    for name, session, flight in zip(names, config.sessions, planned, strict=True):
+        _make_session(out / "sessions", name, session, config, flight, jobs)
     write_json(out / "objects.json", _objects(world))
     write_json(out / "splits.json", _splits(out, config))
     scene = Scene(out, _manifest(config))
@@ -78,8 +85,8 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     return scene
 
 
-def _claim(out: Path, config: SimulateConfig) -> Scene | None:
-    """Mark the folder as this configuration's; the scene itself when it is finished already."""
+def _finished(out: Path, config: SimulateConfig) -> Scene | None:
+    """Hold the folder against this configuration; the scene itself when it is finished already."""
     if (out / MANIFEST).is_file():
         scene = Scene.open(out)
         if scene.manifest.config != _plain(config):
@@ -102,7 +109,6 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
         raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
     if occupied:
         raise InputError(f"{out} is not empty and not a scene: choose another folder")
-    write_text(out / _CONFIG, config.model_dump_json())
     return None
 
 
@@ -119,7 +125,7 @@ def _manifest(config: SimulateConfig) -> Manifest:
         config=_plain(config),
         origin=config.origin,
         sessions={
-            name: Session(condition=s.condition, flight=s.flight, role=s.role)
+            name: Session(condition=s.condition, flight=s.flight.kind, role=s.role)
             for name, s in zip(config.session_names(), config.sessions, strict=True)
         },
         sha256={},
@@ -156,19 +162,16 @@ def _splits(out: Path, config: SimulateConfig) -> Splits:
 def _make_session(
     root: Path,
     name: str,
-    index: int,
     session: SessionConfig,
     config: SimulateConfig,
-    world: World,
+    planned: _Planned,
     jobs: int,
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
     folder = root / name
     if (folder / "frames.h5").is_file():
         return
-    # One generator per session: adding a session changes no other.
-    rng = np.random.default_rng([config.seed, index])
-    poses = _plan(session, config, world, rng)
+    poses, rng = planned
     camera = config.camera()
     rendered = folder / _RENDERED
     job = RenderJob(
@@ -207,37 +210,23 @@ def _make_session(
     shutil.rmtree(rendered)
 
 
+class _Planned(NamedTuple):
+    """Poses of a session's frames, (N, 4, 4), and the generator of its further noise."""
+
+    poses: NDArray[np.float64]
+    rng: np.random.Generator
+
+
 def _plan(
-    session: SessionConfig, config: SimulateConfig, world: World, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Poses of the session's frames, (N, 4, 4)."""
-    plan = config.map_plan if session.role == "map" else config.query_plan
-    frames = session.frames or config.frames
-    if session.flight == "oblique":
-        return plan_oblique(
-            world.terrain.height,
-            radius_m=plan.orbit_radius_share * config.area,
-            altitude_m=plan.orbit_altitude_m,
-            frames=frames,
-            start_deg=plan.orbit_start_deg,
-            position_jitter_m=config.position_jitter_m,
-            attitude_jitter_deg=config.attitude_jitter_deg,
-            rng=rng,
-        )
+    name: str, index: int, session: SessionConfig, config: SimulateConfig, world: World
+) -> _Planned:
+    """Plan one session; InputError when it cannot be flown."""
+    # One generator per session: adding a session changes no other.
+    rng = np.random.default_rng([config.seed, index])
     camera = config.camera()
-    return plan_nadir(
-        config.area,
-        world.terrain.height,
-        width=camera.width,
-        height=camera.height,
-        focal=camera.focal[0],
-        altitude_m=plan.nadir_altitude_m,
-        heading_deg=plan.nadir_heading_deg,
-        frames=frames,
-        position_jitter_m=config.position_jitter_m,
-        attitude_jitter_deg=config.attitude_jitter_deg,
-        rng=rng,
-    )
+    poses = plan_session(session, config, camera, world, rng)
+    check_flight(name, poses, camera, world)
+    return _Planned(poses, rng)
 
 
 def _frames(

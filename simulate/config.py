@@ -13,10 +13,10 @@ from scene.camera import Camera
 from scene.config import Config, load_config
 from scene.geodesy import Geodetic
 from simulate.conditions import PLACE, condition
+from simulate.flight_config import Flight, NadirFlight
 from simulate.presets import preset
 
 Role = Literal["map", "query"]
-Flight = Literal["nadir", "oblique"]
 
 
 class SessionConfig(Config):
@@ -24,9 +24,9 @@ class SessionConfig(Config):
 
     Attributes:
         condition: SEASON-LIGHT[-WEATHER], see ``simulate.conditions``.
-        flight: lawn-mower looking down, or orbit looking inwards at 45 degrees.
+        flight: kind of flight and its numbers, or the kind alone, as "nadir".
         role: its frames build the map, or are queries.
-        frames: photographs; None takes the scene's ``frames``.
+        frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
     """
 
     condition: str
@@ -39,16 +39,24 @@ class SessionConfig(Config):
     def _known_condition(cls, name: str) -> str:
         return condition(name).name
 
+    @model_validator(mode="after")
+    def _one_count(self) -> SessionConfig:
+        if self.frames is not None and self.flight.counts_photographs:
+            raise ValueError(f"the {self.flight.kind} flight says its own number: leave frames out")
+        return self
+
 
 class FlightPlan(Config):
-    """How flights of one role are flown. Map and query flights differ in every number.
+    """How flights of one role are flown that say no better. Map and query flights differ in every
+    number.
 
     Attributes:
-        nadir_altitude_m: above the ground.
+        nadir_altitude_m: of surveys, above the ground.
         nadir_heading_deg: of the first line, clockwise from north.
         orbit_altitude_m: above the ground at the centre.
         orbit_radius_share: radius over the side of the area.
         orbit_start_deg: bearing of the first exposure.
+        backwards: whether corridors and streets are followed from their end.
     """
 
     nadir_altitude_m: float = Field(gt=0)
@@ -56,6 +64,7 @@ class FlightPlan(Config):
     orbit_altitude_m: float = Field(gt=0)
     orbit_radius_share: float = Field(gt=0)
     orbit_start_deg: float
+    backwards: bool = False
 
 
 MAP_PLAN = FlightPlan(
@@ -71,6 +80,7 @@ QUERY_PLAN = FlightPlan(
     orbit_altitude_m=48,
     orbit_radius_share=0.36,
     orbit_start_deg=20,
+    backwards=True,
 )
 
 
@@ -107,9 +117,9 @@ class SimulateConfig(Config):
     frames: int = Field(30, ge=1)
     sessions: tuple[SessionConfig, ...] = Field(
         (
-            SessionConfig(condition="summer-noon", flight="nadir", role="map"),
-            SessionConfig(condition="summer-noon", flight="nadir", role="query", frames=10),
-            SessionConfig(condition="winter-dusk", flight="nadir", role="query", frames=10),
+            SessionConfig(condition="summer-noon", flight=NadirFlight(), role="map"),
+            SessionConfig(condition="summer-noon", flight=NadirFlight(), role="query", frames=10),
+            SessionConfig(condition="winter-dusk", flight=NadirFlight(), role="query", frames=10),
         ),
         min_length=1,
     )
@@ -172,7 +182,7 @@ class SimulateConfig(Config):
         seen: dict[str, int] = {}
         names = []
         for session in self.sessions:
-            base = f"{session.condition}-{session.flight}-{session.role}"
+            base = f"{session.condition}-{session.flight.kind}-{session.role}"
             seen[base] = seen.get(base, 0) + 1
             names.append(base if seen[base] == 1 else f"{base}-{seen[base]}")
         return tuple(names)
