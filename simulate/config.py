@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -189,8 +189,12 @@ class SimulateConfig(Config):
 
 
 def _session_from_words(text: str, first: bool) -> dict[str, str]:
-    words = text.split(":")
-    if len(words) not in (2, 3):
+    name, colon, flight = text.partition(":")
+    if not colon:
         raise ValueError(f"a session is written condition:flight[:role], got {text!r}")
-    role = words[2] if len(words) == 3 else ("map" if first else "query")
-    return {"condition": words[0], "flight": words[1], "role": role}
+    role = "map" if first else "query"
+    # The name of a plan's file may hold colons of its own.
+    head, colon, last = flight.rpartition(":")
+    if colon and (last in get_args(Role) or not flight.startswith("plan=")):
+        flight, role = head, last
+    return {"condition": name, "flight": flight, "role": role}

@@ -6,11 +6,14 @@ query flights differ when nothing is said.
 
 from __future__ import annotations
 
+import hashlib
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from scene.config import Config
+from scene.files import read_text
 
 Positive = Annotated[float, Field(gt=0)]
 Overlap = Annotated[float, Field(ge=0, le=0.95)]
@@ -172,13 +175,57 @@ class StreetFlight(_Flight):
     pitch_deg: Pitch = 0
 
 
+class PlanFlight(_Flight):
+    """What a mission plan of QGroundControl photographs.
+
+    Attributes:
+        file: the ``.plan``, relative to the working directory.
+        sha256: of the file, taken when nothing is said, so that a scene knows its flight.
+        pitch_deg: of the gimbal until the plan says.
+    """
+
+    kind: Literal["plan"] = "plan"
+    file: Path
+    sha256: str
+    pitch_deg: Pitch = -90
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_digest(cls, values: object) -> object:
+        if not isinstance(values, dict) or values.get("sha256"):
+            return values
+        file = values.get("file")
+        if not isinstance(file, str | Path):
+            return values
+        return values | {"sha256": plan_digest(Path(file))}
+
+    @property
+    def counts_photographs(self) -> bool:
+        return True
+
+
+def plan_digest(file: Path) -> str:
+    """SHA-256 of a mission plan; InputError when it cannot be read."""
+    return hashlib.sha256(read_text(file, "mission plan").encode()).hexdigest()
+
+
 def _from_word(flight: object) -> object:
-    return {"kind": flight} if isinstance(flight, str) else flight
+    """ "nadir", or "plan=FILE"."""
+    if not isinstance(flight, str):
+        return flight
+    kind, equals, file = flight.partition("=")
+    return {"kind": kind, "file": file} if equals and kind == "plan" else {"kind": flight}
 
 
 Flight = Annotated[
     Annotated[
-        NadirFlight | GridFlight | ObliqueFlight | CorridorFlight | FreeFlight | StreetFlight,
+        NadirFlight
+        | GridFlight
+        | ObliqueFlight
+        | CorridorFlight
+        | FreeFlight
+        | StreetFlight
+        | PlanFlight,
         Field(discriminator="kind"),
     ],
     BeforeValidator(_from_word),

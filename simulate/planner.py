@@ -17,10 +17,13 @@ from simulate.flight_config import (
     GridFlight,
     NadirFlight,
     ObliqueFlight,
+    PlanFlight,
     StreetFlight,
+    plan_digest,
 )
 from simulate.flights import plan_grid, plan_nadir, plan_oblique
 from simulate.gimbal import Aims, expose
+from simulate.qgroundcontrol import read_plan
 from simulate.routes import plan_corridor, plan_free, plan_street
 from simulate.world import World, polyline_length, polyline_points
 
@@ -127,6 +130,10 @@ def plan_session(
                 frames=frames,
             )
             return expose(aims, 0.0, 0.0, rng)
+        case PlanFlight():
+            if plan_digest(flight.file) != flight.sha256:
+                raise InputError(f"mission plan {flight.file} is no longer the scene's: restore it")
+            aims = read_plan(flight.file, config.origin, config.area, ground, flight.pitch_deg)
         case _:
             assert_never(flight)
     return expose(aims, config.position_jitter_m, config.attitude_jitter_deg, rng)
