@@ -219,6 +219,36 @@ def simulate(
         print(f"{scene.path}: {', '.join(scene.sessions)}")
 
 
+@app.command()
+def calibrate(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the views and pictures.")],
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YAML",
+            help="Camera: model, width, height and params, or preset and size. Left out, the "
+            "default camera of simulate.",
+        ),
+    ] = None,
+    views: Annotated[int, typer.Option(help="Chessboard views.", min=4)] = 20,
+    seed: Annotated[int, typer.Option(help="Of the board's poses.", min=0)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Calibrate the simulated camera from rendered chessboards, and compare with the truth."""
+    from scene.config import load_config
+    from simulate.calibrate import calibrate as run
+    from simulate.config import SimulateConfig
+    from simulate.lens import CameraConfig
+
+    scene = SimulateConfig()
+    chosen = None if camera is None else load_config(CameraConfig, camera, {})
+    result = run(chosen.build(scene.size) if chosen else scene.photo_camera(), out, views, seed)
+    if as_json:
+        _print_json(result.as_dict())
+    else:
+        print(result.text())
+
+
 @app.command(name="map")
 def build_map(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to map.")],
