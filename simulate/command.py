@@ -39,6 +39,7 @@ from simulate.lens import rendered_through
 from simulate.pictures import draw_pictures
 from simulate.presets import preset
 from simulate.render import RenderError, RenderJob, frame_path, render
+from simulate.sensor import expose
 from simulate.world import CLASSES, World
 
 _CONFIG = ".config.json"
@@ -271,5 +272,8 @@ def _pack(
                 time=datetime.fromtimestamp(float(frames.time[k]), UTC),
                 focal_35mm=focal_35mm,
             )
-            write_jpeg(folder.parent / name, layers["rgb"], exif, config.jpeg_quality)
+            # A generator per photograph: however it was rendered, it gets the same noise.
+            rng = np.random.default_rng([config.seed, *name.encode()])
+            picture = expose(layers["rgb"], config.sensor, rng)
+            write_jpeg(folder.parent / name, picture, exif, config.jpeg_quality)
             yield {layer: layers[layer] for layer in LAYERS}

@@ -15,6 +15,7 @@ from scene.geodesy import Geodetic
 from simulate.conditions import condition
 from simulate.lens import CameraConfig
 from simulate.presets import preset
+from simulate.sensor import SensorConfig
 
 Role = Literal["map", "query"]
 Flight = Literal["nadir", "oblique"]
@@ -97,6 +98,7 @@ class SimulateConfig(Config):
         gps_sigma_m: noise of the position prior: east, north, up.
         attitude_sigma_deg: noise of the attitude prior per axis.
         interval_s: between exposures.
+        sensor: what lens and sensor do to the photographs.
         jpeg_quality: of the photographs.
         origin: where on earth the world's origin lies.
     """
@@ -124,6 +126,7 @@ class SimulateConfig(Config):
     gps_sigma_m: tuple[float, float, float] = (1.5, 1.5, 2.5)
     attitude_sigma_deg: float = Field(2.0, ge=0)
     interval_s: float = Field(2.0, gt=0)
+    sensor: SensorConfig = SensorConfig()
     jpeg_quality: int = Field(95, ge=1, le=100)
     origin: Geodetic = Geodetic(47.0, 8.0, 450.0)
 
