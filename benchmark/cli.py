@@ -279,8 +279,8 @@ def simulate(
         typer.Option(
             metavar="CONDITION:FLIGHT[:ROLE]",
             help="A flight under a condition, as winter-dusk:oblique; repeat for several. FLIGHT "
-            "is nadir, grid, oblique, corridor, free, street or plan=FILE (QGroundControl's). ROLE is "
-            "map or query; left out, the first flight builds the map, the others are queries.",
+            "is nadir, grid, oblique, corridor, free, street or plan=FILE (QGroundControl's). ROLE "
+            "is map or query; left out, the first flight builds the map, the others are queries.",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Photographs per session.")] = None,
@@ -310,6 +310,36 @@ def simulate(
         _print_json({"scene": str(scene.path), "sessions": list(scene.sessions)})
     else:
         print(f"{scene.path}: {', '.join(scene.sessions)}")
+
+
+@app.command()
+def calibrate(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the views and pictures.")],
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YAML",
+            help="Camera: model, width, height and params, or preset and size. Left out, the "
+            "default camera of simulate.",
+        ),
+    ] = None,
+    views: Annotated[int, typer.Option(help="Chessboard views.", min=4)] = 20,
+    seed: Annotated[int, typer.Option(help="Of the board's poses.", min=0)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Calibrate the simulated camera from rendered chessboards, and compare with the truth."""
+    from scene.config import load_config
+    from simulate.calibrate import calibrate as run
+    from simulate.config import SimulateConfig
+    from simulate.lens import CameraConfig
+
+    scene = SimulateConfig()
+    chosen = None if camera is None else load_config(CameraConfig, camera, {})
+    result = run(chosen.build(scene.size) if chosen else scene.photo_camera(), out, views, seed)
+    if as_json:
+        _print_json(result.as_dict())
+    else:
+        print(result.text())
 
 
 class MapMethod(StrEnum):

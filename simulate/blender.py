@@ -24,13 +24,13 @@ from simulate.buildings import building_mesh
 from simulate.change import changed_world
 from simulate.conditions import Condition, condition
 from simulate.materials import build_materials
-from simulate.mesh import Mesh, grid_mesh
+from simulate.mesh import Mesh, MeshBuilder, grid_mesh
 from simulate.plants import fence_mesh, hedge_mesh
 from simulate.power import wire_mesh
 from simulate.presets import preset
 from simulate.process import end_with, resident_bytes
 from simulate.props import shape_mesh
-from simulate.render import FrameDone, PinholeCamera, RenderChunk, frame_path
+from simulate.render import Board, FrameDone, PinholeCamera, RenderChunk, frame_path
 from simulate.resample import Cast, resample
 from simulate.world import World, WorldObject, class_lookup
 
@@ -48,10 +48,15 @@ def main(chunk_path: str) -> None:
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
     end_with(chunk.parent)
     job = chunk.job
-    base = preset(job.preset)(job.seed, job.area_m)
-    world = changed_world(base, job.change, job.first_new_id).world
-    _build_scene(world, condition(job.condition, job.origin))
+    world = None
+    if job.board is not None:
+        _build_board(job.board)
+    else:
+        base = preset(job.preset)(job.seed, job.area_m)
+        world = changed_world(base, job.change, job.first_new_id).world
+        _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
+    bpy.context.scene.cycles.use_denoising = job.board is None  # which would move its edges
     rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
     caster = _Caster()
     held = None  # bytes, after the first frame
@@ -69,7 +74,8 @@ def main(chunk_path: str) -> None:
             if chunk.rays is not None:
                 c = job.camera
                 arrays = resample(arrays, c.f * rays + [c.cx, c.cy], rays, caster.seen_from(pose))
-            arrays["semantic"] = _semantic(world, rays, pose, arrays)
+            if world is not None:
+                arrays["semantic"] = _semantic(world, rays, pose, arrays)
             _save(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
@@ -115,6 +121,34 @@ def _build_scene(world: World, light: Condition) -> None:
         placed.pass_index = thing.id
         placed.color = (*thing.colour, 1.0)
     _add_light(light)
+
+
+def _build_board(board: Board) -> None:
+    """Fill an empty Blender file with a chessboard that shines by itself on a grey ground."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    materials: dict[str, Any] = {}
+    for name, shade in (("white", 0.8), ("black", 0.02), ("grey", 0.3)):
+        materials[name] = bpy.data.materials.new(name)
+        materials[name].use_nodes = True
+        tree = materials[name].node_tree
+        tree.nodes.clear()
+        glow = tree.nodes.new("ShaderNodeEmission")
+        glow.inputs["Color"].default_value = (shade, shade, shade, 1.0)
+        output = tree.nodes.new("ShaderNodeOutputMaterial")
+        tree.links.new(glow.outputs[0], output.inputs["Surface"])
+    out = MeshBuilder()
+    side = board.square_m
+
+    def square(x0: float, x1: float, y0: float, y1: float, z: float, name: str) -> None:
+        corners = [[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]
+        out.polygon(np.multiply(corners, [side, side, 1]), name)
+
+    for j in range(-1, board.rows):
+        for i in range(-1, board.columns):
+            square(i, i + 1, j, j + 1, 0.0, "white" if (i + j) % 2 else "black")
+    square(-2, board.columns + 1, -2, board.rows + 1, 1e-3 * side, "white")  # the quiet margin
+    square(-99, 99, -99, 99, 1.0, "grey")
+    _add("board", _mesh_data("board", out.build(), materials))
 
 
 def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:

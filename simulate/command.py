@@ -44,6 +44,7 @@ from simulate.pictures import draw_pictures
 from simulate.planner import plan_session
 from simulate.presets import preset
 from simulate.render import RenderError, RenderJob, frame_path, render
+from simulate.sensor import expose
 from simulate.world import CLASSES, WorldObject
 
 _CONFIG = ".config.json"
@@ -124,7 +125,6 @@ def _finished(out: Path, config: SimulateConfig) -> Scene | None:
                 f"{out} holds an unfinished scene of another configuration: choose another folder "
                 "or remove it"
             )
-        remove_partial(out)
         return None
     try:
         # A run killed while it claimed the folder left this beginning of its configuration.
@@ -312,5 +312,8 @@ def _pack(
                 time=datetime.fromtimestamp(float(frames.time[k]), UTC),
                 focal_35mm=focal_35mm,
             )
-            write_jpeg(folder.parent / name, layers["rgb"], exif, config.jpeg_quality)
+            # A generator per photograph: however it was rendered, it gets the same noise.
+            rng = np.random.default_rng([config.seed, *name.encode()])
+            picture = expose(layers["rgb"], config.sensor, rng)
+            write_jpeg(folder.parent / name, picture, exif, config.jpeg_quality)
             yield {layer: layers[layer] for layer in LAYERS}

@@ -17,6 +17,7 @@ from simulate.conditions import PLACE, condition
 from simulate.flight_config import Flight, NadirFlight
 from simulate.lens import CameraConfig
 from simulate.presets import preset
+from simulate.sensor import SensorConfig
 
 Role = Literal["map", "query"]
 
@@ -116,6 +117,7 @@ class SimulateConfig(Config):
         gps_sigma_m: noise of the position prior: east, north, up.
         attitude_sigma_deg: noise of the attitude prior per axis.
         interval_s: between exposures.
+        sensor: what lens and sensor do to the photographs.
         jpeg_quality: of the photographs.
         origin: where on earth the world's origin lies.
     """
@@ -143,6 +145,7 @@ class SimulateConfig(Config):
     gps_sigma_m: tuple[float, float, float] = (1.5, 1.5, 2.5)
     attitude_sigma_deg: float = Field(2.0, ge=0)
     interval_s: float = Field(2.0, gt=0)
+    sensor: SensorConfig = SensorConfig()
     jpeg_quality: int = Field(95, ge=1, le=100)
     origin: Geodetic = PLACE
 

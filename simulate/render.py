@@ -50,6 +50,18 @@ class PinholeCamera(BaseModel):
     cy: float
 
 
+class Board(BaseModel):
+    """A chessboard on the plane z = 0, in metres: the origin is its first inner corner, x runs
+    along its `columns` inner corners, y along its `rows`, and its face is seen from below (-z).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    columns: int = Field(ge=3)
+    rows: int = Field(ge=3)
+    square_m: float = Field(gt=0)
+
+
 class RenderJob(BaseModel):
     """One flight under one condition.
 
@@ -71,6 +83,7 @@ class RenderJob(BaseModel):
     first_new_id: int = Field(default=0, ge=0)
     camera: PinholeCamera
     lens: str | None = None
+    board: Board | None = None
     samples: int = Field(default=4, ge=1)
     poses: dict[int, list[list[float]]]
 
@@ -122,7 +135,8 @@ def render(
 
     A frame is `NNNNNN.npz` with rgb (H, W, 3) uint8 sRGB, depth (H, W) float32 planar metres
     (0: no surface), instance (H, W) uint16 object ids (0: ground or sky), semantic (H, W) uint8
-    labels and normal (H, W, 3) int8 world normals times 127. It appears only when complete.
+    labels (not of a board) and normal (H, W, 3) int8 world normals times 127. It appears only when
+    complete.
     `on_frame` is called in this thread with the number of each frame as it is finished.
 
     Raises:
