@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 from scene.colmap import read_map
+from scene.covisibility import Covisibility, read_covisibility
 from scene.errors import InputError
 from scene.files import sha256_of
 from scene.frames import DenseLayers, Frames, dense_layers, read_frames
@@ -19,6 +20,7 @@ from scene.manifest import Manifest, Objects, Session, Splits, read_json, write_
 from scene.sparse_map import SparseMap
 
 MANIFEST = "scene.json"
+COVISIBILITY = "covisibility.h5"
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,11 @@ class Scene:
     def objects(self) -> Objects:
         """Every object of the world, and the semantic classes."""
         return read_json(self.path / "objects.json", Objects, "object list")
+
+    @cached_property
+    def covisibility(self) -> Covisibility:
+        """How much of each other all frames of all sessions see."""
+        return read_covisibility(self.path / COVISIBILITY)
 
     def sparse_map(self) -> SparseMap:
         """The map.

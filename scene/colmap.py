@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -32,6 +33,9 @@ _CHUNK = 16
 _SEED = 0
 # Nearest over second nearest descriptor distance, COLMAP's own default.
 _MAX_RATIO = 0.8
+# A similarity needs three camera centres, and holds those within so many metres of the truth.
+_ALIGNABLE = 3
+_ALIGN_M = 1.0
 
 # Matches that determine a pose: their residuals are zero, whatever the matches are.
 _MINIMAL = 3
@@ -299,28 +303,12 @@ def triangulate(
         InputError: an image is missing, damaged or not of its camera's size, or no point could be
             triangulated.
     """
-    check_photographs(root, {image.name: image.camera for image in images})
-    features = extract_sift(root, [image.name for image in images], options, on_progress)
-    model, ids = _posed_model(images, features)
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        database, pair_list = Path(scratch) / "database.db", Path(scratch) / "pairs.txt"
-        _write_database(database, model, ids, features)
-        descriptors = {name: unit_descriptors(item) for name, item in features.items()}
-        with pycolmap.Database.open(database) as db:
-            for done, (a, b) in enumerate(pairs, 1):
-                matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
-                db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
-                if on_progress is not None:
-                    on_progress(len(images) + done)
-        pair_list.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
-        verification = pycolmap.TwoViewGeometryOptions()
-        verification.ransac.random_seed = _SEED
-        pycolmap.verify_matches(database, pair_list, verification)
-        pipeline = pycolmap.IncrementalPipelineOptions()
-        pipeline.random_seed = pipeline.triangulation.random_seed = _SEED
-        pipeline.num_threads = 1  # sums over threads round differently from run to run
+        database = Path(scratch) / "database.db"
+        posed, features = _match_all(root, images, pairs, database, options, on_progress)
+        pipeline = _pipeline_options()
         result = pycolmap.triangulate_points(
-            model, database, root, out, clear_points=True, options=pipeline
+            posed, database, root, out, clear_points=True, options=pipeline
         )
         if not result.num_points3D():
             raise InputError(
@@ -331,10 +319,134 @@ def triangulate(
     return read_map(out), features
 
 
+def reconstruct(
+    root: Path,
+    images: Sequence[PosedImage],
+    pairs: Sequence[tuple[str, str]],
+    out: Path,
+    options: SiftOptions,
+    on_progress: Progress | None = None,
+) -> tuple[SparseMap, dict[str, Features]]:
+    """Build a map by incremental structure from motion, calibration known and poses not.
+
+    The largest model is moved, turned and scaled onto the known camera centres; its poses stay what
+    the photographs say, and images that could not be registered are missing from it.
+
+    Args:
+        root: folder the image names are relative to.
+        images: with the poses to align to.
+        pairs: names to match.
+        out: existing folder for the model.
+        options: of the detector.
+        on_progress: called with the number of images and pairs done, then of images registered.
+
+    Returns:
+        The map as written, and the features it was built from by image name.
+
+    Raises:
+        InputError: an image is missing, damaged or not of its camera's size, or fewer than three
+            images could be registered.
+    """
+    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
+        database = Path(scratch) / "database.db"
+        _, features = _match_all(root, images, pairs, database, options, on_progress)
+        registered = 2  # the pair every model starts from
+
+        def on_image() -> None:
+            nonlocal registered
+            registered += 1
+            if on_progress is not None:
+                on_progress(len(images) + len(pairs) + registered)
+
+        models = pycolmap.incremental_mapping(
+            database, root, scratch, _pipeline_options(), next_image_callback=on_image
+        )
+        model = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
+        if model is None or model.num_reg_images() < _ALIGNABLE:
+            raise InputError(
+                f"structure from motion could not register {_ALIGNABLE} of the {len(images)} "
+                f"images of {root}: they need overlap and texture"
+            )
+        robust = pycolmap.RANSACOptions(max_error=_ALIGN_M, random_seed=_SEED)
+        centres = [Pose.from_matrix(image.cam_from_world).centre().numpy() for image in images]
+        similarity = pycolmap.align_reconstruction_to_locations(
+            model, [image.name for image in images], np.array(centres), _ALIGNABLE, robust
+        )
+        if similarity is None:
+            raise InputError(f"the model of {root} does not fit the known camera centres")
+        model.transform(similarity)
+        model.write(out)
+    return read_map(out), features
+
+
+def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out: Path) -> None:
+    """Write images with their poses as a binary model.
+
+    Args:
+        images: of the model, in the order of their identifiers.
+        sparse_map: whose keypoints the images take, and those of whose points they observe.
+        out: existing folder for the model.
+    """
+    mapped = sparse_map.images if sparse_map is not None else {}
+    nothing = np.zeros((0, 2))
+    keypoints = {i.name: mapped[i.name].xy if i.name in mapped else nothing for i in images}
+    model, ids = _posed_model(images, keypoints)
+    if sparse_map is not None:
+        tracks: dict[int, list[pycolmap.TrackElement]] = {}
+        for name in [image.name for image in images if image.name in mapped]:
+            rows = mapped[name].point_rows
+            for keypoint in np.flatnonzero(rows >= 0).tolist():
+                element = pycolmap.TrackElement(ids[name], keypoint)
+                tracks.setdefault(int(rows[keypoint]), []).append(element)
+        for row, elements in sorted(tracks.items()):
+            track = pycolmap.Track(elements)
+            model.add_point3D(sparse_map.xyz[row], track, sparse_map.rgb[row])
+        model.update_point_3d_errors()
+    model.write(out)
+
+
+def _pipeline_options() -> pycolmap.IncrementalPipelineOptions:
+    pipeline = pycolmap.IncrementalPipelineOptions()
+    pipeline.random_seed = pipeline.triangulation.random_seed = _SEED
+    pipeline.mapper.random_seed = _SEED
+    pipeline.num_threads = 1  # sums over threads round differently from run to run
+    pipeline.ba_refine_focal_length = False
+    pipeline.ba_refine_extra_params = False
+    return pipeline
+
+
+def _match_all(
+    root: Path,
+    images: Sequence[PosedImage],
+    pairs: Sequence[tuple[str, str]],
+    database: Path,
+    options: SiftOptions,
+    on_progress: Progress | None,
+) -> tuple[pycolmap.Reconstruction, dict[str, Features]]:
+    """Fill a database with verified matches; the posed images as a model, and their features."""
+    check_photographs(root, {image.name: image.camera for image in images})
+    features = extract_sift(root, [image.name for image in images], options, on_progress)
+    model, ids = _posed_model(images, {name: item.xy for name, item in features.items()})
+    _write_database(database, model, ids, features)
+    descriptors = {name: unit_descriptors(item) for name, item in features.items()}
+    with pycolmap.Database.open(database) as db:
+        for done, (a, b) in enumerate(pairs, 1):
+            matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
+            db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
+            if on_progress is not None:
+                on_progress(len(images) + done)
+    pair_list = database.with_name("pairs.txt")
+    pair_list.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = _SEED
+    pycolmap.verify_matches(database, pair_list, verification)
+    return model, features
+
+
 def _posed_model(
-    images: Sequence[PosedImage], features: Mapping[str, Features]
+    images: Sequence[PosedImage], keypoints: Mapping[str, NDArray[Any]]
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
-    """A model of keypoints and poses without points, and the identifier of each image."""
+    """A model of keypoints (K, 2) and poses without points, and the identifier of each image."""
     model = pycolmap.Reconstruction()
     cameras = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
     for camera, camera_id in cameras.items():
@@ -343,7 +455,7 @@ def _posed_model(
     for image in images:
         native = pycolmap.Image(
             name=image.name,
-            keypoints=features[image.name].xy.astype(np.float64),
+            keypoints=keypoints[image.name].astype(np.float64),
             camera_id=cameras[image.camera],
             image_id=ids[image.name],
         )

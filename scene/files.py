@@ -12,6 +12,9 @@ from pathlib import Path
 
 from scene.errors import InputError
 
+# What mkstemp makes of the prefix ".NAME.".
+_PARTIAL = ".*.????????"
+
 
 def sha256_of(path: Path) -> str:
     """Hex digest of a file's bytes."""
@@ -41,6 +44,13 @@ def written_whole(path: Path) -> Iterator[Path]:
     finally:
         if partial is not None:
             partial.unlink(missing_ok=True)
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove what processes killed inside ``written_whole`` left under ``folder``."""
+    for path in folder.rglob(_PARTIAL):
+        if path.is_file():
+            path.unlink(missing_ok=True)
 
 
 @contextmanager

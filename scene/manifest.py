@@ -66,6 +66,8 @@ class Manifest(_File):
         origin: geodetic place of the world's origin.
         sessions: by folder name.
         sha256: digest of every other file of the scene, by relative path.
+        pixels_sha256: by image name, digests of its decoded "image" and of each of its layers, to
+            compare scenes whose files were compressed by different library versions.
     """
 
     schema_version: Literal[1] = 1
@@ -76,6 +78,7 @@ class Manifest(_File):
     origin: Geodetic
     sessions: dict[str, Session]
     sha256: dict[str, str]
+    pixels_sha256: dict[str, dict[str, str]] = {}
 
 
 class SceneObject(_File):

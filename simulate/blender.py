@@ -26,13 +26,19 @@ from simulate.conditions import Condition, condition
 from simulate.materials import build_materials
 from simulate.mesh import Mesh, grid_mesh
 from simulate.plants import fence_mesh, hedge_mesh
+from simulate.power import wire_mesh
 from simulate.presets import preset
+from simulate.process import end_with, resident_bytes
 from simulate.props import shape_mesh
 from simulate.render import FrameDone, PinholeCamera, RenderChunk, frame_path
+from simulate.resample import Cast, resample
 from simulate.world import World, WorldObject, class_lookup
 
 _SENSOR_MM = 36.0
 _APRON_M, _APRON_STEP_M = 400.0, 8.0  # mirrored ground around the area, for the oblique views
+# Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by
+# this much to the right and upwards (px; found by ray casting, the same at every pixel).
+_FIRST_RAY_PX = 0.000526
 _NO_SURFACE_M = 1e9  # Cycles writes 1e10 where a ray hits nothing
 
 
@@ -40,11 +46,15 @@ def main(chunk_path: str) -> None:
     """Render the frames of a RenderChunk file that are not there yet."""
     reports = _claim_stdout()
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
+    end_with(chunk.parent)
     job = chunk.job
     base = preset(job.preset)(job.seed, job.area_m)
     world = changed_world(base, job.change, job.first_new_id).world
     _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
+    rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
+    caster = _Caster()
+    held = None  # bytes, after the first frame
     with tempfile.TemporaryDirectory(prefix="frame-") as scratch:
         for frame, rows in job.poses.items():
             path = frame_path(chunk.out_dir, frame)
@@ -56,10 +66,16 @@ def main(chunk_path: str) -> None:
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             arrays = _render(pose, Path(scratch))
-            arrays["semantic"] = _semantic(world, job.camera, pose, arrays)
+            if chunk.rays is not None:
+                c = job.camera
+                arrays = resample(arrays, c.f * rays + [c.cx, c.cy], rays, caster.seen_from(pose))
+            arrays["semantic"] = _semantic(world, rays, pose, arrays)
             _save(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
+            held = held or resident_bytes()
+            if resident_bytes() - held >= chunk.may_grow_bytes:
+                break
 
 
 def _claim_stdout() -> TextIO:
@@ -78,8 +94,8 @@ def _build_scene(world: World, light: Condition) -> None:
     """Fill an empty Blender file with the world under a condition."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     albedo = ground.bake(world.ground, light, world.seed)
-    water = ground.water(world.ground, light, world.seed)
-    materials = build_materials(bpy.data, light, albedo, water)
+    mirror = ground.mirror(world.ground, light, world.seed)
+    materials = build_materials(bpy.data, light, albedo, mirror)
     terrain = _add("terrain", _mesh_data("terrain", _terrain_mesh(world), materials))
     terrain.pass_index = 0
     shared: dict[str, Any] = {}
@@ -109,6 +125,8 @@ def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:
         return hedge_mesh(thing, world.terrain)
     if thing.class_name == "fence":
         return fence_mesh(thing, world.terrain)
+    if thing.class_name == "wire":
+        return wire_mesh(thing, world.terrain)
     return None
 
 
@@ -189,8 +207,8 @@ def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
     data.sensor_fit = "HORIZONTAL"
     data.sensor_width = _SENSOR_MM
     data.lens = camera.f * _SENSOR_MM / camera.width
-    data.shift_x = (0.5 * camera.width - camera.cx) / camera.width
-    data.shift_y = (camera.cy - 0.5 * camera.height) / camera.width
+    data.shift_x = (0.5 * camera.width - camera.cx - _FIRST_RAY_PX) / camera.width
+    data.shift_y = (camera.cy - _FIRST_RAY_PX - 0.5 * camera.height) / camera.width
     data.clip_start, data.clip_end = 0.1, 1e4
     scene.camera = _add("camera", data)
     scene.camera.rotation_mode = "QUATERNION"
@@ -253,18 +271,57 @@ def _render(cam_from_world: NDArray[np.float64], scratch: Path) -> dict[str, NDA
     }
 
 
+def _pinhole_rays(camera: PinholeCamera) -> NDArray[np.float64]:
+    """x/z and y/z through every pixel centre, (H, W, 2)."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    return np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f], -1)
+
+
+class _Caster:
+    """Casts rays at objects, as `simulate.resample` asks for them."""
+
+    def __init__(self) -> None:
+        bpy.context.view_layer.update()
+        self._objects: dict[int, list[Any]] = {}
+        for thing in bpy.context.scene.objects:
+            if thing.type == "MESH":
+                self._objects.setdefault(thing.pass_index, []).append(thing)
+
+    def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
+        """Of the camera at a pose."""
+        world_from_cam = np.linalg.inv(cam_from_world)
+
+        def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+            nearest = np.full(len(rays), np.inf)
+            ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
+            for thing in self._objects[number]:
+                local_from_cam = np.linalg.inv(np.array(thing.matrix_world)) @ world_from_cam
+                origin = local_from_cam[:3, 3]
+                directions = ahead @ local_from_cam[:3, :3].T
+                start = origin.tolist()
+                # One list, then arrays: numpy a ray would cost more than the rays themselves.
+                answers = [thing.ray_cast(start, way) for way in directions.tolist()]
+                hit = np.array([answer[0] for answer in answers], bool)
+                at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
+                # Along (x/z, y/z, 1) the planar depth is the length.
+                z = ((at - origin) * directions).sum(-1) / np.square(directions).sum(-1)
+                nearest = np.where(hit, np.minimum(nearest, z), nearest)
+            return nearest
+
+        return cast
+
+
 def _semantic(
     world: World,
-    camera: PinholeCamera,
+    rays: NDArray[np.float64],
     cam_from_world: NDArray[np.float64],
     arrays: dict[str, NDArray[Any]],
 ) -> NDArray[np.uint8]:
-    """Labels (H, W): the class of the object, or of the ground each pixel's ray meets."""
+    """Labels (H, W): the class of the object, or of the ground each pixel's ray (H, W, 2) meets."""
     depth, instance = arrays["depth"], arrays["instance"]
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f, 0 * u + 1], -1)
+    ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], -1)
     rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
-    points = (rays * depth[..., None] - translation) @ rotation
+    points = (ahead * depth[..., None] - translation) @ rotation
     labels = class_lookup(world.objects)[instance]
     on_ground = (instance == 0) & (depth > 0)
     labels[on_ground] = world.ground.label(points[on_ground, 0], points[on_ground, 1])

@@ -20,8 +20,11 @@ from simulate.world import CLASSES, MAX_OBJECT_ID, World, WorldObject, overlap, 
 
 Array = NDArray[np.float64]
 
-_VEHICLES = ("car", "truck")
-_LOOSE = (*_VEHICLES, "container", "bench")
+VEHICLES = ("car", "van", "truck")
+"""Classes that move."""
+LOOSE = (*VEHICLES, "tractor", "container", "bench", "bin", "table", "pallet", "bale")
+"""Classes that come and go."""
+
 _SHEDS_LEAVES, _BARE = "broadleaf_", "bare_"
 _BAY_M = 2.6  # between vehicles side by side
 _GAP_M = 0.3  # kept around what is put anew, per side
@@ -34,9 +37,11 @@ class Change(Config):
     Sessions with the same change see the same world.
 
     Attributes:
-        cars_moved: share of the cars and trucks left that stand in another place, room permitting.
-        objects_removed: share of cars, trucks, containers and benches that are gone.
-        objects_added: new ones, as a share of those the place was built with, room permitting.
+        cars_moved: share of the cars, vans and trucks left that stand in another place, room
+            permitting.
+        objects_removed: share of the objects of the classes `LOOSE` that are gone.
+        objects_added: new ones, as a share of those the place was built with, room
+            permitting.
         bare_trees: trees that shed their leaves have done so; true of leaf-off seasons.
         seed: another seed draws other objects.
     """
@@ -95,10 +100,10 @@ def changed_world(base: World, change: Change, first_new_id: int = 0) -> Changed
     """
     first_new_id = max(first_new_id, _free_id(base))
     rng = np.random.default_rng([base.seed, 3, change.seed])
-    loose = [o for o in base.objects if o.class_name in _LOOSE]
+    loose = [o for o in base.objects if o.class_name in LOOSE]
     order = [loose[i] for i in rng.permutation(len(loose))]
     gone = order[: round(change.objects_removed * len(loose))]
-    staying = [o for o in order[len(gone) :] if o.class_name in _VEHICLES]
+    staying = [o for o in order[len(gone) :] if o.class_name in VEHICLES]
     moving = staying[: round(change.cars_moved * len(staying))]
     left = {o.id for o in (*gone, *moving)}
     places = _Places(base, rng)
@@ -156,7 +161,7 @@ class _Places:
 
     def find(self, thing: WorldObject, number: int) -> WorldObject | None:
         """A copy of a thing in a free place, under a new number; None when none is found."""
-        kind = _VEHICLES if thing.class_name in _VEHICLES else (thing.class_name,)
+        kind = VEHICLES if thing.class_name in VEHICLES else (thing.class_name,)
         kin = [o for o in self._base.objects if o.class_name in kind]
         for _ in range(_TRIES):
             beside = kin[int(self._rng.integers(len(kin)))]
@@ -175,7 +180,7 @@ class _Places:
         ahead = np.array([np.cos(beside.yaw), np.sin(beside.yaw)])
         left = np.array([-ahead[1], ahead[0]])
         sign = 1 if self._rng.random() < 0.5 else -1
-        if beside.class_name not in _VEHICLES:
+        if beside.class_name not in VEHICLES:
             angle = self._rng.uniform(0, 2 * np.pi)
             return np.asarray(
                 self._rng.uniform(3, 15) * (np.cos(angle) * ahead + np.sin(angle) * left)

@@ -13,10 +13,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene.bundle import MANIFEST, Scene, finish
+from scene.bundle import COVISIBILITY, MANIFEST, Scene, finish
 from scene.camera import Camera
+from scene.covisibility import write_covisibility
 from scene.errors import InputError
-from scene.files import write_text
+from scene.files import remove_partial, write_text
 from scene.frames import LAYERS, Frames, Layer, read_frames, write_frames
 from scene.geodesy import geodetic_from_enu
 from scene.images import Exif, write_jpeg
@@ -32,13 +33,16 @@ from scene.manifest import (
 )
 from scene.pose import Pose
 from scene.progress import progress_bar
+from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.change import ChangedWorld, changed_worlds, every_object
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
+from simulate.disk import bytes_needed, require_space
 from simulate.flights import plan_nadir, plan_oblique
+from simulate.lens import rendered_through
 from simulate.pictures import draw_pictures
 from simulate.presets import preset
-from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
+from simulate.render import RenderError, RenderJob, frame_path, render
 from simulate.world import CLASSES, World, WorldObject
 
 _CONFIG = ".config.json"
@@ -59,6 +63,8 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     Raises:
         InputError: ``out`` holds something else or cannot be written, or rendering failed.
     """
+    if not (out / MANIFEST).is_file():
+        require_space(out, bytes_needed(_left(out, config), config.size**2))
     finished = _claim(out, config)
     if finished is not None:
         return finished
@@ -69,11 +75,24 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
         _make_session(out / "sessions", name, index, session, config, worlds[index], jobs)
     write_json(out / "objects.json", _objects(every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
-    manifest = _manifest(config, worlds)
-    draw_pictures(Scene(out, manifest))
-    scene = finish(out, manifest)
+    scene = Scene(out, _manifest(config, worlds))
+    write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
+    draw_pictures(scene)
+    pixels = {"pixels_sha256": pixel_digests(scene)}
+    scene = finish(out, scene.manifest.model_copy(update=pixels))
     (out / _CONFIG).unlink()
     return scene
+
+
+def _left(out: Path, config: SimulateConfig) -> dict[str, tuple[int, int]]:
+    """Frames that each unfinished session still has to render, and to pack."""
+    left = {}
+    for name, session in zip(config.session_names(), config.sessions, strict=True):
+        folder, frames = out / "sessions" / name, session.frames or config.frames
+        if not (folder / "frames.h5").is_file():
+            done = sum(frame_path(folder / _RENDERED, k).exists() for k in range(frames))
+            left[name] = (frames - done, frames)
+    return left
 
 
 def _claim(out: Path, config: SimulateConfig) -> Scene | None:
@@ -84,6 +103,7 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
             raise InputError(
                 f"{out} holds a scene of another configuration: choose another folder or remove it"
             )
+        (out / _CONFIG).unlink(missing_ok=True)  # left by a run killed at its very end
         return scene
     if (out / _CONFIG).is_file():
         if read_json(out / _CONFIG, SimulateConfig, "configuration of the unfinished scene") != (
@@ -93,14 +113,19 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
                 f"{out} holds an unfinished scene of another configuration: choose another folder "
                 "or remove it"
             )
+        remove_partial(out)
         return None
     try:
-        occupied = out.exists() and any(out.iterdir())
+        # A run killed while it claimed the folder left this beginning of its configuration.
+        occupied = out.exists() and any(
+            not item.name.startswith(f".{_CONFIG}.") for item in out.iterdir()
+        )
     except OSError as error:
         raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
     if occupied:
         raise InputError(f"{out} is not empty and not a scene: choose another folder")
     write_text(out / _CONFIG, config.model_dump_json())
+    remove_partial(out)
     return None
 
 
@@ -155,6 +180,32 @@ def _splits(out: Path, config: SimulateConfig) -> Splits:
     )
 
 
+def render_job(
+    config: SimulateConfig,
+    session: SessionConfig,
+    poses: NDArray[np.float64],
+    first_new_id: int = 0,
+) -> RenderJob:
+    """What the renderer is told of a session: poses (N, 4, 4) become frames 0 to N - 1.
+
+    `first_new_id` is where the session's change numbers its new objects from.
+    """
+    pinhole, lens = rendered_through(config.photo_camera())
+    return RenderJob(
+        preset=config.preset,
+        seed=config.seed,
+        area_m=config.area,
+        condition=session.condition,
+        origin=config.origin,
+        change=session.world_change,
+        first_new_id=first_new_id,
+        camera=pinhole,
+        lens=lens,
+        samples=config.spp,
+        poses={k: pose.tolist() for k, pose in enumerate(poses)},
+    )
+
+
 def _make_session(
     root: Path,
     name: str,
@@ -166,31 +217,16 @@ def _make_session(
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
     folder = root / name
+    rendered = folder / _RENDERED
     if (folder / "frames.h5").is_file():
+        shutil.rmtree(rendered, ignore_errors=True)  # left by a run killed before it could
         return
     # One generator per session: adding a session changes no other.
     rng = np.random.default_rng([config.seed, index])
     poses = _plan(session, config, changed.world, rng)
-    camera = config.camera()
+    camera = config.photo_camera()
     rendered = folder / _RENDERED
-    job = RenderJob(
-        preset=config.preset,
-        seed=config.seed,
-        area_m=config.area,
-        condition=session.condition,
-        origin=config.origin,
-        change=changed.change,
-        first_new_id=changed.first_new_id,
-        camera=PinholeCamera(
-            width=camera.width,
-            height=camera.height,
-            f=camera.focal[0],
-            cx=camera.principal[0],
-            cy=camera.principal[1],
-        ),
-        samples=config.spp,
-        poses={k: pose.tolist() for k, pose in enumerate(poses)},
-    )
+    job = render_job(config, session, poses, changed.first_new_id)
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)
@@ -228,7 +264,7 @@ def _plan(
             attitude_jitter_deg=config.attitude_jitter_deg,
             rng=rng,
         )
-    camera = config.camera()
+    camera = config.photo_camera()
     return plan_nadir(
         config.area,
         world.terrain.height,

@@ -14,6 +14,7 @@ from scene.config import Config, load_config
 from scene.geodesy import Geodetic
 from simulate.change import Change
 from simulate.conditions import PLACE, condition
+from simulate.lens import CameraConfig
 from simulate.presets import preset
 
 Role = Literal["map", "query"]
@@ -91,8 +92,9 @@ class SimulateConfig(Config):
         preset: kind of place.
         seed: of the place and of every noise; the same seed gives the same scene.
         area: side of the place, metres.
-        size: side of the square photographs, pixels.
-        fov_deg: horizontal field of view.
+        size: long side of the photographs, pixels, unless ``camera`` has its own.
+        fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
+        camera: of every photograph; None is a square pinhole of ``size`` and ``fov_deg``.
         spp: paths per pixel, denoised.
         frames: photographs of a session that does not say.
         sessions: flights; on the command line "condition:flight[:role]", where the first is the
@@ -110,9 +112,10 @@ class SimulateConfig(Config):
 
     preset: str = "town"
     seed: int = Field(0, ge=0)
-    area: float = Field(200.0, ge=120, le=600)
+    area: float = Field(200.0, ge=120, le=2000)
     size: int = Field(512, ge=64, le=4096)
     fov_deg: float = Field(60.0, gt=5, lt=120)
+    camera: CameraConfig | None = None
     spp: int = Field(4, ge=1)
     frames: int = Field(30, ge=1)
     sessions: tuple[SessionConfig, ...] = Field(
@@ -171,8 +174,10 @@ class SimulateConfig(Config):
         """
         return load_config(SimulateConfig, path, overrides)
 
-    def camera(self) -> Camera:
-        """The pinhole camera of every photograph."""
+    def photo_camera(self) -> Camera:
+        """The camera of every photograph."""
+        if self.camera is not None:
+            return self.camera.build(self.size)
         focal = 0.5 * self.size / np.tan(np.radians(0.5 * self.fov_deg))
         centre = 0.5 * self.size
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))

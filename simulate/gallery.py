@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from scene.errors import InputError
 from scene.files import written_whole
 from scene.progress import progress_bar
+from simulate.command import render_job
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flights import plan_oblique
 from simulate.presets import preset
-from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
+from simulate.render import RenderError, frame_path, render
 
 _COLUMNS = 4
 
@@ -63,24 +64,7 @@ def _photograph(
     config: SimulateConfig, session: SessionConfig, pose: NDArray[np.float64], folder: Path
 ) -> NDArray[np.uint8]:
     """The place under a session's condition, (H, W, 3)."""
-    camera = config.camera()
-    job = RenderJob(
-        preset=config.preset,
-        seed=config.seed,
-        area_m=config.area,
-        condition=session.condition,
-        origin=config.origin,
-        change=session.world_change,
-        camera=PinholeCamera(
-            width=camera.width,
-            height=camera.height,
-            f=camera.focal[0],
-            cx=camera.principal[0],
-            cy=camera.principal[1],
-        ),
-        samples=config.spp,
-        poses={0: pose.tolist()},
-    )
+    job = render_job(config, session, pose[None])
     try:
         render(job, folder)
     except RenderError as error:

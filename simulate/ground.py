@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.conditions import Condition
-from simulate.world import CLASSES, Ground, Marking, Region
+from simulate.world import CLASSES, Ground, Marking, Region, Rgb
 
 TEXEL_M = 0.1
 MAX_TEXELS = 4096  # a side; larger places get coarser texels, not larger images
@@ -25,9 +25,12 @@ _TEXTURE: dict[str, tuple[float, float]] = {
     "parking": (0.10, 0.05),
     "driveway": (0.10, 0.07),
     "path": (0.12, 0.08),
+    "water": (0.10, 0.0),
 }
 _SEALED = ("road", "pavement", "parking", "driveway")  # where rain stays on top
 _WET_DARKENING = 0.5
+# What looks the same in every season: linear albedo (deep, shallow).
+_SEASONLESS: dict[str, tuple[Rgb, Rgb]] = {"water": ((0.012, 0.024, 0.026), (0.020, 0.034, 0.028))}
 # Share of its snow that each kind of ground keeps: traffic and shovels clear the others.
 _SNOW_KEPT: dict[str, float] = {
     "grass": 1.0,
@@ -37,6 +40,7 @@ _SNOW_KEPT: dict[str, float] = {
     "parking": 0.4,
     "driveway": 0.5,
     "path": 0.6,
+    "water": 0.0,
 }
 
 
@@ -80,7 +84,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     soft, sharp, snow = (np.zeros(size, np.float32) for _ in range(3))
     for name, (low, high) in _TEXTURE.items():
         k = CLASSES[name]
-        colour[k], dry[k] = condition.ground[name]
+        colour[k], dry[k] = _SEASONLESS.get(name) or condition.ground[name]
         soft[k], sharp[k], snow[k] = low, high, _SNOW_KEPT[name]
 
     labels = ground.labels
@@ -106,18 +110,20 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     return _srgb(albedo)
 
 
-def water(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
-    """How much of a mirror the ground is, (n, n) uint8: a film on sealed ground, and puddles."""
+def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
+    """How much of a mirror the ground is, (n, n) uint8: ponds and rivers are one, and rain leaves a
+    film and puddles on sealed ground."""
     n = len(ground.labels)
+    standing = np.where(ground.labels == CLASSES["water"], 255, 0).astype(np.uint8)
     if condition.wet == 0:
-        return np.zeros((n, n), np.uint8)
+        return standing
     rng = np.random.default_rng([seed, 2])
     across = n * ground.texel_m
     hollows = 0.6 * _noise(rng, n, across / 7.0) + 0.4 * _noise(rng, n, across / 2.0)
     puddles = np.clip((hollows - 0.35) / 0.08, 0, 1)
     sealed = np.isin(ground.labels, [CLASSES[c] for c in _SEALED])
-    mirror = sealed * condition.wet * (0.25 + 0.75 * puddles)
-    return np.asarray(255 * mirror, np.uint8)
+    film = sealed * condition.wet * (0.25 + 0.75 * puddles)
+    return np.maximum(standing, np.asarray(255 * film, np.uint8))
 
 
 def _to_raster(points: NDArray[np.float64], texel: float, n: int) -> NDArray[np.int32]:

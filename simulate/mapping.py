@@ -1,23 +1,24 @@
-"""The sparse map of a scene, by triangulation with its known poses."""
+"""The sparse map of a scene, with its known poses or by structure from motion."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.bundle import Scene, finish
-from scene.colmap import PosedImage, SiftOptions, triangulate
-from scene.covisibility import overlap_matrix, surface_points
+from scene.colmap import PosedImage, SiftOptions, reconstruct, triangulate
 from scene.errors import InputError
 from scene.features import write_features
 from scene.files import folder_written_whole
 from scene.progress import progress_bar
-from scene.sparse_map import SparseMap
+from simulate.map_report import MapReport, report
 from simulate.pictures import draw_pictures
 
 FEATURES = "features.h5"
+Method = Literal["triangulate", "sfm"]
 
 # A pair is worth matching when this share of one picture is seen in the other, ...
 _MIN_OVERLAP = 0.2
@@ -25,30 +26,43 @@ _MIN_OVERLAP = 0.2
 _MAX_NEIGHBOURS = 20
 
 
-def build_map(path: Path) -> SparseMap:
-    """Triangulate the map of a finished scene from its map frames and record it in the manifest.
+def build_map(path: Path, method: Method = "triangulate") -> MapReport:
+    """Build the map of a finished scene from its map frames and record it in the manifest.
 
     An older map is replaced once the new one is whole. The model is in world metres; the features
     it was built from lie beside it.
 
+    Args:
+        path: of the scene.
+        method: triangulation with the exact poses, or structure from motion that finds its own and
+            is then aligned to them.
+
+    Returns:
+        The map's figures against the truth.
+
     Raises:
-        InputError: not a finished scene, a photograph is damaged, or nothing could be triangulated.
+        InputError: not a finished scene, a photograph is damaged, or no map came of it.
     """
     scene = Scene.open(path)
-    images, overlap = _map_frames(scene)
-    pairs = [(images[i].name, images[j].name) for i, j in choose_pairs(overlap)]
+    images, seen = _map_frames(scene)
+    names = [image.name for image in images]
+    pairs = [(names[i], names[j]) for i, j in choose_pairs(scene.covisibility.of(names).mutual)]
     if not pairs:
         raise InputError(f"the map frames of {path} do not overlap: fly more of them")
+    build, steps = {
+        "triangulate": (triangulate, len(images) + len(pairs)),
+        "sfm": (reconstruct, 2 * len(images) + len(pairs)),
+    }[method]
     with (
         folder_written_whole(scene.map_path) as folder,
-        progress_bar("map", len(images) + len(pairs)) as advance,
+        progress_bar("map", steps) as advance,
     ):
-        sparse_map, features = triangulate(
+        sparse_map, features = build(
             scene.images_root, images, pairs, folder, SiftOptions(), advance
         )
         write_features(folder / FEATURES, features)
     draw_pictures(finish(path, scene.manifest))
-    return sparse_map
+    return report(sparse_map, images, scene.objects.objects, seen)
 
 
 def choose_pairs(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
@@ -60,10 +74,11 @@ def choose_pairs(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _map_frames(scene: Scene) -> tuple[list[PosedImage], NDArray[np.float64]]:
-    """The map's photographs, N of them, and their overlap (N, N)."""
+def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
+    """The map's photographs and the objects they show."""
     wanted = set(scene.splits.map)
-    images, points = [], []
+    images = []
+    seen: set[int] = set()
     for session in scene.sessions:
         frames = scene.frames(session)
         with scene.dense(session) as dense:
@@ -71,8 +86,7 @@ def _map_frames(scene: Scene) -> tuple[list[PosedImage], NDArray[np.float64]]:
                 if name in wanted:
                     camera, pose = frames.cameras[k], frames.cam_from_world[k]
                     images.append(PosedImage(name, camera, pose))
-                    points.append(surface_points(camera, pose, dense.read("depth", k)))
+                    seen |= set(np.unique(dense.read("instance", k)).tolist())
     if not images:
         raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
-    poses = np.stack([image.cam_from_world for image in images])
-    return images, overlap_matrix([image.camera for image in images], poses, np.stack(points))
+    return images, seen

@@ -20,16 +20,16 @@ _WET_DARKENING = 0.35  # of walls, roofs and paint
 
 
 def build_materials(
-    data: Any, condition: Condition, ground: NDArray[np.uint8], water: NDArray[np.uint8]
+    data: Any, condition: Condition, ground: NDArray[np.uint8], mirror: NDArray[np.uint8]
 ) -> dict[str, Any]:
     """Blender materials by the names meshes use; `data` is bpy.data, `ground` the baked albedo
-    (n, n, 3), `water` how much of a mirror it is (n, n), both uint8.
+    (n, n, 3), `mirror` how much of a mirror it is (n, n), both uint8.
 
     Meshes bring the attribute "tint" and the texture coordinates "uv"; objects their colour.
     """
     build = _Builder(data, condition)
-    albedo = np.dstack([ground, water])
-    materials = {"ground": build.ground(build.image("ground", albedo))}
+    image = build.image("ground", np.dstack([ground, mirror]))
+    materials = {"ground": build.ground(image, mirrored=bool(mirror.any()))}
     for style in range(textures.FACADES):
         name = f"facade_{style}"
         materials[name] = build.textured(name, textures.facade(style))
@@ -85,14 +85,15 @@ class _Builder:
         image.update()
         return image
 
-    def ground(self, image: Any) -> Any:
-        """The baked ground, mirrored beyond the area; snow and soaking are in the bake."""
+    def ground(self, image: Any, mirrored: bool) -> Any:
+        """The baked ground, repeated as a mirror image beyond the area; snow and soaking are in the
+        bake. Where alpha is high, water stands: a faintly rippled mirror over its own colour."""
         graph = _Graph(self.data, "ground")
         texture = graph.image(image, extension="MIRROR")
         surface = graph.diffuse(texture.outputs["Color"])
-        if self.condition.wet > 0:
-            mirror = graph.glossy(texture.outputs["Color"], roughness=0.08)
-            surface = graph.blend(texture.outputs["Alpha"], surface, mirror)
+        if mirrored:
+            water = graph.glossy(texture.outputs["Color"], roughness=0.08)
+            surface = graph.blend(texture.outputs["Alpha"], surface, water)
         graph.finish(surface)
         return graph.material
 
@@ -231,6 +232,13 @@ class _Graph:
     def multiply(self, a: Any, b: Any) -> Any:
         return self.mix(1.0, a, b, blend="MULTIPLY")
 
+    def blend(self, factor: Any, a: Any, b: Any) -> Any:
+        """Surface `a` where `factor` is 0, `b` where it is 1."""
+        node = self.tree.nodes.new("ShaderNodeMixShader")
+        for socket, value in zip(node.inputs, (factor, a, b), strict=True):
+            self._set(socket, value)
+        return node.outputs[0]
+
     def diffuse(self, colour: Any) -> Any:
         return self.node("ShaderNodeBsdfDiffuse", Color=colour).outputs[0]
 
@@ -238,12 +246,6 @@ class _Graph:
         return self.node(
             "ShaderNodeBsdfPrincipled", Base_Color=colour, Roughness=roughness
         ).outputs[0]
-
-    def blend(self, factor: Any, a: Any, b: Any) -> Any:
-        node = self.node("ShaderNodeMixShader", Fac=factor)
-        self.tree.links.new(a, node.inputs[1])
-        self.tree.links.new(b, node.inputs[2])
-        return node.outputs[0]
 
     def finish(self, surface: Any) -> None:
         self.node("ShaderNodeOutputMaterial", Surface=surface)

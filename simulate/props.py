@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from simulate.furniture import FURNITURE
 from simulate.mesh import Mesh, MeshBuilder
 from simulate.plants import bare, broadleaf, conifer
 from simulate.world import Rgb
@@ -207,4 +208,5 @@ _SHAPES: dict[str, Callable[[], Mesh]] = {
     "skip": _skip,
     "bench": _bench,
     "lamp": _lamp,
+    **FURNITURE,
 }

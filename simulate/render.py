@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import os
 import queue
 import subprocess
 import sys
 import tempfile
 import threading
+from collections import deque
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scene.geodesy import Geodetic
@@ -22,6 +26,12 @@ from simulate.presets import preset
 _APT_PACKAGES = (
     "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libgl1 libxext6"
 )
+
+
+# What Blender leaks, if it leaks, ends with its process: after so many frames, ...
+_FRAMES_PER_PROCESS = 200
+# ... or when it holds so much more than after its first frame.
+_MAY_GROW_BYTES = 1_000_000_000
 
 
 class RenderError(RuntimeError):
@@ -44,8 +54,10 @@ class RenderJob(BaseModel):
     """One flight under one condition.
 
     `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
-    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from.
-    `change` and `first_new_id` make the world as `simulate.change.changed_world` does.
+    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from. `change`
+    and `first_new_id` make the world as `simulate.change.changed_world` does. `lens` is the camera
+    of the photographs, as `str(scene.camera.Camera)`, when it is not the pinhole `camera`, which
+    then covers its view.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -58,6 +70,7 @@ class RenderJob(BaseModel):
     change: Change = Change()
     first_new_id: int = Field(default=0, ge=0)
     camera: PinholeCamera
+    lens: str | None = None
     samples: int = Field(default=4, ge=1)
     poses: dict[int, list[list[float]]]
 
@@ -71,13 +84,20 @@ class RenderJob(BaseModel):
 
 
 class RenderChunk(BaseModel):
-    """What one Blender process is told: a job whose poses are its own share of the frames."""
+    """What one Blender process is told: a job whose poses are its own share of the frames.
+
+    It ends early, to be followed by another, once its memory has grown by `may_grow_bytes` since
+    its first frame; and it ends with the process `parent`.
+    """
 
     model_config = ConfigDict(extra="forbid")
 
     job: RenderJob
+    rays: Path | None  # npy (H, W, 2): x/z and y/z of the lens's pixels; None: of the pinhole's
     out_dir: Path
     threads: int = Field(ge=0)  # 0: as many as there are processors
+    may_grow_bytes: int = Field(ge=0)
+    parent: int
 
 
 class FrameDone(BaseModel):
@@ -117,22 +137,39 @@ def render(
         return
     jobs = max(1, min(jobs, len(missing)))
     threads = 0 if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
+    size = min(_FRAMES_PER_PROCESS, math.ceil(len(missing) / jobs))
+    shares = deque(missing[k : k + size] for k in range(0, len(missing), size))
     with tempfile.TemporaryDirectory(prefix="render-") as scratch:
-        children: list[_Child] = []
-        try:
-            for k, share in enumerate(np.array_split(missing, jobs)):
-                part = job.model_copy(update={"poses": {int(i): job.poses[int(i)] for i in share}})
-                chunk = RenderChunk(job=part, out_dir=out_dir.resolve(), threads=threads)
-                path = Path(scratch) / f"{k}.json"
-                path.write_text(chunk.model_dump_json())
-                children.append(_Child(path))
-            _watch(children, on_frame)
-        finally:
-            for child in children:
-                child.stop()
-    left = sum(not frame_path(out_dir, i).exists() for i in missing)
-    if left:
-        raise RenderError(f"the rendering processes ended with {left} frames missing")
+        rays = None
+        if job.lens is not None:
+            rays = Path(scratch) / "rays.npy"
+            np.save(rays, _lens_rays(job.lens))
+        numbers = count()
+
+        def start(share: list[int]) -> _Child:
+            part = job.model_copy(update={"poses": {i: job.poses[i] for i in share}})
+            chunk = RenderChunk(
+                job=part,
+                rays=rays,
+                out_dir=out_dir.resolve(),
+                threads=threads,
+                may_grow_bytes=_MAY_GROW_BYTES,
+                parent=os.getpid(),
+            )
+            path = Path(scratch) / f"{next(numbers)}.json"
+            path.write_text(chunk.model_dump_json())
+            return _Child(path)
+
+        _work_off(shares, jobs, start, out_dir, on_frame)
+
+
+def _lens_rays(lens: str) -> NDArray[np.float64]:
+    """x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
+    from scene.camera import Camera  # torch, which Blender's processes need not load
+
+    camera = Camera.parse(lens.split())
+    rays, _ = camera.unproject(camera.pixel_grid())
+    return np.asarray(rays[..., :2].numpy())
 
 
 class _Child:
@@ -182,16 +219,36 @@ class _Child:
         self.process.wait()
 
 
-def _watch(children: list[_Child], on_frame: Callable[[int], None] | None) -> None:
-    """Report frames until every child has ended; RenderError as soon as one has failed."""
+def _work_off(
+    shares: deque[list[int]],
+    jobs: int,
+    start: Callable[[list[int]], _Child],
+    out_dir: Path,
+    on_frame: Callable[[int], None] | None,
+) -> None:
+    """Keep `jobs` processes at work until no share is left, each share with a process of its own;
+    RenderError as soon as one has failed. What a process leaves of its share goes to another."""
     lines: queue.Queue[tuple[_Child, str | None]] = queue.Queue()
-    for child in children:
-        child.listen(lines)
-    running = len(children)
-    while running:
-        child, line = lines.get()
-        if line is None:
+    running: dict[_Child, list[int]] = {}
+    try:
+        while shares or running:
+            while shares and len(running) < jobs:
+                share = shares.popleft()
+                child = start(share)
+                running[child] = share
+                child.listen(lines)
+            child, line = lines.get()
+            if line is not None:
+                if on_frame is not None:
+                    on_frame(FrameDone.model_validate_json(line).frame)
+                continue
             child.check()
-            running -= 1
-        elif on_frame is not None:
-            on_frame(FrameDone.model_validate_json(line).frame)
+            share = running.pop(child)
+            left = [i for i in share if not frame_path(out_dir, i).exists()]
+            if len(left) == len(share):
+                raise RenderError(f"the rendering process ended with {len(left)} frames missing")
+            if left:
+                shares.append(left)
+    finally:
+        for child in running:
+            child.stop()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,10 +16,12 @@ import pytest
 
 from scene.bundle import Scene
 from scene.errors import InputError
+from scene.frames import LAYERS
 from scene.geodesy import geodetic_from_enu
 from scene.images import read_exif, read_rgb
-from simulate.command import simulate
+from simulate.command import _claim, simulate
 from simulate.config import SimulateConfig
+from simulate.disk import bytes_needed
 from simulate.libraries import PACKAGES, require_libraries
 from tests.conftest import RENDERED
 
@@ -65,6 +69,20 @@ def test_photographs_carry_what_a_drone_writes(rendered: Scene) -> None:
         assert read_rgb(rendered.images_root / name, frames.cameras[k]).std() > 10
 
 
+def test_pixels_are_recorded_apart_from_their_compression(rendered: Scene) -> None:
+    pixels = rendered.manifest.pixels_sha256
+    assert list(pixels) == list(rendered.covisibility.names)
+    session = "winter-dusk-oblique-query"
+    frames = rendered.frames(session)
+    digest = pixels[frames.names[1]]
+    assert set(digest) == {"image", *LAYERS}
+    rgb = read_rgb(rendered.images_root / frames.names[1], frames.cameras[1])
+    assert digest["image"] == hashlib.sha256(rgb.tobytes()).hexdigest()
+    with rendered.dense(session) as dense:
+        depth = dense.read("depth", 1)
+    assert digest["depth"] == hashlib.sha256(depth.tobytes()).hexdigest()
+
+
 def test_map_and_query_flights_differ(rendered: Scene) -> None:
     mapped = rendered.frames("summer-noon-nadir-map").poses.centre().numpy()
     queries = rendered.frames("summer-noon-nadir-query").poses.centre().numpy()
@@ -73,13 +91,21 @@ def test_map_and_query_flights_differ(rendered: Scene) -> None:
     assert abs(queries[:, 2].mean() - mapped[:, 2].mean()) > 5
 
 
+def start(out: Path, config: Path, *words: str) -> subprocess.Popen[bytes]:
+    """The command line at work on RENDERED, in a process group of its own."""
+    config.write_text(RENDERED.model_dump_json())  # JSON is YAML
+    command = [sys.executable, "-m", "benchmark.cli", "simulate", "--config", str(config)]
+    return subprocess.Popen([*command, "--out", str(out), *words], start_new_session=True)
+
+
+def digests_without_map(scene: Scene) -> dict[str, str]:
+    return {k: v for k, v in scene.manifest.sha256.items() if not k.startswith("map/")}
+
+
 def test_killed_and_resumed_is_the_same_scene(rendered: Scene, tmp_path: Path) -> None:
     """kill -9 in the middle loses no finished frame, and the scene ends bit for bit the same."""
     out = tmp_path / "hamlet"
-    config = tmp_path / "config.yaml"
-    config.write_text(RENDERED.model_dump_json())  # JSON is YAML
-    command = [sys.executable, "-m", "benchmark.cli", "simulate", "--config", str(config)]
-    child = subprocess.Popen([*command, "--out", str(out)], start_new_session=True)
+    child = start(out, tmp_path / "config.yaml")
     try:
         deadline = time.monotonic() + 300
         while not list(out.rglob("000002.npz")):
@@ -95,12 +121,56 @@ def test_killed_and_resumed_is_the_same_scene(rendered: Scene, tmp_path: Path) -
     with pytest.raises(InputError, match="not a finished scene"):
         Scene.open(out)
     resumed = simulate(RENDERED, out)
-    without_map = {
-        name: digest
-        for name, digest in rendered.manifest.sha256.items()
-        if not name.startswith("map/")
-    }
-    assert resumed.manifest.sha256 == without_map
+    assert resumed.manifest.sha256 == digests_without_map(rendered)
+
+
+@pytest.mark.slow
+def test_killed_at_ten_random_moments_is_the_same_scene(rendered: Scene, tmp_path: Path) -> None:
+    """Ten times kill -9 and the same command again; every other time the parent alone is killed."""
+    rng = np.random.default_rng(0)
+    kills, finished = 0, 0
+    out = tmp_path / "hamlet"
+    while kills < 10:
+        child = start(out, tmp_path / "config.yaml", "--jobs", "2")
+        try:
+            assert child.wait(timeout=rng.uniform(1.0, 14.0)) == 0
+        except subprocess.TimeoutExpired:
+            (os.kill if kills % 2 else os.killpg)(child.pid, signal.SIGKILL)
+            child.wait()
+            kills += 1
+            continue
+        # Done before it could be killed: compare, and begin anew.
+        assert Scene.open(out).manifest.sha256 == digests_without_map(rendered)
+        shutil.rmtree(out)
+        finished += 1
+    resumed = simulate(RENDERED, out)
+    assert resumed.manifest.sha256 == digests_without_map(rendered)
+    assert resumed.manifest.pixels_sha256 == rendered.manifest.pixels_sha256
+    assert resumed.changed_files() == []
+    assert not list(out.rglob(".*"))
+    print(f"{kills} kills, finished {finished} times between them")
+
+
+def test_what_killed_runs_leave_is_swept_up(rendered_copy: Path, tmp_path: Path) -> None:
+    """Wherever a run was killed, the same command finishes the scene and leaves nothing behind."""
+    (rendered_copy / ".config.json").write_text(RENDERED.model_dump_json())
+    simulate(RENDERED, rendered_copy)  # killed after the manifest
+    assert not (rendered_copy / ".config.json").exists()
+    (rendered_copy / "scene.json").unlink()
+    (rendered_copy / ".config.json").write_text(RENDERED.model_dump_json())
+    session = rendered_copy / "sessions" / "summer-noon-nadir-map"
+    (session / ".frames.h5.abcd1234").write_bytes(b"half")
+    (session / ".rendered").mkdir()
+    (session / ".rendered" / "000000.npz").write_bytes(b"whole")
+    assert simulate(RENDERED, rendered_copy).changed_files() == []
+    assert not list(rendered_copy.rglob(".*"))
+    # Killed while it claimed the folder.
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "..config.json.abcd1234").write_bytes(b"")
+    with pytest.raises(InputError, match="not a finished scene"):
+        Scene.open(tmp_path / "new")
+    assert _claim(tmp_path / "new", RENDERED) is None
+    assert [p.name for p in (tmp_path / "new").iterdir()] == [".config.json"]
 
 
 def test_finished_scene_is_left_alone(rendered: Scene) -> None:
@@ -119,6 +189,25 @@ def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not empty and not a scene"):
         simulate(RENDERED, tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_full_disk_is_said_before_anything_is_rendered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=5_000_000))
+    with pytest.raises(InputError, match=r"needs up to \d+ MB more .* has 5 MB free: ") as caught:
+        simulate(RENDERED, tmp_path / "deep" / "scene")
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_estimate_holds_what_a_scene_takes(rendered: Scene) -> None:
+    sessions = {name: (n, n) for name, n in zip("abc", (12, 4, 3), strict=True)}
+    packed = sum(file.stat().st_size for file in rendered.images_root.rglob("*") if file.is_file())
+    needed = bytes_needed(sessions, RENDERED.size**2)
+    assert packed + 13 * 12 * RENDERED.size**2 < needed < 3 * packed + 13 * 12 * RENDERED.size**2
+    assert bytes_needed({}, 512**2) == 0
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from scene.bundle import Scene
+from scene.errors import InputError
 from scene.features import read_features
+from scene.manifest import SceneObject
+from simulate.map_report import points_inside
 from simulate.mapping import FEATURES, build_map, choose_pairs
 
 
@@ -59,3 +63,50 @@ def test_mapping_again_replaces_the_map(rendered_copy: Path) -> None:
 def test_pairs_are_the_overlapping_ones() -> None:
     overlap = np.array([[0, 0.9, 0.1], [0.9, 0, 0.3], [0.1, 0.3, 0]])
     assert choose_pairs(overlap) == [(0, 1), (1, 2)]
+
+
+def test_a_damaged_photograph_keeps_the_old_map(rendered_copy: Path) -> None:
+    before = Scene.open(rendered_copy).sparse_map()
+    photograph = rendered_copy / "sessions" / before.names[3]
+    photograph.write_bytes(photograph.read_bytes()[:4000])
+    with pytest.raises(InputError, match=f"{photograph} is damaged"):
+        build_map(rendered_copy)
+    assert Scene.open(rendered_copy).sparse_map().sha256 == before.sha256
+    assert not list(rendered_copy.glob(".*"))
+
+
+def test_structure_from_motion_finds_the_poses(rendered_copy: Path) -> None:
+    report = build_map(rendered_copy, "sfm")
+    assert report.registered == report.images == 12
+    assert report.reprojection_error_px < 1.0
+    assert 0 < report.position_rms_m < 0.5
+    assert report.rotation_rms_deg < 0.5
+    scene = Scene.open(rendered_copy)
+    assert scene.changed_files() == []
+    assert scene.sparse_map().reprojection_error() == report.reprojection_error_px
+
+
+def test_report_of_a_triangulated_map(rendered_copy: Path) -> None:
+    report = build_map(rendered_copy)
+    scene = Scene.open(rendered_copy)
+    assert report.points == len(scene.sparse_map().xyz)
+    # Poses went into COLMAP's file as quaternions and came back.
+    assert report.position_max_m < 1e-9
+    assert report.rotation_max_deg < 1e-9
+    assert sum(c.seen for c in report.objects.values()) <= len(scene.objects.objects)
+    for coverage in report.objects.values():
+        assert coverage.with_points <= min(coverage.seen, coverage.points)
+    assert report.objects["medium"].points > 20
+    assert f"{report.points} points" in report.text()
+
+
+def test_points_inside_an_oriented_box() -> None:
+    """A car of 4 x 2 x 1.5 m, turned by 90 degrees: long from south to north."""
+    car = SceneObject(
+        id=1, class_name="car", centre=(10, 20, 1), size=(4, 2, 1.5), yaw_deg=90,
+        size_class="medium",
+    )  # fmt: skip
+    inside = [[10, 20, 1], [10.9, 20, 1], [10, 21.9, 1], [10, 20, 1.9]]
+    outside = [[11.9, 20, 1], [10, 22.5, 1], [10, 20, 2.5]]
+    assert points_inside(np.array(inside), car) == 4
+    assert points_inside(np.array(outside), car) == 0

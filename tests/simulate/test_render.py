@@ -1,6 +1,9 @@
 """Real renders, as small as they can be and still show that the truth is exact."""
 
+import os
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pydantic import ValidationError
 
+import simulate.render
 from scene.errors import InputError
 from simulate.flights import plan_nadir, plan_oblique
 from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
@@ -77,6 +81,24 @@ def test_a_frame_holds_what_is_promised(summer):
     assert {k: (a.dtype, a.shape) for k, a in arrays.items()} == expected
     assert arrays["rgb"].std() > 10
     assert sorted(p.name for p in summer.iterdir()) == [f"{i:06d}.npz" for i in range(3)]
+
+
+def test_depth_is_what_rays_meet(summer, tmp_path):
+    """Against Blender's own ray casts through pixel centres, edges of objects included."""
+    path, out = tmp_path / "job.json", tmp_path / "rays.npz"
+    path.write_text(job("summer-noon").model_dump_json())
+    root = Path(__file__).parents[2]
+    words = [sys.executable, "-m", "tests.simulate.cast_rays", str(path), str(out)]
+    subprocess.run(words, check=True, cwd=root, stdout=subprocess.DEVNULL)
+    rays = np.load(out)
+    for frame in range(3):
+        arrays = load(summer, frame)
+        at = rays["rows"][frame], rays["columns"][frame]
+        error = np.abs(arrays["depth"][at] - rays["depth"][frame])
+        assert len(error) == 1000
+        assert np.median(error) < 1e-4
+        assert np.percentile(error, 99) < 1e-3
+        assert np.array_equal(arrays["instance"][at], rays["instance"][frame])
 
 
 def test_ground_points_lie_on_the_terrain(summer):
@@ -178,6 +200,55 @@ def test_only_missing_frames_are_rendered_again_and_come_out_the_same(summer):
     after = load(summer, 1)
     for name, array in before[1].items():
         assert np.array_equal(array, after[name]), name
+
+
+@pytest.mark.parametrize(
+    "limit", [("_FRAMES_PER_PROCESS", 1), ("_MAY_GROW_BYTES", 0)], ids=["frames", "memory"]
+)
+def test_a_process_that_ends_early_is_followed_by_another(summer, tmp_path, monkeypatch, limit):
+    monkeypatch.setattr(simulate.render, *limit)
+    started = []
+
+    class Counted(subprocess.Popen):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            started.append(self.pid)
+
+    monkeypatch.setattr(subprocess, "Popen", Counted)
+    wanted = job("summer-noon")
+    wanted.poses = {i: wanted.poses[i] for i in (0, 1)}
+    seen: list[int] = []
+    render(wanted, tmp_path, on_frame=seen.append)
+    assert sorted(seen) == list(wanted.poses)
+    assert len(started) == 2
+    for frame in wanted.poses:
+        for name, array in load(summer, frame).items():
+            assert np.array_equal(array, load(tmp_path, frame)[name]), name
+
+
+def test_no_process_outlives_a_killed_run(tmp_path):
+    """kill -9 of the parent alone: nothing goes on writing where the next run will write."""
+    script = tmp_path / "run.py"
+    script.write_text(
+        "import sys\nfrom pathlib import Path\nfrom simulate.render import RenderJob, render\n"
+        "job = RenderJob.model_validate_json(Path(sys.argv[1]).read_text())\n"
+        "render(job, Path(sys.argv[2]), on_frame=lambda frame: print(frame, flush=True))\n"
+    )
+    many = job("summer-noon")
+    many.poses = {k: many.poses[k % 3] for k in range(500)}
+    (tmp_path / "job.json").write_text(many.model_dump_json())
+    words = [sys.executable, str(script), str(tmp_path / "job.json"), str(tmp_path / "out")]
+    root = str(Path(__file__).parents[2])
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
+    ) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline()
+        parent.kill()
+    time.sleep(0.5)
+    count = len(list((tmp_path / "out").iterdir()))
+    time.sleep(2.0)
+    assert len(list((tmp_path / "out").iterdir())) == count < 500
 
 
 def test_nothing_missing_starts_no_process(summer, monkeypatch):

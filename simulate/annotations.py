@@ -1,0 +1,67 @@
+"""What is known of a scene once all its frames are rendered: who sees what, and pixel digests."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.bundle import Scene
+from scene.covisibility import Covisibility, surface_points, visible_share
+from scene.frames import LAYERS
+from scene.images import read_rgb
+
+# Points on a side of the grid that stands for a frame's surface: shares come in steps of 1/256.
+_PER_SIDE = 16
+
+
+def measure_covisibility(scene: Scene) -> Covisibility:
+    """Share of every frame's surface that every other frame sees, of all sessions.
+
+    Raises:
+        InputError: a session is missing or damaged.
+    """
+    sessions = [scene.frames(session) for session in scene.sessions]
+    cameras = [camera for frames in sessions for camera in frames.cameras]
+    poses = np.concatenate([frames.cam_from_world for frames in sessions])
+    points = [
+        surface_points(camera, pose, depth, _PER_SIDE)
+        for camera, pose, depth in zip(cameras, poses, _depths(scene), strict=True)
+    ]
+    overlap = visible_share(cameras, poses, np.stack(points), _depths(scene))
+    return Covisibility(tuple(name for frames in sessions for name in frames.names), overlap)
+
+
+def _depths(scene: Scene) -> Iterator[NDArray[np.float32]]:
+    """Depth of every frame, session by session."""
+    for session in scene.sessions:
+        with scene.dense(session) as dense:
+            for k in range(len(scene.frames(session))):
+                yield dense.read("depth", k)
+
+
+def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
+    """SHA-256 of the decoded pixels of every frame: its "image", and each layer it has.
+
+    Files differ between versions of the libraries that compress them; pixels say whether what
+    they hold differs too. The digest is of the array's bytes, rows first, little-endian.
+
+    Raises:
+        InputError: a photograph or a layer is damaged.
+    """
+    digests = {}
+    for session in scene.sessions:
+        frames = scene.frames(session)
+        with scene.dense(session) as dense:
+            for k, (name, camera) in enumerate(zip(frames.names, frames.cameras, strict=True)):
+                arrays = {"image": read_rgb(scene.images_root / name, camera)}
+                arrays |= {layer: dense.read(layer, k) for layer in LAYERS if dense.has(layer)}
+                digests[name] = {what: _sha256(array) for what, array in arrays.items()}
+    return digests
+
+
+def _sha256(array: NDArray[np.generic]) -> str:
+    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+    return hashlib.sha256(np.ascontiguousarray(little).tobytes()).hexdigest()

@@ -1,0 +1,46 @@
+"""Is there room for what is going to be rendered?"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from scene.errors import InputError
+from scene.frames import LAYERS
+
+# Bytes per pixel of a rendered frame before it is packed: rgb and every layer, as they are.
+_RAW = 3 + sum(dtype.itemsize * (3 if layer == "normal" else 1) for layer, dtype in LAYERS.items())
+# Of which packing leaves a fifth to a quarter at 512 pixels, and more of smaller frames.
+_PACKED = 0.5 * _RAW
+
+
+def bytes_needed(left: dict[str, tuple[int, int]], pixels: int) -> int:
+    """Disk space that sessions still need, an upper bound.
+
+    Args:
+        left: by session, frames still to be rendered and frames still to be packed.
+        pixels: of a frame.
+    """
+    packed = sum(to_pack for _, to_pack in left.values())
+    # Rendered frames of one session at a time wait to be packed.
+    waiting = max((to_render for to_render, _ in left.values()), default=0)
+    return int(pixels * (_PACKED * packed + _RAW * waiting))
+
+
+def require_space(folder: Path, needed: int) -> None:
+    """Refuse to begin what the disk of `folder`, which need not exist yet, cannot hold.
+
+    Raises:
+        InputError: less than `needed` bytes are free there.
+    """
+    existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    free = shutil.disk_usage(existing).free
+    if free < needed:
+        raise InputError(
+            f"the scene needs up to {_readable(needed)} more and the disk of {folder} has "
+            f"{_readable(free)} free: free some, choose another folder, or fewer or smaller frames"
+        )
+
+
+def _readable(count: int) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"

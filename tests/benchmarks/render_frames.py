@@ -1,0 +1,60 @@
+"""Renders one frame per line of standard input: `python -m tests.benchmarks.render_frames JOB OUT`.
+
+A line is "bare N": Blender renders and writes the picture of frame N and nothing else; or "ours N":
+the frame with all its layers, as the generator writes it. Answers with the seconds it took.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from simulate.blender import _build_scene, _claim_stdout, _render, _save, _semantic, _set_up_render
+from simulate.conditions import condition
+from simulate.presets import preset
+from simulate.process import resident_bytes
+from simulate.render import RenderJob, frame_path
+
+
+def main(job_path: str, out: str) -> None:
+    answers = _claim_stdout()
+    job = RenderJob.model_validate_json(Path(job_path).read_text())
+    world = preset(job.preset)(job.seed, job.area_m)
+    _build_scene(world, condition(job.condition))
+    _set_up_render(job.camera, job.samples, 0)
+    layer = bpy.context.scene.view_layers[0]
+    with tempfile.TemporaryDirectory() as scratch:
+        for line in sys.stdin:
+            kind, number = line.split()
+            ours = kind == "ours"
+            layer.use_pass_z = layer.use_pass_normal = layer.use_pass_object_index = ours
+            pose = np.array(job.poses[int(number)])
+            start = time.perf_counter()
+            if ours:
+                arrays = _render(pose, Path(scratch))
+                arrays["semantic"] = _semantic(world, job.camera, pose, arrays)
+                _save(frame_path(Path(out), int(number)), arrays)
+            else:
+                _render_picture(pose, Path(scratch))
+            took = time.perf_counter() - start
+            print(took, resident_bytes(), file=answers, flush=True)
+
+
+def _render_picture(cam_from_world: np.ndarray, scratch: Path) -> None:
+    scene = bpy.context.scene
+    axes = np.diag([1.0, -1.0, -1.0, 1.0])
+    scene.camera.matrix_world = (np.linalg.inv(cam_from_world) @ axes).T.tolist()
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_depth, settings.color_mode = "PNG", "8", "RGB"
+    settings.compression = 0
+    scene.render.filepath = str(scratch / "bare.png")
+    bpy.ops.render.render(write_still=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])

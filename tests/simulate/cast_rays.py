@@ -1,0 +1,46 @@
+"""Casts Blender's rays at the scene a job renders: `python -m tests.simulate.cast_rays JOB OUT`.
+
+OUT is npz of arrays (F, M): pixel columns and rows, and what the ray through each pixel's centre
+meets: planar depth in metres and object id, zero where it meets nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from simulate.blender import _build_scene
+from simulate.conditions import condition
+from simulate.presets import preset
+from simulate.render import RenderJob
+
+PIXELS = 1000
+
+
+def main(job_path: str, out: str) -> None:
+    job = RenderJob.model_validate_json(Path(job_path).read_text())
+    _build_scene(preset(job.preset)(job.seed, job.area_m), condition(job.condition))
+    graph = bpy.context.evaluated_depsgraph_get()
+    camera, rng = job.camera, np.random.default_rng(0)
+    found = {name: np.zeros((len(job.poses), PIXELS)) for name in ("depth", "instance")}
+    pixels = rng.integers(0, [camera.width, camera.height], (len(job.poses), PIXELS, 2))
+    for f, rows in enumerate(job.poses.values()):
+        cam_from_world = np.array(rows)
+        rotation, centre = cam_from_world[:3, :3], np.linalg.inv(cam_from_world)[:3, 3]
+        for k, (x, y) in enumerate(pixels[f] + 0.5):
+            ray = np.array([(x - camera.cx) / camera.f, (y - camera.cy) / camera.f, 1.0])
+            hit, at, _, _, thing, _ = bpy.context.scene.ray_cast(
+                graph, Vector(centre), Vector(ray @ rotation)
+            )
+            if hit:
+                found["depth"][f, k] = (rotation @ (np.array(at) - centre))[2]
+                found["instance"][f, k] = thing.pass_index
+    np.savez(out, columns=pixels[..., 0], rows=pixels[..., 1], **found)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2])
