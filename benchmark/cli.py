@@ -278,7 +278,8 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="CONDITION:FLIGHT[:ROLE]",
-            help="A flight under a condition, as winter-dusk:oblique; repeat for several. ROLE is "
+            help="A flight under a condition, as winter-dusk:oblique; repeat for several. FLIGHT "
+            "is nadir, grid, oblique, corridor, free, street or plan=FILE (QGroundControl's). ROLE is "
             "map or query; left out, the first flight builds the map, the others are queries.",
         ),
     ] = None,

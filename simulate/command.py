@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -35,15 +35,16 @@ from scene.pose import Pose
 from scene.progress import progress_bar
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.change import ChangedWorld, changed_worlds, every_object
+from simulate.clearance import check_flight
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.disk import bytes_needed, require_space
-from simulate.flights import plan_nadir, plan_oblique
 from simulate.lens import rendered_through
 from simulate.pictures import draw_pictures
+from simulate.planner import plan_session
 from simulate.presets import preset
 from simulate.render import RenderError, RenderJob, frame_path, render
-from simulate.world import CLASSES, World, WorldObject
+from simulate.world import CLASSES, WorldObject
 
 _CONFIG = ".config.json"
 _RENDERED = ".rendered"
@@ -63,16 +64,24 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     Raises:
         InputError: ``out`` holds something else or cannot be written, or rendering failed.
     """
-    if not (out / MANIFEST).is_file():
-        require_space(out, bytes_needed(_left(out, config), config.size**2))
-    finished = _claim(out, config)
+    finished = _finished(out, config)
     if finished is not None:
         return finished
     base = preset(config.preset)(config.seed, config.area)
     worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
-    for index, (name, session) in enumerate(zip(names, config.sessions, strict=True)):
-        _make_session(out / "sessions", name, index, session, config, worlds[index], jobs)
+    # All flights are planned before anything is written or rendered: one may be impossible.
+    planned = [
+        _plan(name, index, session, config, worlds[index])
+        for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
+    ]
+    camera = config.photo_camera()
+    pixels_per_frame = camera.width * camera.height
+    require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
+    write_text(out / _CONFIG, config.model_dump_json())
+    remove_partial(out)
+    for name, session, flight in zip(names, config.sessions, planned, strict=True):
+        _make_session(out / "sessions", name, session, config, flight, jobs)
     write_json(out / "objects.json", _objects(every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
     scene = Scene(out, _manifest(config, worlds))
@@ -84,19 +93,21 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     return scene
 
 
-def _left(out: Path, config: SimulateConfig) -> dict[str, tuple[int, int]]:
+def _left(
+    out: Path, names: Sequence[str], planned: Sequence[_Planned]
+) -> dict[str, tuple[int, int]]:
     """Frames that each unfinished session still has to render, and to pack."""
     left = {}
-    for name, session in zip(config.session_names(), config.sessions, strict=True):
-        folder, frames = out / "sessions" / name, session.frames or config.frames
+    for name, flight in zip(names, planned, strict=True):
+        folder, frames = out / "sessions" / name, len(flight.poses)
         if not (folder / "frames.h5").is_file():
             done = sum(frame_path(folder / _RENDERED, k).exists() for k in range(frames))
             left[name] = (frames - done, frames)
     return left
 
 
-def _claim(out: Path, config: SimulateConfig) -> Scene | None:
-    """Mark the folder as this configuration's; the scene itself when it is finished already."""
+def _finished(out: Path, config: SimulateConfig) -> Scene | None:
+    """Hold the folder against this configuration; the scene itself when it is finished already."""
     if (out / MANIFEST).is_file():
         scene = Scene.open(out)
         if scene.manifest.config != _plain(config):
@@ -124,8 +135,6 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
         raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
     if occupied:
         raise InputError(f"{out} is not empty and not a scene: choose another folder")
-    write_text(out / _CONFIG, config.model_dump_json())
-    remove_partial(out)
     return None
 
 
@@ -143,7 +152,7 @@ def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifes
         origin=config.origin,
         sessions={
             name: Session(
-                condition=s.condition, flight=s.flight, role=s.role, change=changed.declared
+                condition=s.condition, flight=s.flight.kind, role=s.role, change=changed.declared
             )
             for name, s, changed in zip(
                 config.session_names(), config.sessions, worlds, strict=True
@@ -188,7 +197,7 @@ def render_job(
 ) -> RenderJob:
     """What the renderer is told of a session: poses (N, 4, 4) become frames 0 to N - 1.
 
-    `first_new_id` is where the session's change numbers its new objects from.
+    `first_new_id` is that of the session's changed world.
     """
     pinhole, lens = rendered_through(config.photo_camera())
     return RenderJob(
@@ -209,10 +218,9 @@ def render_job(
 def _make_session(
     root: Path,
     name: str,
-    index: int,
     session: SessionConfig,
     config: SimulateConfig,
-    changed: ChangedWorld,
+    planned: _Planned,
     jobs: int,
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
@@ -221,12 +229,8 @@ def _make_session(
     if (folder / "frames.h5").is_file():
         shutil.rmtree(rendered, ignore_errors=True)  # left by a run killed before it could
         return
-    # One generator per session: adding a session changes no other.
-    rng = np.random.default_rng([config.seed, index])
-    poses = _plan(session, config, changed.world, rng)
-    camera = config.photo_camera()
-    rendered = folder / _RENDERED
-    job = render_job(config, session, poses, changed.first_new_id)
+    poses = planned.poses
+    job = render_job(config, session, poses, planned.first_new_id)
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)
@@ -242,42 +246,30 @@ def _make_session(
             raise InputError(str(error)) from error
         except OSError as error:
             raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
-    frames = _frames(name, poses, camera, session, config, rng)
+    frames = _frames(name, poses, config.photo_camera(), session, config, planned.rng)
     write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, config))
     shutil.rmtree(rendered)
 
 
+class _Planned(NamedTuple):
+    """Poses of a session's frames, (N, 4, 4), where the ids of its changed world's new objects
+    start, and the generator of its further noise."""
+
+    poses: NDArray[np.float64]
+    first_new_id: int
+    rng: np.random.Generator
+
+
 def _plan(
-    session: SessionConfig, config: SimulateConfig, world: World, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Poses of the session's frames, (N, 4, 4)."""
-    plan = config.map_plan if session.role == "map" else config.query_plan
-    frames = session.frames or config.frames
-    if session.flight == "oblique":
-        return plan_oblique(
-            world.terrain.height,
-            radius_m=plan.orbit_radius_share * config.area,
-            altitude_m=plan.orbit_altitude_m,
-            frames=frames,
-            start_deg=plan.orbit_start_deg,
-            position_jitter_m=config.position_jitter_m,
-            attitude_jitter_deg=config.attitude_jitter_deg,
-            rng=rng,
-        )
+    name: str, index: int, session: SessionConfig, config: SimulateConfig, changed: ChangedWorld
+) -> _Planned:
+    """Plan one session; InputError when it cannot be flown."""
+    # One generator per session: adding a session changes no other.
+    rng = np.random.default_rng([config.seed, index])
     camera = config.photo_camera()
-    return plan_nadir(
-        config.area,
-        world.terrain.height,
-        width=camera.width,
-        height=camera.height,
-        focal=camera.focal[0],
-        altitude_m=plan.nadir_altitude_m,
-        heading_deg=plan.nadir_heading_deg,
-        frames=frames,
-        position_jitter_m=config.position_jitter_m,
-        attitude_jitter_deg=config.attitude_jitter_deg,
-        rng=rng,
-    )
+    poses = plan_session(session, config, camera, changed.world, rng)
+    check_flight(name, poses, camera, changed.world)
+    return _Planned(poses, changed.first_new_id, rng)
 
 
 def _frames(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -14,11 +14,11 @@ from scene.config import Config, load_config
 from scene.geodesy import Geodetic
 from simulate.change import Change
 from simulate.conditions import PLACE, condition
+from simulate.flight_config import Flight, NadirFlight
 from simulate.lens import CameraConfig
 from simulate.presets import preset
 
 Role = Literal["map", "query"]
-Flight = Literal["nadir", "oblique"]
 
 
 class SessionConfig(Config):
@@ -26,9 +26,9 @@ class SessionConfig(Config):
 
     Attributes:
         condition: SEASON-LIGHT[-WEATHER], see ``simulate.conditions``.
-        flight: lawn-mower looking down, or orbit looking inwards at 45 degrees.
+        flight: kind of flight and its numbers, or the kind alone, as "nadir".
         role: its frames build the map, or are queries.
-        frames: photographs; None takes the scene's ``frames``.
+        frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
         change: what stands elsewhere, is gone or is new since the place was built.
     """
 
@@ -50,16 +50,24 @@ class SessionConfig(Config):
             return self.change
         return self.change.model_copy(update={"bare_trees": True})
 
+    @model_validator(mode="after")
+    def _one_count(self) -> SessionConfig:
+        if self.frames is not None and self.flight.counts_photographs:
+            raise ValueError(f"the {self.flight.kind} flight says its own number: leave frames out")
+        return self
+
 
 class FlightPlan(Config):
-    """How flights of one role are flown. Map and query flights differ in every number.
+    """How flights of one role are flown that say no better. Map and query flights differ in every
+    number.
 
     Attributes:
-        nadir_altitude_m: above the ground.
+        nadir_altitude_m: of surveys, above the ground.
         nadir_heading_deg: of the first line, clockwise from north.
         orbit_altitude_m: above the ground at the centre.
         orbit_radius_share: radius over the side of the area.
         orbit_start_deg: bearing of the first exposure.
+        backwards: whether corridors and streets are followed from their end.
     """
 
     nadir_altitude_m: float = Field(gt=0)
@@ -67,6 +75,7 @@ class FlightPlan(Config):
     orbit_altitude_m: float = Field(gt=0)
     orbit_radius_share: float = Field(gt=0)
     orbit_start_deg: float
+    backwards: bool = False
 
 
 MAP_PLAN = FlightPlan(
@@ -82,6 +91,7 @@ QUERY_PLAN = FlightPlan(
     orbit_altitude_m=48,
     orbit_radius_share=0.36,
     orbit_start_deg=20,
+    backwards=True,
 )
 
 
@@ -120,9 +130,9 @@ class SimulateConfig(Config):
     frames: int = Field(30, ge=1)
     sessions: tuple[SessionConfig, ...] = Field(
         (
-            SessionConfig(condition="summer-noon", flight="nadir", role="map"),
-            SessionConfig(condition="summer-noon", flight="nadir", role="query", frames=10),
-            SessionConfig(condition="winter-dusk", flight="nadir", role="query", frames=10),
+            SessionConfig(condition="summer-noon", flight=NadirFlight(), role="map"),
+            SessionConfig(condition="summer-noon", flight=NadirFlight(), role="query", frames=10),
+            SessionConfig(condition="winter-dusk", flight=NadirFlight(), role="query", frames=10),
         ),
         min_length=1,
     )
@@ -187,15 +197,19 @@ class SimulateConfig(Config):
         seen: dict[str, int] = {}
         names = []
         for session in self.sessions:
-            base = f"{session.condition}-{session.flight}-{session.role}"
+            base = f"{session.condition}-{session.flight.kind}-{session.role}"
             seen[base] = seen.get(base, 0) + 1
             names.append(base if seen[base] == 1 else f"{base}-{seen[base]}")
         return tuple(names)
 
 
 def _session_from_words(text: str, first: bool) -> dict[str, str]:
-    words = text.split(":")
-    if len(words) not in (2, 3):
+    name, colon, flight = text.partition(":")
+    if not colon:
         raise ValueError(f"a session is written condition:flight[:role], got {text!r}")
-    role = words[2] if len(words) == 3 else ("map" if first else "query")
-    return {"condition": words[0], "flight": words[1], "role": role}
+    role = "map" if first else "query"
+    # The name of a plan's file may hold colons of its own.
+    head, colon, last = flight.rpartition(":")
+    if colon and (last in get_args(Role) or not flight.startswith("plan=")):
+        flight, role = head, last
+    return {"condition": name, "flight": flight, "role": role}

@@ -61,9 +61,12 @@ def works(site: Site, block: Block) -> None:
     lot = 2 * BAY_M[1] + AISLE_M
     car_park(site, at.shifted(2.0, 2.0), 0.6 * length, rows=1)
     b0, b1 = lot + 5.0, depth - 2.5
-    style = hall_style(site)
-    size = (0.58 * length, min(b1 - b0, 60.0), rng.uniform(7.0, 11.0) + style.roof_height_m)
-    building(site, "hall", at, 2.0 + 0.29 * length, 0.5 * (b0 + b1), size, style)
+    count = 1 + int(0.58 * length > 40.0)
+    for i in range(count):
+        share = 0.58 * length / count
+        style = hall_style(site)
+        size = (share - 3.0, min(b1 - b0 - 2.0, 45.0), rng.uniform(7, 11) + style.roof_height_m)
+        building(site, "hall", at, 2.0 + (i + 0.5) * share, 0.5 * (b0 + b1), size, style)
     for a in np.arange(3.0, 0.58 * length, 7.0):
         small(site, "bollard", at.point(a, b0 - 1.2), at.yaw(a, b0))
 
