@@ -16,12 +16,16 @@ from pydantic import Field
 from scene.config import Config
 from scene.errors import InputError
 from scene.manifest import DeclaredChange
+from simulate.grid import CircleGrid
 from simulate.world import CLASSES, MAX_OBJECT_ID, World, WorldObject, overlap, rectangle
 
 Array = NDArray[np.float64]
 
-_VEHICLES = ("car", "truck")
-_LOOSE = (*_VEHICLES, "container", "bench")
+VEHICLES = ("car", "van", "truck")
+"""Classes that move."""
+LOOSE = (*VEHICLES, "tractor", "container", "bench", "bin", "table", "pallet", "bale")
+"""Classes that come and go."""
+
 _SHEDS_LEAVES, _BARE = "broadleaf_", "bare_"
 _BAY_M = 2.6  # between vehicles side by side
 _GAP_M = 0.3  # kept around what is put anew, per side
@@ -34,9 +38,11 @@ class Change(Config):
     Sessions with the same change see the same world.
 
     Attributes:
-        cars_moved: share of the cars and trucks left that stand in another place, room permitting.
-        objects_removed: share of cars, trucks, containers and benches that are gone.
-        objects_added: new ones, as a share of those the place was built with, room permitting.
+        cars_moved: share of the cars, vans and trucks left that stand in another place, room
+            permitting.
+        objects_removed: share of the objects of the classes `LOOSE` that are gone.
+        objects_added: new ones, as a share of those the place was built with, room
+            permitting.
         bare_trees: trees that shed their leaves have done so; true of leaf-off seasons.
         seed: another seed draws other objects.
     """
@@ -95,10 +101,10 @@ def changed_world(base: World, change: Change, first_new_id: int = 0) -> Changed
     """
     first_new_id = max(first_new_id, _free_id(base))
     rng = np.random.default_rng([base.seed, 3, change.seed])
-    loose = [o for o in base.objects if o.class_name in _LOOSE]
+    loose = [o for o in base.objects if o.class_name in LOOSE]
     order = [loose[i] for i in rng.permutation(len(loose))]
     gone = order[: round(change.objects_removed * len(loose))]
-    staying = [o for o in order[len(gone) :] if o.class_name in _VEHICLES]
+    staying = [o for o in order[len(gone) :] if o.class_name in VEHICLES]
     moving = staying[: round(change.cars_moved * len(staying))]
     left = {o.id for o in (*gone, *moving)}
     places = _Places(base, rng)
@@ -143,6 +149,11 @@ def _free_id(world: World) -> int:
     return max((o.id for o in world.objects), default=0) + 1
 
 
+def _kind(thing: WorldObject) -> str:
+    """What a thing stands among: its class, but vehicles among vehicles of all kinds."""
+    return "vehicle" if thing.class_name in VEHICLES else thing.class_name
+
+
 class _Places:
     """Finds room for objects beside others of their kind, on the same kind of ground.
 
@@ -152,19 +163,22 @@ class _Places:
     def __init__(self, base: World, rng: np.random.Generator) -> None:
         self._base = base
         self._rng = rng
-        self._taken = [o.footprint() for o in base.objects]
+        self._taken: list[Array] = []
+        self._circles = CircleGrid()
+        self._kin: dict[str, list[WorldObject]] = {}
+        for thing in base.objects:
+            self._take(thing.footprint())
+            self._kin.setdefault(_kind(thing), []).append(thing)
 
     def find(self, thing: WorldObject, number: int) -> WorldObject | None:
         """A copy of a thing in a free place, under a new number; None when none is found."""
-        kind = _VEHICLES if thing.class_name in _VEHICLES else (thing.class_name,)
-        kin = [o for o in self._base.objects if o.class_name in kind]
+        kin = self._kin[_kind(thing)]
         for _ in range(_TRIES):
             beside = kin[int(self._rng.integers(len(kin)))]
             at = beside.centre[:2] + self._step(beside)
             if not self._fits(at, thing, beside):
                 continue
-            corners = rectangle(at, thing.size[:2], beside.yaw)
-            self._taken.append(corners)
+            self._take(rectangle(at, thing.size[:2], beside.yaw))
             height = float(self._base.terrain.height(*at)) + 0.5 * thing.size[2]
             centre = np.array([at[0], at[1], height])
             return replace(thing, id=number, centre=centre, yaw=beside.yaw)
@@ -175,7 +189,7 @@ class _Places:
         ahead = np.array([np.cos(beside.yaw), np.sin(beside.yaw)])
         left = np.array([-ahead[1], ahead[0]])
         sign = 1 if self._rng.random() < 0.5 else -1
-        if beside.class_name not in _VEHICLES:
+        if beside.class_name not in VEHICLES:
             angle = self._rng.uniform(0, 2 * np.pi)
             return np.asarray(
                 self._rng.uniform(3, 15) * (np.cos(angle) * ahead + np.sin(angle) * left)
@@ -193,13 +207,13 @@ class _Places:
         under = np.vstack([grown, 0.5 * (grown + np.roll(grown, 1, 0)), at])
         if (self._label(under) != self._label(beside.centre[None, :2])).any():
             return False
-        reach = np.linalg.norm(grown[0] - at)
-        for corners in self._taken:
-            centre = 0.5 * (corners[0] + corners[2])
-            near = np.linalg.norm(centre - at) < reach + np.linalg.norm(corners[0] - centre)
-            if near and overlap(grown, corners):
-                return False
-        return True
+        near = self._circles.near(at, float(np.linalg.norm(grown[0] - at)))
+        return not any(overlap(grown, self._taken[k]) for k in near)
+
+    def _take(self, corners: Array) -> None:
+        centre = corners.mean(0)
+        self._circles.add(centre, float(np.linalg.norm(corners[0] - centre)))
+        self._taken.append(corners)
 
     def _label(self, points: Array) -> NDArray[np.uint8]:
         return self._base.ground.label(points[:, 0], points[:, 1])

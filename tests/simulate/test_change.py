@@ -9,7 +9,7 @@ import pytest
 
 from scene.bundle import Scene
 from scene.errors import InputError
-from simulate.change import Change, changed_world, changed_worlds, every_object
+from simulate.change import LOOSE, VEHICLES, Change, changed_world, changed_worlds, every_object
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.props import shape_mesh
@@ -47,8 +47,8 @@ def test_what_is_not_declared_stays(town: World) -> None:
 
 
 def test_shares_are_kept(town: World) -> None:
-    loose = [o for o in town.objects if o.class_name in ("car", "truck", "container", "bench")]
-    vehicles = [o for o in loose if o.class_name in ("car", "truck")]
+    loose = [o for o in town.objects if o.class_name in LOOSE]
+    vehicles = [o for o in loose if o.class_name in VEHICLES]
     declared = changed_world(town, Change(objects_removed=0.25)).declared
     assert len(declared.removed) == round(0.25 * len(loose))
     assert not (declared.moved or declared.added or declared.bare)
