@@ -337,7 +337,7 @@ def test_simulate_hands_over_what_was_given(
     ((settings, out, jobs),) = calls
     assert (out, jobs) == (tmp_path / "scene", 2)
     assert (settings.seed, settings.spp, settings.frames) == (7, 9, 8)
-    assert [(s.condition, s.flight, s.role) for s in settings.sessions] == [
+    assert [(s.condition, s.flight.kind, s.role) for s in settings.sessions] == [
         ("summer-noon", "nadir", "map"),
         ("winter-dusk", "oblique", "query"),
     ]

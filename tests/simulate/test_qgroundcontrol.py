@@ -238,13 +238,13 @@ def test_a_plan_is_a_session(tmp_path: Path) -> None:
     assert again == config
     world = build_town(0, 160)
     rng = np.random.default_rng(0)
-    poses = plan_session(config.sessions[0], config, config.camera(), world, rng)
+    poses = plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
     aims = read_plan(path, ORIGIN, 160, world.terrain.height, -90)
     assert_allclose(camera_centres(poses), aims.centres, atol=1e-9)
     path.write_text(json.dumps(plan_of(waypoint(0, 0, 40))))
     assert SimulateConfig.load(None, fields) != config, "another plan is another configuration"
     with pytest.raises(InputError, match="no longer the scene's"):
-        plan_session(config.sessions[0], config, config.camera(), world, rng)
+        plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
     underground = plan_of(waypoint(0, 0, -5))
     path.write_text(json.dumps(underground))
     with pytest.raises(InputError, match="below where a camera clears the ground"):

@@ -47,7 +47,7 @@ def configured(flight: object, role: str = "map", **fields: Any) -> SimulateConf
 def flown(world: World, flight: object, role: str = "map", **fields: Any) -> Array:
     config = configured(flight, role, **fields)
     rng = np.random.default_rng([config.seed, 0])
-    return plan_session(config.sessions[0], config, config.camera(), world, rng)
+    return plan_session(config.sessions[0], config, config.photo_camera(), world, rng)
 
 
 def still(world: World, flight: object, role: str = "map", **fields: Any) -> Array:
@@ -69,7 +69,7 @@ def test_one_word_is_a_flight(town: World, kind: str, role: str) -> None:
     assert poses.shape == (12, 4, 4)
     assert_rigid(poses)
     config = configured(kind, role)
-    check_flight("s", poses, config.camera(), town)
+    check_flight("s", poses, config.photo_camera(), town)
     assert config.session_names()[0] == f"summer-noon-{kind}-{role}"
 
 
@@ -93,7 +93,7 @@ def test_seed_zero_is_a_seed(town: World, kind: object) -> None:
 def test_gsd_is_what_was_asked(town: World, gsd: float, fov: float, size: int) -> None:
     flight = {"kind": "nadir", "gsd_cm": gsd}
     poses = still(town, flight, fov_deg=fov, size=size)
-    focal = configured(flight, fov_deg=fov, size=size).camera().focal[0]
+    focal = configured(flight, fov_deg=fov, size=size).photo_camera().focal[0]
     x, y, z = camera_centres(poses).T
     assert_allclose(100 * (z - town.terrain.height(x, y)) / focal, gsd, rtol=1e-9)
 
