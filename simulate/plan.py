@@ -16,7 +16,7 @@ from simulate.world import World
 
 MIN_AREA_M, MAX_AREA_M = 100.0, 2000.0
 _CORE_M = 600.0  # farther from the middle, a place thins out into its open land
-_OUTSKIRTS_OPEN = 0.85  # share of open land out there
+_OUTSKIRTS_OPEN = 0.92  # share of open land out there
 
 Use = Callable[[Site, Block], None]
 """Fills a block."""

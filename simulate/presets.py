@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from scene.errors import InputError
 from simulate.dwellings import flats, housing
@@ -42,7 +43,7 @@ PLANS: dict[str, Plan] = {
         open_land=field,
         open_share=0.4,
         before=(power_lines,),
-        after=(traffic,),
+        after=(partial(traffic, parked=0.0),),
         verge="grass",
     ),
     "industrial": Plan(

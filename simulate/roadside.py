@@ -41,8 +41,9 @@ def street_furniture(site: Site) -> None:
                 placed += small(site, kinds[placed % len(kinds)], at, yaw, on_road=True)
 
 
-def traffic(site: Site) -> None:
-    """Vehicles driving on the right of every road, and parked along the side streets."""
+def traffic(site: Site, parked: float = 0.28) -> None:
+    """Vehicles driving on the right of every road, and on a share `parked` of the places along
+    the side streets."""
     rng = site.rng
     for road in site.roads:
         length = polyline_length(road.line)
@@ -66,7 +67,7 @@ def traffic(site: Site) -> None:
         for s in np.arange(6.0, length, 6.4):
             (p,), (along,) = polyline_points(road.line, s)
             at = p + side * (0.5 * road.width_m - 1.1) * np.array([-along[1], along[0]])
-            if site.chance(0.28) and off_junction(site, at, 9.0):
+            if site.chance(parked) and off_junction(site, at, 9.0):
                 car(
                     site,
                     at,
