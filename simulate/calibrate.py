@@ -98,9 +98,9 @@ class Calibration:
             lines.append(
                 f"{name:4}{row['truth']:14.5f}{row['found']:14.5f}{row['difference']:14.5f}"
             )
-        relative = 100 * np.max(np.abs(np.subtract(self.found.focal, self.truth.focal)))
+        relative = np.abs(np.divide(self.found.focal, self.truth.focal) - 1).max()
         lines += [
-            f"focal length within {relative / self.truth.focal[0]:.3f} %, "
+            f"focal length within {100 * relative:.3f} %, "
             f"{len(self.views)} views, {self.corners[..., 0].size} corners, "
             f"RMS {self.rms_px:.3f} px ({self.truth_rms_px:.3f} px against the truth)",
             f"board poses: rotation median {np.median(self.rotation_deg):.4f}, worst "
