@@ -21,6 +21,7 @@ from scene.errors import InputError
 if TYPE_CHECKING:
     from benchmark.datasets import Dataset
 
+_REGRESSION = 1
 _INPUT_AT_FAULT = 2
 _INTERRUPTED = 130
 
@@ -63,6 +64,15 @@ Json = Annotated[
     bool, typer.Option("--json", help="Print a machine-readable summary on standard output.")
 ]
 
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change one value of the methods' configuration; repeat for several.",
+    ),
+]
+
 Cache = Annotated[
     Path | None,
     typer.Option(
@@ -98,8 +108,8 @@ def evaluate(
         list[Path],
         typer.Argument(
             metavar="DATASET",
-            help="Scenes, or folders of flights. A flight with a hard split is two data sets; "
-            "FLIGHT-sparse names the hard split alone.",
+            help="Scenes, folders of flights, Extended CMU Seasons or one slice of it. A flight "
+            "with a hard split is two data sets; FLIGHT-sparse names the hard split alone.",
         ),
     ],
     method: Annotated[
@@ -108,14 +118,7 @@ def evaluate(
     out: Annotated[
         Path, typer.Option(metavar="RESULTS", help="Folder for <dataset>/<method>.json.")
     ],
-    overrides: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change one value of the methods' configuration; repeat for several.",
-        ),
-    ] = None,
+    overrides: Settings = None,
     start: Annotated[
         Start, typer.Option(help="Hand each query's own prior to the method, or nothing.")
     ] = Start.PRIOR,
@@ -173,6 +176,95 @@ def leaderboard(
 
 
 @app.command()
+def localize(
+    place: Annotated[
+        Path, typer.Option("--map", metavar="PLACE", help="Scene with its map, or a flight.")
+    ],
+    images: Annotated[Path, typer.Option(metavar="DIR", help="Folder of new photographs.")],
+    out: Annotated[
+        Path, typer.Option(metavar="POSES", help="Text file of the poses; a CSV lies beside it.")
+    ],
+    method: Annotated[str, typer.Option(metavar="METHOD", help="Localizer to run.")] = "sift",
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'MODEL W H PARAMS'",
+            help="Calibration of the photographs; else the map's camera of their size.",
+        ),
+    ] = None,
+    priors: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="Positions and attitudes; else positions from EXIF."),
+    ] = None,
+    gps_sigma: Annotated[
+        float, typer.Option(help="Standard deviation of EXIF positions, metres.", min=0.01)
+    ] = 10.0,
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Find the poses of new photographs in a map.
+
+    Writes POSES (name qw qx qy qz tx ty tz, world to camera) and a CSV beside it with latitude,
+    longitude, altitude, sigma and, for photographs not found, the reason.
+    """
+    from baselines.registry import create
+    from benchmark.localize import localize as run
+    from benchmark.localize import open_place
+    from scene.camera import Camera
+
+    located = run(
+        open_place(place),
+        images,
+        create(method, _settings(overrides or [])),
+        out,
+        camera=Camera.parse(camera.split()) if camera is not None else None,
+        priors=priors,
+        gps_sigma_m=gps_sigma,
+        cache=cache,
+    )
+    found = sum(item.found for item in located)
+    if as_json:
+        _print_json({"poses": str(out), "photographs": len(located), "found": found})
+    else:
+        print(f"{out}: {found} of {len(located)} photographs found")
+
+
+@app.command()
+def regress(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that evaluate wrote.")],
+    against: Annotated[
+        Path, typer.Option(metavar="BASELINE", help="Folder of the recorded results.")
+    ],
+    update: Annotated[
+        bool, typer.Option("--update", help="Make RESULTS the baseline instead of comparing.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Compare recall with a baseline, query by query; exit 1 when it dropped by more than chance.
+
+    McNemar's exact test on the same queries, at 5 % for each method and data set together.
+    """
+    from benchmark.regress import regress as run
+    from benchmark.regress import update as record
+
+    if update:
+        written = record(results, against)
+        if as_json:
+            _print_json({"written": [str(path) for path in written]})
+        else:
+            print("\n".join(str(path) for path in written))
+        return
+    comparisons = run(results, against)
+    if as_json:
+        _print_json({"comparisons": [comparison.as_dict() for comparison in comparisons]})
+    else:
+        print("\n".join(comparison.text() for comparison in comparisons))
+    if any(comparison.dropped for comparison in comparisons):
+        raise typer.Exit(_REGRESSION)
+
+
+@app.command()
 def simulate(
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
     preset: Annotated[str | None, typer.Option(help="Kind of place.")] = None,
@@ -186,8 +278,9 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="CONDITION:FLIGHT[:ROLE]",
-            help="A flight under a condition, as winter-dusk:oblique; repeat for several. ROLE is "
-            "map or query; left out, the first flight builds the map, the others are queries.",
+            help="A flight under a condition, as winter-dusk:oblique; repeat for several. FLIGHT "
+            "is nadir, grid, oblique, corridor, free, street or plan=FILE (QGroundControl's). ROLE "
+            "is map or query; left out, the first flight builds the map, the others are queries.",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Photographs per session.")] = None,
@@ -217,6 +310,36 @@ def simulate(
         _print_json({"scene": str(scene.path), "sessions": list(scene.sessions)})
     else:
         print(f"{scene.path}: {', '.join(scene.sessions)}")
+
+
+@app.command()
+def calibrate(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the views and pictures.")],
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YAML",
+            help="Camera: model, width, height and params, or preset and size. Left out, the "
+            "default camera of simulate.",
+        ),
+    ] = None,
+    views: Annotated[int, typer.Option(help="Chessboard views.", min=4)] = 20,
+    seed: Annotated[int, typer.Option(help="Of the board's poses.", min=0)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Calibrate the simulated camera from rendered chessboards, and compare with the truth."""
+    from scene.config import load_config
+    from simulate.calibrate import calibrate as run
+    from simulate.config import SimulateConfig
+    from simulate.lens import CameraConfig
+
+    scene = SimulateConfig()
+    chosen = None if camera is None else load_config(CameraConfig, camera, {})
+    result = run(chosen.build(scene.size) if chosen else scene.photo_camera(), out, views, seed)
+    if as_json:
+        _print_json(result.as_dict())
+    else:
+        print(result.text())
 
 
 class MapMethod(StrEnum):

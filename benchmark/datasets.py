@@ -51,7 +51,8 @@ class Dataset:
 
     Attributes:
         name: folder of its results.
-        track: what it can show: "uav-sim" (changed season and light) or "flight" (photographs).
+        track: what it can show: "uav-sim" (changed season and light), "flight" (photographs) or
+            "cmu" (a car's photographs through a year).
         sha256: digest of what is scored; see ``digest``.
         map_conditions: conditions the map's photographs were taken under.
         load_map: reads the map.
@@ -72,23 +73,28 @@ def open_datasets(path: Path) -> list[Dataset]:
     """Open the data sets of a folder.
 
     A scene (it has ``scene.json``) is one data set. A flight is one, or two with its hard split,
-    whose name ends in ``-sparse``; a path with that ending opens the hard split alone.
+    whose name ends in ``-sparse``; a path with that ending opens the hard split alone. Extended CMU
+    Seasons is one for every slice with public query poses; a slice's folder opens it alone.
 
     Raises:
-        InputError: no such folder, neither a scene nor a flight, or anything wrong inside it.
+        InputError: no such folder, none of these, or anything wrong inside it.
     """
     # Each kind is built from the types above, so the kinds cannot be imported before them.
+    from benchmark.cmu import is_cmu, open_cmu
     from benchmark.flight import SPARSE_SUFFIX, is_flight, open_flight
     from benchmark.simulated import is_scene, open_scene
 
     if path.is_dir():
         if is_scene(path):
             return [open_scene(path)]
+        if is_cmu(path):
+            return open_cmu(path)
         if is_flight(path):
             return open_flight(path)
         raise InputError(
-            f"{path} is not a data set: it has neither scene.json (a finished scene) nor "
-            "queries.txt, reference_poses.txt and sparse/map (a flight)"
+            f"{path} is not a data set: it has neither scene.json (a finished scene), nor "
+            "queries.txt, reference_poses.txt and sparse/map (a flight), nor intrinsics.txt and "
+            "slice folders (Extended CMU Seasons)"
         )
     whole = path.with_name(path.name.removesuffix(SPARSE_SUFFIX)) if path.name else path
     if whole != path and is_flight(whole):

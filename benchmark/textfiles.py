@@ -25,8 +25,12 @@ _GPS: Final = ("name", "e", "n", "u")
 T = TypeVar("T")
 
 
-def read_poses(path: Path) -> dict[str, Pose]:
+def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
     """Read ``name qw qx qy qz tx ty tz`` lines, world to camera, metres; in the file's order.
+
+    Args:
+        path: of the file.
+        centres: the last three columns are the camera's centre in the world, not the translation.
 
     Raises:
         InputError: unreadable file, wrong number of columns, a number that is none or not finite, a
@@ -40,7 +44,10 @@ def read_poses(path: Path) -> dict[str, Pose]:
             )
         numbers = _numbers(where, words[1:])
         check_pose(numbers[:4], numbers[4:], f"{where}: {words[0]}")
-        _add(poses, words[0], Pose.from_quaternion(numbers[:4], numbers[4:]), where)
+        pose = Pose.from_quaternion(numbers[:4], numbers[4:])
+        if centres:
+            pose = Pose(pose.rotation, -(pose.rotation @ pose.translation))
+        _add(poses, words[0], pose, where)
     return poses
 
 

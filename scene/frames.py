@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -78,6 +77,20 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 }
 
 
+# What reading a damaged HDF5 file may raise: h5py has no exception of its own.
+_DAMAGE = (
+    AttributeError,
+    IndexError,
+    KeyError,
+    MemoryError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+
+
 class DenseLayers:
     """Reads annotations frame by frame from an open file."""
 
@@ -95,14 +108,14 @@ class DenseLayers:
         Raises:
             InputError: the layer is missing or its bytes are damaged.
         """
-        if not self.has(layer):
-            raise InputError(f"{self._path} has no {layer} layer")
         try:
-            return np.asarray(self._file[layer][index])
-        except (OSError, ValueError, IndexError) as error:
+            if self.has(layer):
+                return np.asarray(self._file[layer][index])
+        except _DAMAGE as error:
             raise InputError(
                 f"{self._path}: frame {index} of {layer} is damaged: {error}"
             ) from None
+        raise InputError(f"{self._path} has no {layer} layer")
 
 
 def write_frames(
@@ -122,8 +135,9 @@ def write_frames(
     """
     cameras = list(dict.fromkeys(frames.cameras))
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
-        file.attrs["cameras"] = json.dumps([str(camera) for camera in cameras])
-        file["names"] = [name.encode() for name in frames.names]
+        # Strings of fixed length: damaged ones of variable length make the HDF5 library crash.
+        file["cameras"] = np.array([str(camera).encode() for camera in cameras], "S")
+        file["names"] = np.array([name.encode() for name in frames.names], "S")
         file["camera_index"] = [cameras.index(camera) for camera in frames.cameras]
         for key in _VECTORS:
             file[key] = getattr(frames, key)
@@ -180,13 +194,13 @@ def read_frames(path: Path) -> Frames:
     with _opened(path) as file:
         try:
             names = tuple(name.decode() for name in file["names"][:])
-            table = [Camera.parse(text.split()) for text in json.loads(file.attrs["cameras"])]
+            table = [Camera.parse(text.decode().split()) for text in file["cameras"][:]]
             rows = file["camera_index"][:]
             if (rows < 0).any():
                 raise IndexError("a camera index is negative")
             cameras = tuple(table[int(k)] for k in rows)
             arrays = {key: np.asarray(file[key], np.float64) for key in _VECTORS}
-        except (KeyError, OSError, ValueError, IndexError, AttributeError, TypeError) as error:
+        except _DAMAGE as error:
             raise InputError(f"{path} is damaged or incomplete: {error}") from None
     for key, array in arrays.items():
         if array.shape != (len(names), *_SHAPES[key]):

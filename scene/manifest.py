@@ -21,6 +21,24 @@ class _File(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class DeclaredChange(_File):
+    """What stands in a session that the scene's other sessions may not have, by object id.
+
+    An id always means one box of ``objects.json``: what moved has another id in its new place.
+
+    Attributes:
+        moved: old and new id of each object that stands elsewhere.
+        removed: objects that are gone.
+        added: objects that are new.
+        bare: trees that shed their leaves; their box stays, what fills it does not.
+    """
+
+    moved: tuple[tuple[int, int], ...] = ()
+    removed: tuple[int, ...] = ()
+    added: tuple[int, ...] = ()
+    bare: tuple[int, ...] = ()
+
+
 class Session(_File):
     """One flight under one condition.
 
@@ -28,11 +46,13 @@ class Session(_File):
         condition: season and light, as "summer-noon".
         flight: kind of flight, as "nadir".
         role: whether its frames build the map or are localized in it.
+        change: how its world differs from that of the scene's seed.
     """
 
     condition: str
     flight: str
     role: Literal["map", "query"]
+    change: DeclaredChange = DeclaredChange()
 
 
 class Manifest(_File):

@@ -21,14 +21,17 @@ from PIL import Image
 
 from simulate import ground
 from simulate.buildings import building_mesh
+from simulate.change import changed_world
 from simulate.conditions import Condition, condition
 from simulate.materials import build_materials
-from simulate.mesh import Mesh, grid_mesh
+from simulate.mesh import Mesh, MeshBuilder, grid_mesh
 from simulate.plants import fence_mesh, hedge_mesh
+from simulate.power import wire_mesh
 from simulate.presets import preset
 from simulate.process import end_with, resident_bytes
 from simulate.props import shape_mesh
-from simulate.render import FrameDone, PinholeCamera, RenderChunk, frame_path
+from simulate.render import Board, FrameDone, PinholeCamera, RenderChunk, frame_path
+from simulate.resample import Cast, resample
 from simulate.world import World, WorldObject, class_lookup
 
 _SENSOR_MM = 36.0
@@ -45,9 +48,17 @@ def main(chunk_path: str) -> None:
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
     end_with(chunk.parent)
     job = chunk.job
-    world = preset(job.preset)(job.seed, job.area_m)
-    _build_scene(world, condition(job.condition))
+    world = None
+    if job.board is not None:
+        _build_board(job.board)
+    else:
+        base = preset(job.preset)(job.seed, job.area_m)
+        world = changed_world(base, job.change, job.first_new_id).world
+        _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
+    bpy.context.scene.cycles.use_denoising = job.board is None  # which would move its edges
+    rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
+    caster = _Caster()
     held = None  # bytes, after the first frame
     with tempfile.TemporaryDirectory(prefix="frame-") as scratch:
         for frame, rows in job.poses.items():
@@ -60,7 +71,11 @@ def main(chunk_path: str) -> None:
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             arrays = _render(pose, Path(scratch))
-            arrays["semantic"] = _semantic(world, job.camera, pose, arrays)
+            if chunk.rays is not None:
+                c = job.camera
+                arrays = resample(arrays, c.f * rays + [c.cx, c.cy], rays, caster.seen_from(pose))
+            if world is not None:
+                arrays["semantic"] = _semantic(world, rays, pose, arrays)
             _save(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
@@ -85,7 +100,8 @@ def _build_scene(world: World, light: Condition) -> None:
     """Fill an empty Blender file with the world under a condition."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     albedo = ground.bake(world.ground, light, world.seed)
-    materials = build_materials(bpy.data, light, albedo)
+    mirror = ground.mirror(world.ground, light, world.seed)
+    materials = build_materials(bpy.data, light, albedo, mirror)
     terrain = _add("terrain", _mesh_data("terrain", _terrain_mesh(world), materials))
     terrain.pass_index = 0
     shared: dict[str, Any] = {}
@@ -107,6 +123,34 @@ def _build_scene(world: World, light: Condition) -> None:
     _add_light(light)
 
 
+def _build_board(board: Board) -> None:
+    """Fill an empty Blender file with a chessboard that shines by itself on a grey ground."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    materials: dict[str, Any] = {}
+    for name, shade in (("white", 0.8), ("black", 0.02), ("grey", 0.3)):
+        materials[name] = bpy.data.materials.new(name)
+        materials[name].use_nodes = True
+        tree = materials[name].node_tree
+        tree.nodes.clear()
+        glow = tree.nodes.new("ShaderNodeEmission")
+        glow.inputs["Color"].default_value = (shade, shade, shade, 1.0)
+        output = tree.nodes.new("ShaderNodeOutputMaterial")
+        tree.links.new(glow.outputs[0], output.inputs["Surface"])
+    out = MeshBuilder()
+    side = board.square_m
+
+    def square(x0: float, x1: float, y0: float, y1: float, z: float, name: str) -> None:
+        corners = [[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]
+        out.polygon(np.multiply(corners, [side, side, 1]), name)
+
+    for j in range(-1, board.rows):
+        for i in range(-1, board.columns):
+            square(i, i + 1, j, j + 1, 0.0, "white" if (i + j) % 2 else "black")
+    square(-2, board.columns + 1, -2, board.rows + 1, 1e-3 * side, "white")  # the quiet margin
+    square(-99, 99, -99, 99, 1.0, "grey")
+    _add("board", _mesh_data("board", out.build(), materials))
+
+
 def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:
     """The mesh of an object that shares its with no other, in metres."""
     if thing.class_name == "building":
@@ -115,6 +159,8 @@ def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:
         return hedge_mesh(thing, world.terrain)
     if thing.class_name == "fence":
         return fence_mesh(thing, world.terrain)
+    if thing.class_name == "wire":
+        return wire_mesh(thing, world.terrain)
     return None
 
 
@@ -160,7 +206,7 @@ def _add(name: str, data: Any) -> Any:
 def _add_light(light: Condition) -> None:
     """The sun, and a sky that brightens towards the horizon."""
     sun = bpy.data.lights.new("sun", "SUN")
-    sun.energy, sun.color, sun.angle = light.sun_watts, light.sun_rgb, np.radians(0.53)
+    sun.energy, sun.color, sun.angle = light.sun_watts, light.sun_rgb, np.radians(light.sun_angle)
     elevation, azimuth = np.radians([light.sun_elevation, light.sun_azimuth])
     _add("sun", sun).rotation_euler = (0.5 * np.pi - elevation, 0.0, np.pi - azimuth)
 
@@ -259,18 +305,57 @@ def _render(cam_from_world: NDArray[np.float64], scratch: Path) -> dict[str, NDA
     }
 
 
+def _pinhole_rays(camera: PinholeCamera) -> NDArray[np.float64]:
+    """x/z and y/z through every pixel centre, (H, W, 2)."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    return np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f], -1)
+
+
+class _Caster:
+    """Casts rays at objects, as `simulate.resample` asks for them."""
+
+    def __init__(self) -> None:
+        bpy.context.view_layer.update()
+        self._objects: dict[int, list[Any]] = {}
+        for thing in bpy.context.scene.objects:
+            if thing.type == "MESH":
+                self._objects.setdefault(thing.pass_index, []).append(thing)
+
+    def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
+        """Of the camera at a pose."""
+        world_from_cam = np.linalg.inv(cam_from_world)
+
+        def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+            nearest = np.full(len(rays), np.inf)
+            ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
+            for thing in self._objects[number]:
+                local_from_cam = np.linalg.inv(np.array(thing.matrix_world)) @ world_from_cam
+                origin = local_from_cam[:3, 3]
+                directions = ahead @ local_from_cam[:3, :3].T
+                start = origin.tolist()
+                # One list, then arrays: numpy a ray would cost more than the rays themselves.
+                answers = [thing.ray_cast(start, way) for way in directions.tolist()]
+                hit = np.array([answer[0] for answer in answers], bool)
+                at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
+                # Along (x/z, y/z, 1) the planar depth is the length.
+                z = ((at - origin) * directions).sum(-1) / np.square(directions).sum(-1)
+                nearest = np.where(hit, np.minimum(nearest, z), nearest)
+            return nearest
+
+        return cast
+
+
 def _semantic(
     world: World,
-    camera: PinholeCamera,
+    rays: NDArray[np.float64],
     cam_from_world: NDArray[np.float64],
     arrays: dict[str, NDArray[Any]],
 ) -> NDArray[np.uint8]:
-    """Labels (H, W): the class of the object, or of the ground each pixel's ray meets."""
+    """Labels (H, W): the class of the object, or of the ground each pixel's ray (H, W, 2) meets."""
     depth, instance = arrays["depth"], arrays["instance"]
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f, 0 * u + 1], -1)
+    ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], -1)
     rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
-    points = (rays * depth[..., None] - translation) @ rotation
+    points = (ahead * depth[..., None] - translation) @ rotation
     labels = class_lookup(world.objects)[instance]
     on_ground = (instance == 0) & (depth > 0)
     labels[on_ground] = world.ground.label(points[on_ground, 0], points[on_ground, 1])

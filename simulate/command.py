@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -34,14 +34,18 @@ from scene.manifest import (
 from scene.pose import Pose
 from scene.progress import progress_bar
 from simulate.annotations import measure_covisibility, pixel_digests
+from simulate.change import ChangedWorld, changed_worlds, every_object
+from simulate.clearance import check_flight
 from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.disk import bytes_needed, require_space
-from simulate.flights import plan_nadir, plan_oblique
+from simulate.lens import rendered_through
 from simulate.pictures import draw_pictures
+from simulate.planner import plan_session
 from simulate.presets import preset
-from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
-from simulate.world import CLASSES, World
+from simulate.render import RenderError, RenderJob, frame_path, render
+from simulate.sensor import expose
+from simulate.world import CLASSES, WorldObject
 
 _CONFIG = ".config.json"
 _RENDERED = ".rendered"
@@ -61,18 +65,27 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     Raises:
         InputError: ``out`` holds something else or cannot be written, or rendering failed.
     """
-    if not (out / MANIFEST).is_file():
-        require_space(out, bytes_needed(_left(out, config), config.size**2))
-    finished = _claim(out, config)
+    finished = _finished(out, config)
     if finished is not None:
         return finished
-    world = preset(config.preset)(config.seed, config.area)
+    base = preset(config.preset)(config.seed, config.area)
+    worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
-    for index, (name, session) in enumerate(zip(names, config.sessions, strict=True)):
-        _make_session(out / "sessions", name, index, session, config, world, jobs)
-    write_json(out / "objects.json", _objects(world))
+    # All flights are planned before anything is written or rendered: one may be impossible.
+    planned = [
+        _plan(name, index, session, config, worlds[index])
+        for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
+    ]
+    camera = config.photo_camera()
+    pixels_per_frame = camera.width * camera.height
+    require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
+    write_text(out / _CONFIG, config.model_dump_json())
+    remove_partial(out)
+    for name, session, flight in zip(names, config.sessions, planned, strict=True):
+        _make_session(out / "sessions", name, session, config, flight, jobs)
+    write_json(out / "objects.json", _objects(every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
-    scene = Scene(out, _manifest(config))
+    scene = Scene(out, _manifest(config, worlds))
     write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
     draw_pictures(scene)
     pixels = {"pixels_sha256": pixel_digests(scene)}
@@ -81,19 +94,21 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
     return scene
 
 
-def _left(out: Path, config: SimulateConfig) -> dict[str, tuple[int, int]]:
+def _left(
+    out: Path, names: Sequence[str], planned: Sequence[_Planned]
+) -> dict[str, tuple[int, int]]:
     """Frames that each unfinished session still has to render, and to pack."""
     left = {}
-    for name, session in zip(config.session_names(), config.sessions, strict=True):
-        folder, frames = out / "sessions" / name, session.frames or config.frames
+    for name, flight in zip(names, planned, strict=True):
+        folder, frames = out / "sessions" / name, len(flight.poses)
         if not (folder / "frames.h5").is_file():
             done = sum(frame_path(folder / _RENDERED, k).exists() for k in range(frames))
             left[name] = (frames - done, frames)
     return left
 
 
-def _claim(out: Path, config: SimulateConfig) -> Scene | None:
-    """Mark the folder as this configuration's; the scene itself when it is finished already."""
+def _finished(out: Path, config: SimulateConfig) -> Scene | None:
+    """Hold the folder against this configuration; the scene itself when it is finished already."""
     if (out / MANIFEST).is_file():
         scene = Scene.open(out)
         if scene.manifest.config != _plain(config):
@@ -110,7 +125,6 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
                 f"{out} holds an unfinished scene of another configuration: choose another folder "
                 "or remove it"
             )
-        remove_partial(out)
         return None
     try:
         # A run killed while it claimed the folder left this beginning of its configuration.
@@ -121,8 +135,6 @@ def _claim(out: Path, config: SimulateConfig) -> Scene | None:
         raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
     if occupied:
         raise InputError(f"{out} is not empty and not a scene: choose another folder")
-    write_text(out / _CONFIG, config.model_dump_json())
-    remove_partial(out)
     return None
 
 
@@ -131,7 +143,7 @@ def _plain(config: SimulateConfig) -> dict[str, Any]:
     return plain
 
 
-def _manifest(config: SimulateConfig) -> Manifest:
+def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifest:
     return Manifest(
         versions={name: version(name) for name in ("objconnect", "bpy", "numpy", "pillow", "h5py")},
         preset=config.preset,
@@ -139,15 +151,19 @@ def _manifest(config: SimulateConfig) -> Manifest:
         config=_plain(config),
         origin=config.origin,
         sessions={
-            name: Session(condition=s.condition, flight=s.flight, role=s.role)
-            for name, s in zip(config.session_names(), config.sessions, strict=True)
+            name: Session(
+                condition=s.condition, flight=s.flight.kind, role=s.role, change=changed.declared
+            )
+            for name, s, changed in zip(
+                config.session_names(), config.sessions, worlds, strict=True
+            )
         },
         sha256={},
     )
 
 
-def _objects(world: World) -> Objects:
-    def describe(item: Any) -> SceneObject:
+def _objects(things: Sequence[WorldObject]) -> Objects:
+    def describe(item: WorldObject) -> SceneObject:
         size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
         return SceneObject(
             id=item.id,
@@ -158,7 +174,7 @@ def _objects(world: World) -> Objects:
             size_class=size_class(size),
         )
 
-    return Objects(classes=CLASSES, objects=tuple(describe(item) for item in world.objects))
+    return Objects(classes=CLASSES, objects=tuple(describe(item) for item in things))
 
 
 def _splits(out: Path, config: SimulateConfig) -> Splits:
@@ -173,13 +189,38 @@ def _splits(out: Path, config: SimulateConfig) -> Splits:
     )
 
 
+def render_job(
+    config: SimulateConfig,
+    session: SessionConfig,
+    poses: NDArray[np.float64],
+    first_new_id: int = 0,
+) -> RenderJob:
+    """What the renderer is told of a session: poses (N, 4, 4) become frames 0 to N - 1.
+
+    `first_new_id` is that of the session's changed world.
+    """
+    pinhole, lens = rendered_through(config.photo_camera())
+    return RenderJob(
+        preset=config.preset,
+        seed=config.seed,
+        area_m=config.area,
+        condition=session.condition,
+        origin=config.origin,
+        change=session.world_change,
+        first_new_id=first_new_id,
+        camera=pinhole,
+        lens=lens,
+        samples=config.spp,
+        poses={k: pose.tolist() for k, pose in enumerate(poses)},
+    )
+
+
 def _make_session(
     root: Path,
     name: str,
-    index: int,
     session: SessionConfig,
     config: SimulateConfig,
-    world: World,
+    planned: _Planned,
     jobs: int,
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
@@ -188,25 +229,8 @@ def _make_session(
     if (folder / "frames.h5").is_file():
         shutil.rmtree(rendered, ignore_errors=True)  # left by a run killed before it could
         return
-    # One generator per session: adding a session changes no other.
-    rng = np.random.default_rng([config.seed, index])
-    poses = _plan(session, config, world, rng)
-    camera = config.camera()
-    job = RenderJob(
-        preset=config.preset,
-        seed=config.seed,
-        area_m=config.area,
-        condition=session.condition,
-        camera=PinholeCamera(
-            width=camera.width,
-            height=camera.height,
-            f=camera.focal[0],
-            cx=camera.principal[0],
-            cy=camera.principal[1],
-        ),
-        samples=config.spp,
-        poses={k: pose.tolist() for k, pose in enumerate(poses)},
-    )
+    poses = planned.poses
+    job = render_job(config, session, poses, planned.first_new_id)
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)
@@ -222,42 +246,30 @@ def _make_session(
             raise InputError(str(error)) from error
         except OSError as error:
             raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
-    frames = _frames(name, poses, camera, session, config, rng)
+    frames = _frames(name, poses, config.photo_camera(), session, config, planned.rng)
     write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, config))
     shutil.rmtree(rendered)
 
 
+class _Planned(NamedTuple):
+    """Poses of a session's frames, (N, 4, 4), where the ids of its changed world's new objects
+    start, and the generator of its further noise."""
+
+    poses: NDArray[np.float64]
+    first_new_id: int
+    rng: np.random.Generator
+
+
 def _plan(
-    session: SessionConfig, config: SimulateConfig, world: World, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Poses of the session's frames, (N, 4, 4)."""
-    plan = config.map_plan if session.role == "map" else config.query_plan
-    frames = session.frames or config.frames
-    if session.flight == "oblique":
-        return plan_oblique(
-            world.terrain.height,
-            radius_m=plan.orbit_radius_share * config.area,
-            altitude_m=plan.orbit_altitude_m,
-            frames=frames,
-            start_deg=plan.orbit_start_deg,
-            position_jitter_m=config.position_jitter_m,
-            attitude_jitter_deg=config.attitude_jitter_deg,
-            rng=rng,
-        )
-    camera = config.camera()
-    return plan_nadir(
-        config.area,
-        world.terrain.height,
-        width=camera.width,
-        height=camera.height,
-        focal=camera.focal[0],
-        altitude_m=plan.nadir_altitude_m,
-        heading_deg=plan.nadir_heading_deg,
-        frames=frames,
-        position_jitter_m=config.position_jitter_m,
-        attitude_jitter_deg=config.attitude_jitter_deg,
-        rng=rng,
-    )
+    name: str, index: int, session: SessionConfig, config: SimulateConfig, changed: ChangedWorld
+) -> _Planned:
+    """Plan one session; InputError when it cannot be flown."""
+    # One generator per session: adding a session changes no other.
+    rng = np.random.default_rng([config.seed, index])
+    camera = config.photo_camera()
+    poses = plan_session(session, config, camera, changed.world, rng)
+    check_flight(name, poses, camera, changed.world)
+    return _Planned(poses, changed.first_new_id, rng)
 
 
 def _frames(
@@ -274,7 +286,7 @@ def _frames(
     gps_sigma = np.tile(np.array(config.gps_sigma_m), (n, 1))
     tilt = np.radians(config.attitude_sigma_deg) * rng.standard_normal((n, 3))
     noise = Pose.exp(torch.from_numpy(np.hstack([tilt, np.zeros((n, 3))])))
-    start = condition(session.condition).time.timestamp()
+    start = condition(session.condition, config.origin).time.timestamp()
     return Frames(
         names=tuple(f"{name}/images/{k:06d}.jpg" for k in range(n)),
         cameras=(camera,) * n,
@@ -300,5 +312,8 @@ def _pack(
                 time=datetime.fromtimestamp(float(frames.time[k]), UTC),
                 focal_35mm=focal_35mm,
             )
-            write_jpeg(folder.parent / name, layers["rgb"], exif, config.jpeg_quality)
+            # A generator per photograph: however it was rendered, it gets the same noise.
+            rng = np.random.default_rng([config.seed, *name.encode()])
+            picture = expose(layers["rgb"], config.sensor, rng)
+            write_jpeg(folder.parent / name, picture, exif, config.jpeg_quality)
             yield {layer: layers[layer] for layer in LAYERS}

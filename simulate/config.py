@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -12,44 +12,63 @@ from pydantic import Field, field_validator, model_validator
 from scene.camera import Camera
 from scene.config import Config, load_config
 from scene.geodesy import Geodetic
-from simulate.conditions import condition
+from simulate.change import Change
+from simulate.conditions import PLACE, condition
+from simulate.flight_config import Flight, NadirFlight
+from simulate.lens import CameraConfig
 from simulate.presets import preset
+from simulate.sensor import SensorConfig
 
 Role = Literal["map", "query"]
-Flight = Literal["nadir", "oblique"]
 
 
 class SessionConfig(Config):
     """One flight under one condition.
 
     Attributes:
-        condition: season and light.
-        flight: lawn-mower looking down, or orbit looking inwards at 45 degrees.
+        condition: SEASON-LIGHT[-WEATHER], see ``simulate.conditions``.
+        flight: kind of flight and its numbers, or the kind alone, as "nadir".
         role: its frames build the map, or are queries.
-        frames: photographs; None takes the scene's ``frames``.
+        frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
+        change: what stands elsewhere, is gone or is new since the place was built.
     """
 
     condition: str
     flight: Flight
     role: Role
     frames: int | None = Field(None, ge=1)
+    change: Change = Change()
 
     @field_validator("condition")
     @classmethod
     def _known_condition(cls, name: str) -> str:
-        condition(name)
-        return name
+        return condition(name).name
+
+    @property
+    def world_change(self) -> Change:
+        """The change asked for, and bare trees where the season has them."""
+        if not condition(self.condition).bare:
+            return self.change
+        return self.change.model_copy(update={"bare_trees": True})
+
+    @model_validator(mode="after")
+    def _one_count(self) -> SessionConfig:
+        if self.frames is not None and self.flight.counts_photographs:
+            raise ValueError(f"the {self.flight.kind} flight says its own number: leave frames out")
+        return self
 
 
 class FlightPlan(Config):
-    """How flights of one role are flown. Map and query flights differ in every number.
+    """How flights of one role are flown that say no better. Map and query flights differ in every
+    number.
 
     Attributes:
-        nadir_altitude_m: above the ground.
+        nadir_altitude_m: of surveys, above the ground.
         nadir_heading_deg: of the first line, clockwise from north.
         orbit_altitude_m: above the ground at the centre.
         orbit_radius_share: radius over the side of the area.
         orbit_start_deg: bearing of the first exposure.
+        backwards: whether corridors and streets are followed from their end.
     """
 
     nadir_altitude_m: float = Field(gt=0)
@@ -57,6 +76,7 @@ class FlightPlan(Config):
     orbit_altitude_m: float = Field(gt=0)
     orbit_radius_share: float = Field(gt=0)
     orbit_start_deg: float
+    backwards: bool = False
 
 
 MAP_PLAN = FlightPlan(
@@ -72,6 +92,7 @@ QUERY_PLAN = FlightPlan(
     orbit_altitude_m=48,
     orbit_radius_share=0.36,
     orbit_start_deg=20,
+    backwards=True,
 )
 
 
@@ -82,8 +103,9 @@ class SimulateConfig(Config):
         preset: kind of place.
         seed: of the place and of every noise; the same seed gives the same scene.
         area: side of the place, metres.
-        size: side of the square photographs, pixels.
-        fov_deg: horizontal field of view.
+        size: long side of the photographs, pixels, unless ``camera`` has its own.
+        fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
+        camera: of every photograph; None is a square pinhole of ``size`` and ``fov_deg``.
         spp: paths per pixel, denoised.
         frames: photographs of a session that does not say.
         sessions: flights; on the command line "condition:flight[:role]", where the first is the
@@ -95,22 +117,24 @@ class SimulateConfig(Config):
         gps_sigma_m: noise of the position prior: east, north, up.
         attitude_sigma_deg: noise of the attitude prior per axis.
         interval_s: between exposures.
+        sensor: what lens and sensor do to the photographs.
         jpeg_quality: of the photographs.
         origin: where on earth the world's origin lies.
     """
 
     preset: str = "town"
     seed: int = Field(0, ge=0)
-    area: float = Field(200.0, ge=120, le=600)
+    area: float = Field(200.0, ge=120, le=2000)
     size: int = Field(512, ge=64, le=4096)
     fov_deg: float = Field(60.0, gt=5, lt=120)
+    camera: CameraConfig | None = None
     spp: int = Field(4, ge=1)
     frames: int = Field(30, ge=1)
     sessions: tuple[SessionConfig, ...] = Field(
         (
-            SessionConfig(condition="summer-noon", flight="nadir", role="map"),
-            SessionConfig(condition="summer-noon", flight="nadir", role="query", frames=10),
-            SessionConfig(condition="winter-dusk", flight="nadir", role="query", frames=10),
+            SessionConfig(condition="summer-noon", flight=NadirFlight(), role="map"),
+            SessionConfig(condition="summer-noon", flight=NadirFlight(), role="query", frames=10),
+            SessionConfig(condition="winter-dusk", flight=NadirFlight(), role="query", frames=10),
         ),
         min_length=1,
     )
@@ -121,8 +145,9 @@ class SimulateConfig(Config):
     gps_sigma_m: tuple[float, float, float] = (1.5, 1.5, 2.5)
     attitude_sigma_deg: float = Field(2.0, ge=0)
     interval_s: float = Field(2.0, gt=0)
+    sensor: SensorConfig = SensorConfig()
     jpeg_quality: int = Field(95, ge=1, le=100)
-    origin: Geodetic = Geodetic(47.0, 8.0, 450.0)
+    origin: Geodetic = PLACE
 
     @field_validator("preset")
     @classmethod
@@ -147,6 +172,12 @@ class SimulateConfig(Config):
             raise ValueError("at least one session must have the role map")
         return self
 
+    @model_validator(mode="after")
+    def _sun_rises(self) -> SimulateConfig:
+        for session in self.sessions:
+            condition(session.condition, self.origin)
+        return self
+
     @staticmethod
     def load(path: Path | None, overrides: Mapping[str, Any]) -> SimulateConfig:
         """From a YAML file and overrides; see ``scene.config.load_config``.
@@ -156,8 +187,10 @@ class SimulateConfig(Config):
         """
         return load_config(SimulateConfig, path, overrides)
 
-    def camera(self) -> Camera:
-        """The pinhole camera of every photograph."""
+    def photo_camera(self) -> Camera:
+        """The camera of every photograph."""
+        if self.camera is not None:
+            return self.camera.build(self.size)
         focal = 0.5 * self.size / np.tan(np.radians(0.5 * self.fov_deg))
         centre = 0.5 * self.size
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
@@ -167,15 +200,19 @@ class SimulateConfig(Config):
         seen: dict[str, int] = {}
         names = []
         for session in self.sessions:
-            base = f"{session.condition}-{session.flight}-{session.role}"
+            base = f"{session.condition}-{session.flight.kind}-{session.role}"
             seen[base] = seen.get(base, 0) + 1
             names.append(base if seen[base] == 1 else f"{base}-{seen[base]}")
         return tuple(names)
 
 
 def _session_from_words(text: str, first: bool) -> dict[str, str]:
-    words = text.split(":")
-    if len(words) not in (2, 3):
+    name, colon, flight = text.partition(":")
+    if not colon:
         raise ValueError(f"a session is written condition:flight[:role], got {text!r}")
-    role = words[2] if len(words) == 3 else ("map" if first else "query")
-    return {"condition": words[0], "flight": words[1], "role": role}
+    role = "map" if first else "query"
+    # The name of a plan's file may hold colons of its own.
+    head, colon, last = flight.rpartition(":")
+    if colon and (last in get_args(Role) or not flight.startswith("plan=")):
+        flight, role = head, last
+    return {"condition": name, "flight": flight, "role": role}

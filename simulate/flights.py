@@ -1,4 +1,4 @@
-"""Flight plans: poses of a camera over an area, as a mission planner would fly them.
+"""Surveys of an area: lawn-mower, double grid and orbit, as a mission planner would fly them.
 
 Poses are `cam_from_world` (N, 4, 4) float64: OpenCV axes (x right, y down, z forward), world
 east-north-up metres with Z up. Headings are degrees clockwise from north, the direction the top of
@@ -8,15 +8,20 @@ the image (nadir) or the camera (oblique) points to; pitches are degrees, -90 st
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from scene.errors import InputError
+from simulate.gimbal import gimbal_poses
 
 Array = NDArray[np.float64]
 GroundHeight = Callable[[Array, Array], Array]
 """Ground height in metres at world x, y (N,) metres, such as `World.terrain.height`."""
+
+MAX_PHOTOGRAPHS = 20_000
+"""Of one flight; a plan that needs more is taken for a mistake."""
 
 
 def plan_nadir(
@@ -34,6 +39,7 @@ def plan_nadir(
     heading_deg: float = 0.0,
     pitch_deg: float = -90.0,
     alternate: bool = True,
+    terrain_following: bool = True,
     position_jitter_m: float = 0.0,
     attitude_jitter_deg: float = 0.0,
 ) -> Array:
@@ -41,7 +47,8 @@ def plan_nadir(
 
     Args:
         width, height, focal: of the pinhole camera, pixels.
-        altitude_m: above the ground below each exposure.
+        altitude_m: above the ground below each exposure, or above the ground at the origin
+            without `terrain_following`.
         frames: exactly so many exposures, evenly spaced along all lines; None: as many as the
             overlaps (fractions of the footprint on flat ground) need.
         heading_deg: of the first line; every second line is flown the other way.
@@ -52,7 +59,8 @@ def plan_nadir(
         cam_from_world (N, 4, 4) float64 in flying order.
 
     Raises:
-        InputError: an overlap outside [0, 0.95], or a size, altitude or count that is not positive.
+        InputError: an overlap outside [0, 0.95], a size, altitude or count that is not positive,
+            or more photographs than a flight takes.
     """
     _require_positive(area_m=area_m, width=width, height=height, focal=focal, altitude_m=altitude_m)
     for name, overlap in (("forward_overlap", forward_overlap), ("side_overlap", side_overlap)):
@@ -72,7 +80,7 @@ def plan_nadir(
     reach = half * np.abs(right).sum()  # of the rotated square, to either side
 
     if frames is None:
-        lines = int(np.ceil(2 * reach / across_m)) + 1
+        lines = _few(2 * reach / across_m)
     else:
         # Lines and exposures as far apart as the footprint's sides are long.
         cell = np.sqrt((2 * half) ** 2 / frames * across_m / along_m)
@@ -85,8 +93,9 @@ def plan_nadir(
     lengths = ends - starts
     position, line = [], []
     if frames is None:
+        _few((lengths / along_m).sum())
         for k in range(lines):
-            count = int(np.ceil(lengths[k] / along_m)) + 1
+            count = _few(lengths[k] / along_m)
             share = np.linspace(0, 1, count) if count > 1 else np.array([0.5])
             position.append(share)
             line.append(np.full(count, k))
@@ -105,10 +114,44 @@ def plan_nadir(
 
     count = len(xy)
     xy = xy + position_jitter_m * rng.standard_normal((count, 2))
-    z = ground_height(xy[:, 0], xy[:, 1]) + altitude_m
+    below = xy if terrain_following else np.zeros((count, 2))
+    z = ground_height(below[:, 0], below[:, 1]) + altitude_m
     z = z + position_jitter_m * rng.standard_normal(count)
     centres = np.column_stack([xy, z])
-    return _poses(centres, headings, np.radians(pitch_deg), attitude_jitter_deg, rng)
+    return gimbal_poses(centres, headings, np.radians(pitch_deg), attitude_jitter_deg, rng)
+
+
+def plan_grid(
+    area_m: float,
+    ground_height: GroundHeight,
+    *,
+    heading_deg: float,
+    frames: int | None,
+    **options: Any,
+) -> Array:
+    """A double grid: `plan_nadir` flown twice, the second time at right angles to the first.
+
+    Args:
+        frames: of both together, halved between them; None: as many as the overlaps need.
+        options: as `plan_nadir` takes them, for both.
+
+    Returns:
+        cam_from_world (N, 4, 4) float64 in flying order.
+
+    Raises:
+        InputError: as `plan_nadir`, or fewer frames than two.
+    """
+    if frames is not None and frames < 2:
+        raise InputError(f"a grid needs at least 2 frames, got {frames}")
+    halves = (None, None) if frames is None else ((frames + 1) // 2, frames // 2)
+    return np.concatenate(
+        [
+            plan_nadir(
+                area_m, ground_height, heading_deg=heading_deg + turn, frames=half, **options
+            )
+            for turn, half in zip((0.0, 90.0), halves, strict=True)
+        ]
+    )
 
 
 def plan_oblique(
@@ -144,13 +187,7 @@ def plan_oblique(
     base = float(ground_height(np.array([centre[0]]), np.array([centre[1]]))[0])
     centres = np.column_stack([xy, np.full(frames, base + altitude_m)])
     centres = centres + position_jitter_m * rng.standard_normal((frames, 3))
-    return _poses(centres, bearing + np.pi, np.radians(pitch_deg), attitude_jitter_deg, rng)
-
-
-def camera_centres(cam_from_world: ArrayLike) -> Array:
-    """World positions (N, 3) metres of cameras with poses (N, 4, 4)."""
-    pose = np.asarray(cam_from_world, float)
-    return np.asarray(-np.einsum("nji,nj->ni", pose[:, :3, :3], pose[:, :3, 3]))
+    return gimbal_poses(centres, bearing + np.pi, np.radians(pitch_deg), attitude_jitter_deg, rng)
 
 
 def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tuple[Array, Array]:
@@ -167,27 +204,13 @@ def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tu
     return np.minimum(low, middle), np.maximum(high, middle)
 
 
-def _poses(
-    centres: Array, heading: Array, pitch: float, jitter_deg: float, rng: np.random.Generator
-) -> Array:
-    """Poses of level cameras at `centres` (N, 3) with headings (N,) and pitch in radians."""
-    count = len(centres)
-    jitter = np.radians(jitter_deg) * rng.standard_normal((count, 3))
-    yaw = heading + jitter[:, 0]
-    tilt = np.full(count, pitch) + jitter[:, 1]
-    roll = jitter[:, 2]
-    zero = np.zeros(count)
-    ahead = np.stack([np.sin(yaw), np.cos(yaw), zero], -1)
-    right = np.stack([np.cos(yaw), -np.sin(yaw), zero], -1)
-    up = np.array([0.0, 0.0, 1.0])
-    forward = np.cos(tilt)[:, None] * ahead + np.sin(tilt)[:, None] * up
-    down = np.sin(tilt)[:, None] * ahead - np.cos(tilt)[:, None] * up
-    x = np.cos(roll)[:, None] * right + np.sin(roll)[:, None] * down
-    y = np.cos(roll)[:, None] * down - np.sin(roll)[:, None] * right
-    pose = np.tile(np.eye(4), (count, 1, 1))
-    pose[:, :3, :3] = np.stack([x, y, forward], axis=1)
-    pose[:, :3, 3] = -np.einsum("nij,nj->ni", pose[:, :3, :3], centres)
-    return pose
+def _few(steps: float) -> int:
+    """Exposures, or lines, on a way of so many longest steps."""
+    if steps > MAX_PHOTOGRAPHS:
+        raise InputError(
+            f"a flight takes at most {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"
+        )
+    return int(np.ceil(steps)) + 1
 
 
 def _require_positive(**values: float) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.conditions import Condition
-from simulate.world import CLASSES, Ground, Marking, Region
+from simulate.world import CLASSES, Ground, Marking, Region, Rgb
 
 TEXEL_M = 0.1
 MAX_TEXELS = 4096  # a side; larger places get coarser texels, not larger images
@@ -25,7 +25,12 @@ _TEXTURE: dict[str, tuple[float, float]] = {
     "parking": (0.10, 0.05),
     "driveway": (0.10, 0.07),
     "path": (0.12, 0.08),
+    "water": (0.10, 0.0),
 }
+_SEALED = ("road", "pavement", "parking", "driveway")  # where rain stays on top
+_WET_DARKENING = 0.5
+# What looks the same in every season: linear albedo (deep, shallow).
+_SEASONLESS: dict[str, tuple[Rgb, Rgb]] = {"water": ((0.012, 0.024, 0.026), (0.020, 0.034, 0.028))}
 # Share of its snow that each kind of ground keeps: traffic and shovels clear the others.
 _SNOW_KEPT: dict[str, float] = {
     "grass": 1.0,
@@ -35,6 +40,7 @@ _SNOW_KEPT: dict[str, float] = {
     "parking": 0.4,
     "driveway": 0.5,
     "path": 0.6,
+    "water": 0.0,
 }
 
 
@@ -78,7 +84,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     soft, sharp, snow = (np.zeros(size, np.float32) for _ in range(3))
     for name, (low, high) in _TEXTURE.items():
         k = CLASSES[name]
-        colour[k], dry[k] = condition.ground[name]
+        colour[k], dry[k] = _SEASONLESS.get(name) or condition.ground[name]
         soft[k], sharp[k], snow[k] = low, high, _SNOW_KEPT[name]
 
     labels = ground.labels
@@ -94,6 +100,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     albedo *= _kerbs(ground)[..., None]
     paint_mask = _marking_mask(ground) * np.clip(0.85 + 0.25 * blotch, 0.3, 1)
     albedo += paint_mask[..., None] * (np.float32(0.72) - albedo)
+    albedo *= 1 - _WET_DARKENING * condition.wet
     if condition.snow > 0:
         # Road edges keep what the wheels throw there, hence the blurred coverage.
         kept = cv2.GaussianBlur(snow[labels], (0, 0), 0.5 / ground.texel_m)
@@ -101,6 +108,22 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
         white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
         albedo += (0.93 * cover)[..., None] * (white - albedo)
     return _srgb(albedo)
+
+
+def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
+    """How much of a mirror the ground is, (n, n) uint8: ponds and rivers are one, and rain leaves a
+    film and puddles on sealed ground."""
+    n = len(ground.labels)
+    standing = np.where(ground.labels == CLASSES["water"], 255, 0).astype(np.uint8)
+    if condition.wet == 0:
+        return standing
+    rng = np.random.default_rng([seed, 2])
+    across = n * ground.texel_m
+    hollows = 0.6 * _noise(rng, n, across / 7.0) + 0.4 * _noise(rng, n, across / 2.0)
+    puddles = np.clip((hollows - 0.35) / 0.08, 0, 1)
+    sealed = np.isin(ground.labels, [CLASSES[c] for c in _SEALED])
+    film = sealed * condition.wet * (0.25 + 0.75 * puddles)
+    return np.maximum(standing, np.asarray(255 * film, np.uint8))
 
 
 def _to_raster(points: NDArray[np.float64], texel: float, n: int) -> NDArray[np.int32]:

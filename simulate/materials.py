@@ -5,26 +5,31 @@ Works on the data it is handed and does not import bpy, so that only the rendere
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulate import textures
-from simulate.conditions import Condition
+from simulate.conditions import SUMMER_LEAF, Condition
 from simulate.world import Rgb
 
 _SNOW: Rgb = (0.76, 0.79, 0.84)
+_WET_DARKENING = 0.35  # of walls, roofs and paint
 
 
-def build_materials(data: Any, condition: Condition, ground: NDArray[np.uint8]) -> dict[str, Any]:
-    """Blender materials by the names meshes use; `data` is bpy.data, `ground` the baked albedo.
+def build_materials(
+    data: Any, condition: Condition, ground: NDArray[np.uint8], mirror: NDArray[np.uint8]
+) -> dict[str, Any]:
+    """Blender materials by the names meshes use; `data` is bpy.data, `ground` the baked albedo
+    (n, n, 3), `mirror` how much of a mirror it is (n, n), both uint8.
 
     Meshes bring the attribute "tint" and the texture coordinates "uv"; objects their colour.
     """
     build = _Builder(data, condition)
-    albedo = np.dstack([ground, np.full(ground.shape[:2], 255, np.uint8)])
-    materials = {"ground": build.ground(build.image("ground", albedo))}
+    image = build.image("ground", np.dstack([ground, mirror]))
+    materials = {"ground": build.ground(image, mirrored=bool(mirror.any()))}
     for style in range(textures.FACADES):
         name = f"facade_{style}"
         materials[name] = build.textured(name, textures.facade(style))
@@ -33,8 +38,37 @@ def build_materials(data: Any, condition: Condition, ground: NDArray[np.uint8]) 
     materials["plain"] = build.plain()
     materials["paint"] = build.paint()
     materials["glass"] = build.glass()
-    materials["leaf"] = build.leaf()
+    materials["leaf"] = build.leaf("leaf", condition.leaf, condition.leaf_tip)
+    materials["needle"] = build.leaf("needle", *SUMMER_LEAF)
+    if isfinite(condition.visibility_m):
+        for material in materials.values():
+            _veil(material, condition)
     return materials
+
+
+def _veil(material: Any, condition: Condition) -> None:
+    """Put fog before a finished material: what the camera sees fades into the sky's colour.
+
+    Contrast is exp(-3.912 d / visibility) at d metres (Koschmieder). Only what the camera sees
+    directly fades, so that fog costs neither light nor noise, and depth stays that of surfaces.
+    """
+    tree = material.node_tree
+    graph = _Graph.of(material)
+    (output,) = (node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+    surface = output.inputs["Surface"].links[0].from_socket
+    distance = graph.node("ShaderNodeCameraData").outputs["View Distance"]
+    depth = graph.math("MULTIPLY", distance, -3.912 / condition.visibility_m)
+    through = graph.math("EXPONENT", depth, 0.0)
+    seen = graph.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
+    veil = graph.math("MULTIPLY", graph.math("SUBTRACT", 1.0, through), seen)
+    glow = graph.node(
+        "ShaderNodeEmission",
+        Color=(*condition.sky_horizon, 1.0),
+        Strength=condition.sky_strength,
+    )
+    veiled = graph.blend(veil, surface, glow.outputs[0])
+    tree.links.new(veiled, output.inputs["Surface"])
+    material.cycles.emission_sampling = "NONE"  # a veil lights nothing
 
 
 class _Builder:
@@ -51,11 +85,16 @@ class _Builder:
         image.update()
         return image
 
-    def ground(self, image: Any) -> Any:
-        """The baked ground, mirrored beyond the area; its snow is in the bake."""
+    def ground(self, image: Any, mirrored: bool) -> Any:
+        """The baked ground, repeated as a mirror image beyond the area; snow and soaking are in the
+        bake. Where alpha is high, water stands: a faintly rippled mirror over its own colour."""
         graph = _Graph(self.data, "ground")
         texture = graph.image(image, extension="MIRROR")
-        graph.finish(graph.diffuse(texture.outputs["Color"]))
+        surface = graph.diffuse(texture.outputs["Color"])
+        if mirrored:
+            water = graph.glossy(texture.outputs["Color"], roughness=0.08)
+            surface = graph.blend(texture.outputs["Alpha"], surface, water)
+        graph.finish(surface)
         return graph.material
 
     def textured(self, name: str, pixels: NDArray[np.uint8]) -> Any:
@@ -87,17 +126,20 @@ class _Builder:
         graph.finish(graph.glossy(colour, roughness=0.12))
         return graph.material
 
-    def leaf(self) -> Any:
-        """Between the season's two leaf colours by the tint's red, times the object's colour."""
-        graph = _Graph(self.data, "leaf")
+    def leaf(self, name: str, inner: Rgb, tip: Rgb) -> Any:
+        """Between two leaf colours by the tint's red, times the object's colour."""
+        graph = _Graph(self.data, name)
         depth = graph.red(graph.attribute("tint"))
-        inner, tip = graph.rgb(self.condition.leaf), graph.rgb(self.condition.leaf_tip)
-        colour = graph.multiply(graph.mix(depth, inner, tip), graph.object_colour())
+        between = graph.mix(depth, graph.rgb(inner), graph.rgb(tip))
+        colour = graph.multiply(between, graph.object_colour())
         graph.finish(graph.diffuse(self._snowed(graph, colour, share=0.75)))
         return graph.material
 
     def _snowed(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
-        """The colour under the condition's snow: on what faces up, in patches."""
+        """The colour soaked, then under the condition's snow: on what faces up, in patches."""
+        if self.condition.wet > 0:
+            value = 1 - _WET_DARKENING * self.condition.wet
+            colour = graph.multiply(colour, graph.rgb((value, value, value)))
         cover = share * self.condition.snow
         if cover <= 0:
             return colour
@@ -117,6 +159,13 @@ class _Graph:
         self.material.use_nodes = True
         self.tree = self.material.node_tree
         self.tree.nodes.clear()
+
+    @classmethod
+    def of(cls, material: Any) -> _Graph:
+        """The tree a finished material has."""
+        graph = cls.__new__(cls)
+        graph.material, graph.tree = material, material.node_tree
+        return graph
 
     def node(self, kind: str, **inputs: Any) -> Any:
         """A node; inputs are values or sockets by name (underscores for spaces)."""
@@ -182,6 +231,13 @@ class _Graph:
 
     def multiply(self, a: Any, b: Any) -> Any:
         return self.mix(1.0, a, b, blend="MULTIPLY")
+
+    def blend(self, factor: Any, a: Any, b: Any) -> Any:
+        """Surface `a` where `factor` is 0, `b` where it is 1."""
+        node = self.tree.nodes.new("ShaderNodeMixShader")
+        for socket, value in zip(node.inputs, (factor, a, b), strict=True):
+            self._set(socket, value)
+        return node.outputs[0]
 
     def diffuse(self, colour: Any) -> Any:
         return self.node("ShaderNodeBsdfDiffuse", Color=colour).outputs[0]

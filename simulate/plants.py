@@ -1,7 +1,7 @@
 """Trees and hedges: lumpy crowns of small opaque leaf triangles, no transparency anywhere.
 
 Leaf triangles are tinted by (depth in the crown, 0, 0): 0 deep inside, 1 at the tips. The
-material turns that into the season's two leaf colours.
+material turns that into the season's two leaf colours, or into those of needles.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from simulate.world import Heightfield, WorldObject
 Array = NDArray[np.float64]
 
 _BARK = (0.09, 0.065, 0.045)
+_TWIG = (0.13, 0.10, 0.08)
+# Length and radius in metres, and forks, of a trunk, its limbs, boughs, branches and twigs.
+_BRANCHES = ((2.8, 0.26, 7), (2.3, 0.13, 5), (1.5, 0.07, 5), (1.0, 0.04, 6), (0.7, 0.022, 0))
 
 
 def broadleaf(variant: int) -> Mesh:
@@ -33,6 +36,13 @@ def broadleaf(variant: int) -> Mesh:
     parts += [_lump(centre, 0.86 * radius, rng) for centre, radius in lumps]
     parts.append(_trunk(3.8, 0.24))
     return merged(parts)
+
+
+def bare(variant: int) -> Mesh:
+    """A broadleaved tree without its leaves, about 8 m high: branches down to twigs."""
+    out = MeshBuilder()
+    _branch(out, np.random.default_rng([34, variant]), np.zeros(3), np.array([0.0, 0.0, 1.0]), 0)
+    return out.build()
 
 
 def conifer(variant: int) -> Mesh:
@@ -52,7 +62,9 @@ def conifer(variant: int) -> Mesh:
     for a, b in zip(foot, np.roll(foot, -1, 0), strict=True):
         cone.polygon([a, b, (0, 0, 8.6)], "leaf", (0.05, 0, 0))
     parts += [cone.build(), _trunk(2.0, 0.18)]
-    return merged(parts)
+    tree = merged(parts)
+    evergreen = tuple("needle" if name == "leaf" else name for name in tree.materials)
+    return replace(tree, materials=evergreen)
 
 
 def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:
@@ -186,6 +198,33 @@ def _lump(centre: Array, radius: float, rng: np.random.Generator) -> Mesh:
     tint = np.zeros((len(triangles), 3))
     tint[:, 0] = 0.12
     return triangle_mesh(grid, triangles, "leaf", tint)
+
+
+def _branch(
+    out: MeshBuilder, rng: np.random.Generator, foot: Array, along: Array, order: int
+) -> None:
+    """A branch from its foot (3,) in a unit direction (3,), and all that grows on it."""
+    length, radius, forks = _BRANCHES[order]
+    length *= rng.uniform(0.8, 1.2)
+    across = np.cross(along, rng.standard_normal(3))
+    across /= np.linalg.norm(across)
+    third = np.cross(along, across)
+    tip = foot + length * along
+    ring = [np.cos(t) * across + np.sin(t) * third for t in np.arange(3) * 2 * np.pi / 3]
+    for p, q in zip(ring, [*ring[1:], ring[0]], strict=True):
+        side = [
+            foot + radius * p,
+            foot + radius * q,
+            tip + 0.5 * radius * q,
+            tip + 0.5 * radius * p,
+        ]
+        out.polygon(side, "plain", _BARK if order < 3 else _TWIG)
+    turn = rng.uniform(0, 2 * np.pi) + np.arange(forks) * np.pi * (3 - np.sqrt(5))
+    for k in range(forks):
+        start = foot + (0.45 + 0.55 * (k + 1) / forks) * length * along
+        spread = rng.uniform(0.6, 1.1) * (np.cos(turn[k]) * across + np.sin(turn[k]) * third)
+        grown = along + spread + [0.0, 0.0, 0.15]
+        _branch(out, rng, start, grown / np.linalg.norm(grown), order + 1)
 
 
 def _trunk(height: float, radius: float) -> Mesh:

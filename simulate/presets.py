@@ -1,20 +1,68 @@
-"""The places that can be built, by name."""
+"""The places that can be built, by name: each is a plan."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from scene.errors import InputError
-from simulate.town import build_town
+from simulate.dwellings import flats, housing
+from simulate.farms import farm, hayfield, pasture
+from simulate.greens import field, meadow, park, woods
+from simulate.plan import Plan
+from simulate.power import power_lines
+from simulate.roadside import deliveries, street_furniture, street_lamps, traffic
+from simulate.town import TOWN
+from simulate.trade import tank_farm, trade, works
+from simulate.water import dock, lake
 from simulate.world import World
 
-PRESETS: dict[str, Callable[[int, float], World]] = {"town": build_town}
-"""Each makes a World of a seed and a side in metres."""
+PLANS: dict[str, Plan] = {
+    "town": TOWN,
+    "suburb": Plan(
+        block_m=85.0,
+        first=(housing, housing, flats, park),
+        uses={housing: 0.82, flats: 0.06, park: 0.07, lake: 0.05},
+        open_land=meadow,
+        open_share=0.06,
+        after=(street_lamps, traffic, street_furniture, deliveries),
+    ),
+    "park": Plan(
+        block_m=130.0,
+        first=(lake, park, woods, meadow),
+        uses={park: 0.45, woods: 0.35, lake: 0.20},
+        open_land=meadow,
+        open_share=0.3,
+        after=(street_lamps, street_furniture),
+        verge="path",
+    ),
+    "farmland": Plan(
+        block_m=150.0,
+        first=(farm, hayfield, pasture, field),
+        uses={farm: 0.18, hayfield: 0.32, pasture: 0.27, woods: 0.15, lake: 0.08},
+        open_land=field,
+        open_share=0.4,
+        before=(power_lines,),
+        after=(traffic,),
+        verge="grass",
+    ),
+    "industrial": Plan(
+        block_m=110.0,
+        first=(works, trade, tank_farm, dock),
+        uses={works: 0.42, trade: 0.30, tank_farm: 0.13, dock: 0.15},
+        open_land=meadow,
+        open_share=0.06,
+        before=(power_lines,),
+        after=(street_lamps, traffic, street_furniture, deliveries),
+    ),
+}
 
 
 def preset(name: str) -> Callable[[int, float], World]:
-    """The preset called `name`; InputError naming the valid ones when there is none."""
+    """Makes a World of a seed and a side in metres; see ``Plan.build``.
+
+    InputError naming the valid names when there is no preset called `name`.
+    """
     try:
-        return PRESETS[name]
+        return PLANS[name].build
     except KeyError:
-        raise InputError(f"unknown preset {name!r}: choose one of {', '.join(PRESETS)}") from None
+        raise InputError(f"unknown preset {name!r}: choose one of {', '.join(PLANS)}") from None

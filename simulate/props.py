@@ -9,8 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from simulate.furniture import FURNITURE
 from simulate.mesh import Mesh, MeshBuilder
-from simulate.plants import broadleaf, conifer
+from simulate.plants import bare, broadleaf, conifer
 from simulate.world import Rgb
 
 _RUBBER: Rgb = (0.018, 0.018, 0.019)
@@ -36,6 +37,8 @@ def shape_mesh(name: str) -> Mesh:
     kind, _, variant = name.rpartition("_")
     if kind == "broadleaf":
         return broadleaf(int(variant)).fitted()
+    if kind == "bare":
+        return bare(int(variant)).fitted()
     if kind == "conifer":
         return conifer(int(variant)).fitted()
     if name in _CAR_SHAPES:
@@ -205,4 +208,5 @@ _SHAPES: dict[str, Callable[[], Mesh]] = {
     "skip": _skip,
     "bench": _bench,
     "lamp": _lamp,
+    **FURNITURE,
 }

@@ -14,9 +14,13 @@ from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from simulate.conditions import condition
+from scene.geodesy import Geodetic
+from simulate.change import Change
+from simulate.conditions import PLACE, condition
 from simulate.presets import preset
 
 _APT_PACKAGES = (
@@ -46,11 +50,26 @@ class PinholeCamera(BaseModel):
     cy: float
 
 
+class Board(BaseModel):
+    """A chessboard on the plane z = 0, in metres: the origin is its first inner corner, x runs
+    along its `columns` inner corners, y along its `rows`, and its face is seen from below (-z).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    columns: int = Field(ge=3)
+    rows: int = Field(ge=3)
+    square_m: float = Field(gt=0)
+
+
 class RenderJob(BaseModel):
     """One flight under one condition.
 
     `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
-    paths per pixel, denoised afterwards.
+    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from. `change`
+    and `first_new_id` make the world as `simulate.change.changed_world` does. `lens` is the camera
+    of the photographs, as `str(scene.camera.Camera)`, when it is not the pinhole `camera`, which
+    then covers its view.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -59,7 +78,12 @@ class RenderJob(BaseModel):
     seed: int = Field(ge=0)
     area_m: float = Field(gt=0)
     condition: str
+    origin: Geodetic = PLACE
+    change: Change = Change()
+    first_new_id: int = Field(default=0, ge=0)
     camera: PinholeCamera
+    lens: str | None = None
+    board: Board | None = None
     samples: int = Field(default=4, ge=1)
     poses: dict[int, list[list[float]]]
 
@@ -82,6 +106,7 @@ class RenderChunk(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     job: RenderJob
+    rays: Path | None  # npy (H, W, 2): x/z and y/z of the lens's pixels; None: of the pinhole's
     out_dir: Path
     threads: int = Field(ge=0)  # 0: as many as there are processors
     may_grow_bytes: int = Field(ge=0)
@@ -110,14 +135,15 @@ def render(
 
     A frame is `NNNNNN.npz` with rgb (H, W, 3) uint8 sRGB, depth (H, W) float32 planar metres
     (0: no surface), instance (H, W) uint16 object ids (0: ground or sky), semantic (H, W) uint8
-    labels and normal (H, W, 3) int8 world normals times 127. It appears only when complete.
+    labels (not of a board) and normal (H, W, 3) int8 world normals times 127. It appears only when
+    complete.
     `on_frame` is called in this thread with the number of each frame as it is finished.
 
     Raises:
-        InputError: an unknown preset or condition.
+        InputError: an unknown preset or condition, or no sun at the origin that day.
         RenderError: a process died; the frames finished before remain.
     """
-    condition(job.condition)
+    condition(job.condition, job.origin)
     preset(job.preset)
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
@@ -128,12 +154,17 @@ def render(
     size = min(_FRAMES_PER_PROCESS, math.ceil(len(missing) / jobs))
     shares = deque(missing[k : k + size] for k in range(0, len(missing), size))
     with tempfile.TemporaryDirectory(prefix="render-") as scratch:
+        rays = None
+        if job.lens is not None:
+            rays = Path(scratch) / "rays.npy"
+            np.save(rays, _lens_rays(job.lens))
         numbers = count()
 
         def start(share: list[int]) -> _Child:
             part = job.model_copy(update={"poses": {i: job.poses[i] for i in share}})
             chunk = RenderChunk(
                 job=part,
+                rays=rays,
                 out_dir=out_dir.resolve(),
                 threads=threads,
                 may_grow_bytes=_MAY_GROW_BYTES,
@@ -144,6 +175,15 @@ def render(
             return _Child(path)
 
         _work_off(shares, jobs, start, out_dir, on_frame)
+
+
+def _lens_rays(lens: str) -> NDArray[np.float64]:
+    """x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
+    from scene.camera import Camera  # torch, which Blender's processes need not load
+
+    camera = Camera.parse(lens.split())
+    rays, _ = camera.unproject(camera.pixel_grid())
+    return np.asarray(rays[..., :2].numpy())
 
 
 class _Child:

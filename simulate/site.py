@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scene.errors import InputError
+from simulate.grid import CircleGrid
 from simulate.world import (
     MAX_OBJECT_ID,
     BuildingStyle,
@@ -43,16 +46,14 @@ class Site:
         self.regions: list[Region] = []
         self.markings: list[Marking] = []
         self.objects: list[WorldObject] = []
-        # Footprint, its enclosing circle, and whether it is only reserved ground.
         self._claims: list[Array] = []
-        self._circles = np.empty((256, 3))
-        self._reserved = np.zeros(256, bool)
+        self._reserved: list[bool] = []  # whether a claim is only reserved ground
+        self._circles = CircleGrid()  # around the claims
         # Every straight piece of every road: start, step, half width, number of its road.
         self._pieces = np.empty((0, 4))
         self._half_width = np.empty(0)
         self._road_of = np.empty(0, int)
-        self._middle = np.empty((0, 2))
-        self._reach = np.empty(0)  # from the middle to the farthest point of the carriageway
+        self._reach = CircleGrid()  # from a piece's middle to the farthest point of its carriageway
 
     def choose(self, options: Sequence[T]) -> T:
         """One of `options`, uniformly."""
@@ -75,22 +76,24 @@ class Site:
             half_width[near],
             road_of[near],
         )
-        self._middle = self._pieces[:, :2] + 0.5 * self._pieces[:, 2:]
-        self._reach = 0.5 * np.hypot(*self._pieces[:, 2:].T) + self._half_width
+        self._reach = CircleGrid()
+        middle = self._pieces[:, :2] + 0.5 * self._pieces[:, 2:]
+        radius = 0.5 * np.hypot(*self._pieces[:, 2:].T) + self._half_width
+        for centre, r in zip(middle, radius.tolist(), strict=True):
+            self._reach.add(centre, r)
 
     def roads_within(self, points: Array, clear_m: float) -> set[int]:
         """Indices of the roads whose carriageway comes within `clear_m` of any point (M, 2)."""
         centre = points.mean(0)
-        radius = np.hypot(*(points - centre).T).max() + clear_m
-        x, y = (centre - self._middle).T
-        near = np.flatnonzero(x * x + y * y < (radius + self._reach) ** 2)
-        if len(near) == 0:
+        near = self._reach.near(centre, float(np.hypot(*(points - centre).T).max()) + clear_m)
+        if not near:
             return set()
         a, d = self._pieces[near, :2], self._pieces[near, 2:]
         p = points[:, None] - a
         t = np.clip((p * d).sum(-1) / (d * d).sum(-1), 0, 1)
         distance = np.linalg.norm(p - t[..., None] * d, axis=-1).min(0)
-        return set(self._road_of[near[distance < self._half_width[near] + clear_m]].tolist())
+        hit = distance < self._half_width[near] + clear_m
+        return set(self._road_of[near][hit].tolist())
 
     def paint(self, class_name: str, polygon: Array, tone: float = 0.5) -> None:
         """Paint a polygon (K, 2) over what was painted before."""
@@ -127,11 +130,13 @@ class Site:
         `size` (3,) metres, `yaw` radians; `gap_m` is the least distance kept to other objects,
         per side. Buildings stand on the lowest ground under them, hedges and fences follow the
         ground, everything else stands on the ground under its centre.
+
+        Raises InputError when there are more objects than ids.
         """
         at = np.asarray(at, float)
         length, width, height = size
         corners = rectangle(at, (length, width), yaw)
-        if np.abs(corners).max() > 0.5 * self.area_m or len(self.objects) >= MAX_OBJECT_ID:
+        if np.abs(corners).max() > 0.5 * self.area_m:
             return False
         grown = rectangle(at, (length + 2 * gap_m, width + 2 * gap_m), yaw)
         if self._taken(grown, on_reserved):
@@ -150,30 +155,92 @@ class Site:
             height += float(np.ptp(ground))
         centre = np.array([at[0], at[1], base + 0.5 * height])
         box = np.array([length, width, height], float)
-        number = len(self.objects) + 1
-        yaw = float(np.angle(np.exp(1j * yaw)))
-        self.objects.append(WorldObject(number, class_name, centre, box, yaw, shape, colour, style))
+        self._add(class_name, shape, centre, box, yaw, colour, style)
         return True
 
+    def span(
+        self,
+        class_name: str,
+        ends: Array,
+        heights: tuple[float, float],
+        width_m: float,
+        low_m: float,
+    ) -> None:
+        """Hang something between two points in the air: it claims no ground.
+
+        `ends` (2, 2) and the `heights` above them in world metres; `low_m` is the height of its
+        lowest point.
+        """
+        a, b = ends
+        size = np.array([np.linalg.norm(b - a), width_m, max(heights) - low_m])
+        centre = np.array([*(0.5 * (a + b)), 0.5 * (max(heights) + low_m)])
+        yaw = float(np.arctan2(*(b - a)[::-1]))
+        self._add(class_name, class_name, centre, size, yaw, (0.05, 0.05, 0.05))
+
+    def flood(self, shore: Array, bank_m: float) -> None:
+        """Paint still water inside a `shore` (K, 2), and level the ground under it.
+
+        The ground around it slopes to the water over `bank_m` metres beyond the last cell of the
+        terrain that the water touches; nothing may stand there yet.
+        """
+        spacing, nodes = self.terrain.spacing_m, self.terrain.nodes.copy()
+        axis = np.arange(len(nodes)) * spacing - self.terrain.half_side_m
+        margin = 1.5 * spacing
+        spans = [
+            slice(*np.searchsorted(axis, [low - margin - bank_m, high + margin + bank_m]))
+            for low, high in zip(shore.min(0), shore.max(0), strict=True)
+        ]
+        columns, rows = spans
+        outline = shore.astype(np.float32)
+        outside = np.array(
+            [
+                [-cv2.pointPolygonTest(outline, (x, y), True) for x in axis[columns]]
+                for y in axis[rows]
+            ]
+        )
+        if outside.size == 0:
+            return
+        level = float(self.terrain.height(*shore.T).mean()) - 0.3
+        share = np.clip((outside - margin) / bank_m, 0.0, 1.0)
+        share = share * share * (3 - 2 * share)
+        nodes[rows, columns] = level + share * (nodes[rows, columns] - level)
+        self.terrain = Heightfield(nodes, spacing)
+        self.paint("water", shore)
+
+    def _add(
+        self,
+        class_name: str,
+        shape: str,
+        centre: Array,
+        size: Array,
+        yaw: float,
+        colour: Rgb,
+        style: BuildingStyle | None = None,
+    ) -> None:
+        number = len(self.objects) + 1
+        if number > MAX_OBJECT_ID:
+            raise InputError(
+                f"a place of {self.area_m:g} m a side needs more than the {MAX_OBJECT_ID} objects "
+                "that can be told apart: ask for a smaller area"
+            )
+        yaw = float(np.angle(np.exp(1j * yaw)))
+        self.objects.append(
+            WorldObject(number, class_name, centre, size, yaw, shape, colour, style)
+        )
+
     def _claim(self, corners: Array, reserved: bool) -> None:
-        k = len(self._claims)
-        if k == len(self._circles):
-            self._circles = np.concatenate([self._circles, np.empty_like(self._circles)])
-            self._reserved = np.concatenate([self._reserved, np.zeros_like(self._reserved)])
         centre = corners.mean(0)
-        self._circles[k] = *centre, np.linalg.norm(corners - centre, axis=1).max()
-        self._reserved[k] = reserved
+        self._circles.add(centre, float(np.linalg.norm(corners - centre, axis=1).max()))
+        self._reserved.append(reserved)
         self._claims.append(corners)
 
     def _taken(self, corners: Array, on_reserved: bool) -> bool:
-        circles = self._circles[: len(self._claims)]
         centre = corners.mean(0)
-        reach = np.linalg.norm(corners[0] - centre) + circles[:, 2]
-        x, y = (circles[:, :2] - centre).T
-        near = x * x + y * y < reach * reach
-        if on_reserved:
-            near &= ~self._reserved[: len(self._claims)]
-        return any(overlap(corners, self._claims[k]) for k in np.flatnonzero(near))
+        return any(
+            overlap(corners, self._claims[k])
+            for k in self._circles.near(centre, float(np.linalg.norm(corners[0] - centre)))
+            if not (on_reserved and self._reserved[k])
+        )
 
 
 def _outline(corners: Array) -> Array:

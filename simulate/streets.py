@@ -108,8 +108,8 @@ class Block:
         return self.warp([0.5 * (self.u0 + self.u1), 0.5 * (self.v0 + self.v1)])
 
 
-def lay_streets(site: Site, pitch_m: float) -> list[Block]:
-    """Lay roads, pavements and markings about `pitch_m` metres apart; the blocks between them.
+def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Block]:
+    """Lay roads, verges and markings about `pitch_m` metres apart; the blocks between them.
 
     The blocks cover the area and come nearest the origin first.
     """
@@ -141,7 +141,7 @@ def lay_streets(site: Site, pitch_m: float) -> list[Block]:
             line = warp(np.stack([np.full_like(v, u), v], -1))
             roads.append(Road(line, float(u_widths[k]), bool(u_main[k])))
     site.lay_roads(roads)
-    _pave(site, warp(np.stack(np.meshgrid(us, vs), -1).reshape(-1, 2)))
+    _pave(site, warp(np.stack(np.meshgrid(us, vs), -1).reshape(-1, 2)), verge)
 
     blocks = []
     for i in range(len(us) - 1):
@@ -165,12 +165,12 @@ def lay_streets(site: Site, pitch_m: float) -> list[Block]:
     return sorted(blocks, key=lambda b: float(np.linalg.norm(b.centre())))
 
 
-def _pave(site: Site, junctions: Array) -> None:
-    """Paint pavements, carriageways and markings of every road; `junctions` (M, 2)."""
+def _pave(site: Site, junctions: Array, verge: str) -> None:
+    """Paint verges, carriageways and markings of every road; `junctions` (M, 2)."""
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     disc = np.stack([np.cos(turn), np.sin(turn)], -1)
     for road in site.roads:
-        site.paint("pavement", ribbon(road.line, road.width_m + 2 * PAVEMENT_M))
+        site.paint(verge, ribbon(road.line, road.width_m + 2 * PAVEMENT_M))
     for road in site.roads:
         tone = 0.35 + 0.3 * site.rng.random()
         site.paint("road", ribbon(road.line, road.width_m), tone)

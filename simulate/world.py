@@ -19,6 +19,7 @@ CLASSES: dict[str, int] = {
     "parking": 5,
     "driveway": 6,
     "path": 7,
+    "water": 8,
     "building": 16,
     "tree": 17,
     "hedge": 18,
@@ -28,6 +29,19 @@ CLASSES: dict[str, int] = {
     "container": 22,
     "bench": 23,
     "lamp": 24,
+    "van": 25,
+    "bin": 26,
+    "hydrant": 27,
+    "sign": 28,
+    "bollard": 29,
+    "table": 30,
+    "bale": 31,
+    "tractor": 32,
+    "pole": 33,
+    "wire": 34,
+    "tank": 35,
+    "pallet": 36,
+    "boat": 37,
 }
 """Semantic label of every class; labels below `FIRST_OBJECT_LABEL` are sky and ground cover."""
 

@@ -24,7 +24,7 @@ POSES = 4
 
 
 def nadir_job(config: SimulateConfig, frames: int) -> RenderJob:
-    camera = config.camera()
+    camera = config.photo_camera()
     poses = plan_nadir(
         config.area,
         build_town(config.seed, config.area).terrain.height,
@@ -125,7 +125,7 @@ def test_packing_a_frame(benchmark: BenchmarkFixture, renderer: Renderer) -> Non
     pose = np.array([nadir_job(CONFIG, POSES).poses[0]])
     rng = np.random.default_rng(0)
     folder = renderer.rendered.parent
-    frames = _frames(folder.name, pose, CONFIG.camera(), session, CONFIG, rng)
+    frames = _frames(folder.name, pose, CONFIG.photo_camera(), session, CONFIG, rng)
     path = folder / "frames.h5"
 
     benchmark(lambda: write_frames(path, frames, tuple(LAYERS), _pack(folder, frames, CONFIG)))

@@ -1,0 +1,145 @@
+"""Extended CMU Seasons: the public half of its query poses, scored offline, slice by slice.
+
+The reader takes the download as it is. Facts of the format that mislead (the data set's README and
+public loaders): pose files hold the camera's CENTRE, not a translation; each image's camera, c0 or
+c1, is in its name; pose files may be empty; images are distorted, whatever "rect" in an example
+says; the reference is of April 21, 2011, as its timestamps show.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final
+
+from benchmark.datasets import BenchmarkQuery, Dataset, digest
+from benchmark.textfiles import read_cameras, read_poses
+from scene.camera import Camera
+from scene.colmap import read_map
+from scene.errors import InputError
+from scene.files import sha256_of
+from scene.pose import Pose
+
+TRACK: Final = "cmu"
+
+_INTRINSICS: Final = "intrinsics.txt"
+_SLICE: Final = re.compile(r"slice(\d+)")
+_IMAGE: Final = re.compile(r"img_(\d+)_(c[01])_(\d+)us\.jpg")
+# Pittsburgh: a day there is no day of UTC.
+_LOCAL: Final = timedelta(hours=-5)
+
+# What the data set's README says of each day; other days go by their date alone.
+_DAYS: Final = {
+    "2010-09-01": "sunny, foliage",
+    "2010-09-15": "sunny, foliage",
+    "2010-10-01": "cloudy, foliage",
+    "2010-10-19": "sunny, foliage",
+    "2010-10-28": "overcast, mixed foliage",
+    "2010-11-03": "low sun, mixed foliage",
+    "2010-11-12": "low sun, mixed foliage",
+    "2010-11-22": "cloudy, mixed foliage",
+    "2010-12-21": "low sun, no foliage, snow",
+    "2011-03-04": "low sun, foliage",
+    "2011-07-28": "overcast, foliage",
+}
+
+
+def is_cmu(path: Path) -> bool:
+    """Whether a folder is the data set, or one slice of it."""
+    root = path.resolve()
+    if _SLICE.fullmatch(root.name):
+        root = root.parent
+    return (root / _INTRINSICS).is_file() and bool(_slices(root))
+
+
+def open_cmu(path: Path) -> list[Dataset]:
+    """Open every slice that carries public query poses, or one slice.
+
+    Raises:
+        InputError: a file is missing or wrong, a name is not of this data set, or no slice has a
+            public query pose.
+    """
+    root = path.resolve()
+    chosen = _slices(root)
+    if _SLICE.fullmatch(root.name):
+        chosen, root = [root], root.parent
+    cameras = read_cameras(root / _INTRINSICS)
+    if set(cameras) != {"c0", "c1"}:
+        raise InputError(f"{root / _INTRINSICS}: expected cameras c0 and c1, got {sorted(cameras)}")
+    datasets = [d for folder in chosen if (d := _open_slice(folder, cameras)) is not None]
+    if not datasets:
+        raise InputError(f"{path} has no public query pose in any camera-poses folder")
+    return datasets
+
+
+def surroundings(number: int) -> str:
+    """Urban, suburban or park, by the number of the slice."""
+    if number <= 8:
+        return "urban"
+    return "suburban" if number <= 17 else "park"
+
+
+def condition(name: str) -> str:
+    """Day and weather of an image, from the timestamp in its name.
+
+    Raises:
+        InputError: the name is not of this data set.
+    """
+    microseconds = int(_matched(name).group(3))
+    day = (datetime.fromtimestamp(microseconds / 1e6, UTC) + _LOCAL).strftime("%Y-%m-%d")
+    return f"{day} {_DAYS[day]}" if day in _DAYS else day
+
+
+def _matched(name: str) -> re.Match[str]:
+    found = _IMAGE.fullmatch(name)
+    if found is None:
+        raise InputError(f"image {name!r} is not named like img_00119_c0_1303398474779439us.jpg")
+    return found
+
+
+def _slices(root: Path) -> list[Path]:
+    """Slice folders by number."""
+    numbered = {
+        int(match.group(1)): folder
+        for folder in root.glob("slice*")
+        if folder.is_dir() and (match := _SLICE.fullmatch(folder.name))
+    }
+    return [numbered[number] for number in sorted(numbered)]
+
+
+def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
+    """One slice, or None when none of its query poses is public."""
+    references: dict[str, Pose] = {}
+    for file in sorted((folder / "camera-poses").glob("*.txt")):
+        for name, pose in read_poses(file, centres=True).items():
+            if name in references:
+                raise InputError(f"{file}: {name} has a pose in another file already")
+            references[name] = pose
+    if not references:
+        return None
+    for name in references:
+        if not (folder / "query" / name).is_file():
+            raise InputError(f"image {folder / 'query' / name} does not exist, but has a pose")
+    sparse_map = read_map(folder / "sparse")
+    queries = tuple(
+        BenchmarkQuery(
+            name=name,
+            condition=condition(name),
+            camera=cameras[_matched(name).group(2)],
+            image=folder / "query" / name,
+            prior=None,
+            reference=pose,
+        )
+        for name, pose in sorted(references.items())
+    )
+    number = int(folder.name.removeprefix("slice"))
+    return Dataset(
+        name=f"cmu-{surroundings(number)}-slice{number}",
+        track=TRACK,
+        sha256=digest(sparse_map, queries, [sha256_of(query.image) for query in queries]),
+        map_conditions=tuple(sorted({condition(name) for name in sparse_map.images})),
+        load_map=lambda: sparse_map,
+        images=folder / "database",
+        queries=queries,
+    )

@@ -1,0 +1,126 @@
+"""``regress``: did recall drop by more than chance since the baseline was recorded?"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.paired import PairedChange, compare
+from benchmark.results import Results, load
+from benchmark.score import THRESHOLDS, is_correct
+from scene.errors import InputError
+from scene.files import written_whole
+
+# Probability of a false alarm per baseline file, shared out among its comparisons (Bonferroni).
+_ALPHA: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One method on one data set, at one threshold, over all queries or those of a condition.
+
+    Attributes:
+        method: that was run.
+        track: of the data set.
+        dataset: its name.
+        condition: of the queries, or "all".
+        threshold: as "0.5m_5deg".
+        change: of recall, paired by query.
+        dropped: recall fell by more than chance.
+    """
+
+    method: str
+    track: str
+    dataset: str
+    condition: str
+    threshold: str
+    change: PairedChange
+    dropped: bool
+
+    def text(self) -> str:
+        """One line for a person."""
+        c = self.change
+        verdict = "DROP" if self.dropped else "ok  "
+        return (
+            f"{verdict} {self.method} on {self.dataset} ({self.track}), {self.condition}, "
+            f"{self.threshold}: {c.change:+.1f} points [{c.low:+.1f}, {c.high:+.1f}], "
+            f"{c.lost} lost and {c.won} won of {c.queries}, p = {c.p_drop:.2g}"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a program."""
+        return asdict(self) | {"change": self.change._asdict()}
+
+
+def regress(results: Path, baseline: Path) -> list[Comparison]:
+    """Compare every results file of a baseline with the one of the same place in ``results``.
+
+    A query that the new results lack counts as wrong.
+
+    Args:
+        results: folder that ``evaluate`` wrote.
+        baseline: folder that ``update`` wrote.
+
+    Raises:
+        InputError: no baseline, a results file missing or damaged, or made from other data or
+            another start.
+    """
+    comparisons: list[Comparison] = []
+    for name in _files(baseline):
+        if not (results / name).is_file():
+            raise InputError(f"{results} lacks {name}, which the baseline {baseline} has")
+        comparisons += _compare(load(baseline / name), load(results / name), str(name))
+    return comparisons
+
+
+def update(results: Path, baseline: Path) -> list[Path]:
+    """Make the results the baseline: copies every results file; returns those written.
+
+    Raises:
+        InputError: no results, or one of them is damaged or cannot be written.
+    """
+    names = _files(results)
+    for name in names:
+        load(results / name)  # a damaged file must not become the measure of others
+    for name in names:
+        with written_whole(baseline / name) as partial:
+            shutil.copyfile(results / name, partial)
+    return [baseline / name for name in names]
+
+
+def _files(folder: Path) -> list[Path]:
+    """Results files below a folder, relative to it."""
+    found = sorted(path.relative_to(folder) for path in folder.glob("*/*.json"))
+    if not found:
+        raise InputError(f"{folder} holds no results (<dataset>/<method>.json)")
+    return found
+
+
+def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]:
+    if before.dataset.sha256 != after.dataset.sha256 or before.start != after.start:
+        raise InputError(
+            f"{name}: the baseline is of other data or another start; record it again with --update"
+        )
+    by_name = {query.name: query for query in after.queries}
+    conditions = dict.fromkeys(query.condition for query in before.queries)
+    scopes: Sequence[str] = ["all", *conditions] if len(conditions) > 1 else ["all"]
+    level = _ALPHA / (len(scopes) * len(THRESHOLDS))
+    for scope in scopes:
+        queries = [q for q in before.queries if scope in ("all", q.condition)]
+        for threshold in THRESHOLDS:
+            was = [is_correct(query, threshold) for query in queries]
+            found = (by_name.get(query.name) for query in queries)
+            now = [query is not None and is_correct(query, threshold) for query in found]
+            change = compare(was, now)
+            yield Comparison(
+                method=before.method.name,
+                track=before.dataset.track,
+                dataset=before.dataset.name,
+                condition=scope,
+                threshold=threshold.key,
+                change=change,
+                dropped=change.p_drop < level,
+            )

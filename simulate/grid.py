@@ -1,0 +1,44 @@
+"""Finding the circles near a circle, among many, in a time that does not grow with their number."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from math import floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+_CELL_M = 16.0
+
+
+class CircleGrid:
+    """Circles numbered in the order they are added, kept by the cells of a square grid."""
+
+    def __init__(self) -> None:
+        self._circles: list[tuple[float, float, float]] = []
+        self._cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+
+    def add(self, centre: NDArray[np.float64], radius: float) -> None:
+        """Add a circle: `centre` (2,) and `radius` in metres."""
+        x, y = centre.tolist()
+        for cell in _cells(x, y, radius):
+            self._cells[cell].append(len(self._circles))
+        self._circles.append((x, y, float(radius)))
+
+    def near(self, centre: NDArray[np.float64], radius: float) -> list[int]:
+        """Numbers, ascending, of the circles that share area with this one (metres)."""
+        x, y = centre.tolist()
+        candidates = {k for cell in _cells(x, y, radius) for k in self._cells.get(cell, ())}
+        found = []
+        for k in sorted(candidates):
+            cx, cy, r = self._circles[k]
+            if (cx - x) ** 2 + (cy - y) ** 2 < (r + radius) ** 2:
+                found.append(k)
+        return found
+
+
+def _cells(x: float, y: float, radius: float) -> list[tuple[int, int]]:
+    """The cells a circle's bounding square touches."""
+    columns = range(floor((x - radius) / _CELL_M), floor((x + radius) / _CELL_M) + 1)
+    rows = range(floor((y - radius) / _CELL_M), floor((y + radius) / _CELL_M) + 1)
+    return [(i, j) for i in columns for j in rows]

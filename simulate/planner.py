@@ -1,0 +1,152 @@
+"""From a session's configuration to the poses of its photographs."""
+
+from __future__ import annotations
+
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.camera import Camera
+from scene.errors import InputError
+from simulate.clearance import is_free
+from simulate.config import SessionConfig, SimulateConfig
+from simulate.flight_config import (
+    CorridorFlight,
+    FreeFlight,
+    GridFlight,
+    NadirFlight,
+    ObliqueFlight,
+    PlanFlight,
+    StreetFlight,
+    plan_digest,
+)
+from simulate.flights import plan_grid, plan_nadir, plan_oblique
+from simulate.gimbal import Aims, expose
+from simulate.qgroundcontrol import read_plan
+from simulate.routes import plan_corridor, plan_free, plan_street
+from simulate.world import World, polyline_length, polyline_points
+
+Array = NDArray[np.float64]
+
+
+def plan_session(
+    session: SessionConfig,
+    config: SimulateConfig,
+    camera: Camera,
+    world: World,
+    rng: np.random.Generator,
+) -> Array:
+    """Poses of a session's photographs in flying order.
+
+    Args:
+        camera: that takes them; its footprint is that of a pinhole.
+        rng: of the wind and of free flights.
+
+    Returns:
+        cam_from_world (N, 4, 4) float64.
+
+    Raises:
+        InputError: the flight asks for what cannot be planned.
+    """
+    flight = session.flight
+    usual = config.map_plan if session.role == "map" else config.query_plan
+    frames = session.frames or config.frames
+    ground = world.terrain.height
+    focal = camera.focal[0]
+    aims: Aims
+    match flight:
+        case NadirFlight() | GridFlight():
+            forward_overlap, side_overlap = flight.overlaps
+            heading = flight.heading_deg
+            plan = plan_grid if isinstance(flight, GridFlight) else plan_nadir
+            return plan(
+                config.area,
+                ground,
+                width=camera.width,
+                height=camera.height,
+                focal=focal,
+                altitude_m=flight.altitude(focal, usual.nadir_altitude_m),
+                heading_deg=usual.nadir_heading_deg if heading is None else heading,
+                pitch_deg=flight.pitch_deg,
+                frames=None if flight.counts_photographs else frames,
+                forward_overlap=forward_overlap,
+                side_overlap=side_overlap,
+                terrain_following=flight.terrain_following,
+                position_jitter_m=config.position_jitter_m,
+                attitude_jitter_deg=config.attitude_jitter_deg,
+                rng=rng,
+            )
+        case ObliqueFlight():
+            start = flight.start_deg
+            return plan_oblique(
+                ground,
+                radius_m=flight.radius_m or usual.orbit_radius_share * config.area,
+                altitude_m=flight.altitude_m or usual.orbit_altitude_m,
+                frames=frames,
+                pitch_deg=flight.pitch_deg,
+                centre=flight.centre,
+                start_deg=usual.orbit_start_deg if start is None else start,
+                position_jitter_m=config.position_jitter_m,
+                attitude_jitter_deg=config.attitude_jitter_deg,
+                rng=rng,
+            )
+        case CorridorFlight():
+            line = _longest_road(world) if flight.line is None else np.array(flight.line)
+            altitude_m = flight.altitude(focal, usual.nadir_altitude_m)
+            forward_overlap, side_overlap = flight.overlaps
+            aims = plan_corridor(
+                line[::-1] if usual.backwards else line,
+                ground,
+                footprint_m=(camera.width * altitude_m / focal, camera.height * altitude_m / focal),
+                altitude_m=altitude_m,
+                width_m=flight.width_m,
+                lines=flight.lines,
+                frames=None if flight.counts_photographs else frames,
+                forward_overlap=forward_overlap,
+                side_overlap=side_overlap,
+                pitch_deg=flight.pitch_deg,
+                terrain_following=flight.terrain_following,
+            )
+        case FreeFlight():
+            altitude = usual.nadir_altitude_m
+            aims = plan_free(
+                config.area,
+                ground,
+                altitude_m=flight.altitude_m or (0.7 * altitude, 1.1 * altitude),
+                pitch_deg=flight.pitch_deg,
+                frames=frames,
+                rng=rng,
+            )
+        case StreetFlight():
+            step = -1 if usual.backwards else 1
+            aims = plan_street(
+                [(road.line[::step], road.width_m) for road in world.roads],
+                ground,
+                lambda centres: is_free(centres, world),
+                height_m=flight.height_m,
+                yaws_deg=flight.yaws_deg,
+                pitch_deg=flight.pitch_deg,
+                frames=frames,
+            )
+            return expose(aims, 0.0, 0.0, rng)
+        case PlanFlight():
+            if plan_digest(flight.file) != flight.sha256:
+                raise InputError(f"mission plan {flight.file} is no longer the scene's: restore it")
+            aims = read_plan(flight.file, config.origin, config.area, ground, flight.pitch_deg)
+        case _:
+            assert_never(flight)
+    return expose(aims, config.position_jitter_m, config.attitude_jitter_deg, rng)
+
+
+def _longest_road(world: World) -> Array:
+    """The road with most of its length in the place, from where it enters to where it leaves."""
+    best = np.empty((0, 2))
+    for road in world.roads:
+        points, _ = polyline_points(road.line, np.arange(0.0, polyline_length(road.line), 5.0))
+        inside = np.flatnonzero((np.abs(points) <= 0.5 * world.area_m).all(1))
+        if len(inside) > len(best):
+            best = points[inside[0] : inside[-1] + 1]
+    if len(best) < 2:
+        raise InputError("this place has no road for a corridor to follow: give the flight a line")
+    return best

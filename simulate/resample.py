@@ -1,0 +1,161 @@
+"""From the pinhole picture Blender renders to the photograph of a camera with distortion.
+
+Every layer goes through one map, so that no layer is distorted otherwise than another. Runs beside
+Blender and needs numpy alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Cast = Callable[[int, Array], Array]
+"""Planar depth (M,) where rays (M, 2), x/z and y/z in the camera frame, first meet the object of an
+id (0: the ground); infinite where they miss it."""
+
+# Inverse depth interpolated between neighbours is exact on a plane. Where it bends by more than
+# this (metres of depth, over one pixel) the surface is not one plane and the ray is cast instead.
+_FLAT_M = 2e-4
+_MARGIN = 3  # source pixels around the outermost sample, for the widest kernel and the bends
+
+
+def resample(
+    layers: dict[str, NDArray[Any]], xy: Array, rays: Array, cast: Cast
+) -> dict[str, NDArray[Any]]:
+    """Layers of a pinhole picture at other pixel centres.
+
+    Depth is exact, not resampled: on planes it is interpolated, and elsewhere (edges, foliage;
+    a tenth to a half of a picture) rays are cast at the objects that neighbouring pixels see.
+    Casting all rays at all objects would take 83 microseconds a ray and 22 s for a picture of
+    512 x 512; casting some of them at one or two objects takes about a second.
+
+    Args:
+        layers: rgb, depth, instance and normal as rendered, (h, w, ...).
+        xy: (H, W, 2) where each pixel centre of the photograph lies in them, COLMAP pixels, at
+            least 3 pixels inside.
+        rays: (H, W, 2) x/z and y/z of the same pixel centres.
+        cast: the world.
+
+    Returns:
+        The same layers, (H, W, ...).
+    """
+    depth, instance = _surface(layers["depth"], layers["instance"], xy, rays, cast)
+    normal = _normals(layers, xy, depth, instance)
+    return {
+        "rgb": resample_colour(layers["rgb"], xy),
+        "depth": depth.astype(np.float32),
+        "instance": instance,
+        "normal": normal,
+    }
+
+
+def resample_colour(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) between the pixel centres of `rgb` (h, w, 3), by Catmull-Rom's cubic.
+
+    OpenCV's remap rounds positions to 1/32 pixel; these are exact.
+    """
+    x, y = np.moveaxis(xy - 0.5, -1, 0)
+    column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
+    across, down = _cubic(x - column), _cubic(y - row)
+    source = rgb.astype(np.float32)
+    out = np.zeros((*xy.shape[:2], 3), np.float32)
+    for j in range(4):
+        line = np.zeros_like(out)
+        for i in range(4):
+            line += across[i][..., None] * source[row + j - 1, column + i - 1]
+        out += down[j][..., None] * line
+    return np.rint(np.clip(out, 0, 255)).astype(np.uint8)
+
+
+def _cubic(t: Array) -> NDArray[np.float32]:
+    """Weights (4, ...) of the neighbours at -1, 0, 1, 2 for positions `t` in [0, 1)."""
+    weights = (
+        ((-t + 2) * t - 1) * t,
+        (3 * t - 5) * t * t + 2,
+        ((-3 * t + 4) * t + 1) * t,
+        (t - 1) * t * t,
+    )
+    return np.asarray(0.5 * np.stack(weights), np.float32)
+
+
+def _corners(xy: Array) -> tuple[list[tuple[NDArray[Any], NDArray[Any]]], list[Array]]:
+    """The four pixels around every position, as indices, and their bilinear weights."""
+    x, y = np.moveaxis(xy - 0.5, -1, 0)
+    left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
+    fx, fy = x - left, y - top
+    corners = [(top + j, left + i) for j in (0, 1) for i in (0, 1)]
+    return corners, [(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy]
+
+
+def _surface(
+    depth: NDArray[np.float32], instance: NDArray[np.uint16], xy: Array, rays: Array, cast: Cast
+) -> tuple[Array, NDArray[np.uint16]]:
+    """Planar depth and object at every position, both (H, W)."""
+    corners, weights = _corners(xy)
+    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=depth > 0)
+    flat = _flat(depth, inverse, instance)
+    z = sum(w * inverse[c] for c, w in zip(corners, weights, strict=True))
+    z = np.divide(1.0, z, out=np.zeros(z.shape), where=z > 0)
+    plane = np.logical_and.reduce([flat[c] for c in corners])
+    found = instance[corners[0]]
+
+    rough = np.nonzero(~plane)
+    near = [(row[rough], column[rough]) for row, column in corners]
+    # The ground hides what stands in it, also where no neighbour sees it.
+    ways = rays[rough]
+    best = cast(0, ways)
+    who = np.zeros(len(best), np.uint16)
+    for k, corner in enumerate(near):
+        candidate = instance[corner]
+        new = candidate > 0
+        for earlier in near[:k]:
+            new &= instance[earlier] != candidate
+        at = np.nonzero(new)[0]
+        at = at[np.argsort(candidate[at], kind="stable")]
+        numbers, starts = np.unique(candidate[at], return_index=True)
+        for number, mine in zip(numbers.tolist(), np.split(at, starts[1:]), strict=False):
+            hit = cast(number, ways[mine])
+            closer = hit < best[mine]
+            best[mine[closer]] = hit[closer]
+            who[mine[closer]] = number
+    # Between leaves a ray may meet what no neighbour saw; then the nearest neighbour has to do.
+    nearest = tuple(np.floor(xy[rough]).astype(np.intp).T[::-1])
+    missed = ~np.isfinite(best)
+    z[rough] = np.where(missed, depth[nearest], best)
+    found[rough] = np.where(missed, instance[nearest], who)
+    return z, found
+
+
+def _flat(
+    depth: NDArray[np.float32], inverse: Array, instance: NDArray[np.uint16]
+) -> NDArray[np.bool_]:
+    """Pixels that lie on one plane of one object with their neighbours left, right, up, down."""
+    flat = depth > 0
+    for axis in (0, 1):
+        ahead, behind = np.roll(inverse, -1, axis), np.roll(inverse, 1, axis)
+        flat &= np.abs(ahead - 2 * inverse + behind) * np.square(depth) < _FLAT_M
+        for step in (-1, 1):
+            flat &= np.roll(instance, step, axis) == instance
+    return flat
+
+
+def _normals(
+    layers: dict[str, NDArray[Any]], xy: Array, depth: Array, instance: NDArray[np.uint16]
+) -> NDArray[np.int8]:
+    """Of the neighbouring pixels on the same object, the normal of the one closest in depth."""
+    corners, _ = _corners(xy)
+    far = np.inf
+    gaps = np.stack(
+        [
+            np.where(layers["instance"][c] == instance, np.abs(layers["depth"][c] - depth), far)
+            for c in corners
+        ]
+    )
+    choice = gaps.argmin(0)
+    rows = np.choose(choice, [row for row, _ in corners])
+    columns = np.choose(choice, [column for _, column in corners])
+    return np.asarray(layers["normal"][rows, columns])

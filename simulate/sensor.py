@@ -1,0 +1,106 @@
+"""What a lens and a sensor do to the light of a photograph. Geometry is never touched.
+
+The rendered picture is taken for a camera's sRGB picture and brought back to linear light, where
+exposure, vignetting, blur and noise happen. There is no rolling shutter: every row would need a
+pose of its own.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from scene.config import Config
+
+_BLUR_SAMPLES_PER_PX = 4
+
+
+class SensorConfig(Config):
+    """Photographic effects, all off by default.
+
+    Attributes:
+        exposure_ev: jitter of the exposure, standard deviation in stops.
+        white_balance: jitter of the gains of red and blue, relative standard deviation.
+        vignetting: share of the light missing in the corners.
+        motion_blur_px: typical length of the streaks; their direction is any.
+        full_well_e: electrons of a white pixel, whose square root is the shot noise; None is
+            without noise.
+        read_noise_e: electrons, standard deviation; needs ``full_well_e``.
+    """
+
+    exposure_ev: float = Field(0.0, ge=0, le=3)
+    white_balance: float = Field(0.0, ge=0, le=0.5)
+    vignetting: float = Field(0.0, ge=0, lt=1)
+    motion_blur_px: float = Field(0.0, ge=0, le=50)
+    full_well_e: float | None = Field(None, ge=100)
+    read_noise_e: float = Field(0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _noise_has_a_scale(self) -> SensorConfig:
+        if self.read_noise_e and self.full_well_e is None:
+            raise ValueError("read_noise_e is in electrons: give full_well_e too")
+        return self
+
+
+def expose(
+    rgb: NDArray[np.uint8], sensor: SensorConfig, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """The photograph (H, W, 3) uint8 sRGB a sensor makes of a rendered picture of the same shape.
+
+    Equal generators make equal photographs; the same effects are drawn whichever are off, so that
+    switching one on changes no other.
+    """
+    # Drawn in a fixed order, the noise last.
+    stops, red, blue = rng.standard_normal(3)
+    direction, length = rng.uniform(0, np.pi), abs(rng.standard_normal())
+    if sensor == SensorConfig():
+        return rgb
+    light = _linear(rgb)
+    height, width = light.shape[:2]
+    light = _streaked(light, direction, length * sensor.motion_blur_px)
+    v, u = np.mgrid[:height, :width] + 0.5
+    square = (u / width - 0.5) ** 2 * width**2 + (v / height - 0.5) ** 2 * height**2
+    light *= (1 - sensor.vignetting * square / (0.25 * (width**2 + height**2)))[..., None]
+    gains = np.exp(sensor.white_balance * np.array([red, 0.0, blue]))
+    light *= gains * 2.0 ** (sensor.exposure_ev * stops)
+    if sensor.full_well_e is not None:
+        # Of many electrons, Poisson's distribution is a normal one.
+        electrons = sensor.full_well_e * np.minimum(light, 1.0)
+        sigma = np.sqrt(electrons + sensor.read_noise_e**2)
+        light = (electrons + sigma * rng.standard_normal(light.shape)) / sensor.full_well_e
+    return _srgb(light)
+
+
+def _streaked(
+    light: NDArray[np.float64], direction: float, length_px: float
+) -> NDArray[np.float64]:
+    """Light (H, W, 3) spread evenly along a centred line."""
+    half = 0.5 * length_px
+    if half < 0.05:
+        return light
+    size = 2 * int(np.ceil(half)) + 3
+    kernel = np.zeros((size, size))
+    along = np.linspace(-half, half, int(np.ceil(_BLUR_SAMPLES_PER_PX * length_px)) + 1)
+    for x, y in np.stack([along * np.cos(direction), along * np.sin(direction)], -1):
+        i, j = int(np.floor(x)), int(np.floor(y))
+        fx, fy = x - i, y - j
+        at = size // 2
+        kernel[at + j : at + j + 2, at + i : at + i + 2] += np.outer([1 - fy, fy], [1 - fx, fx])
+    blurred = cv2.filter2D(light, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(blurred)
+
+
+def _linear(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """sRGB bytes to linear light in 0..1."""
+    s = np.arange(256) / 255
+    table = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+    return np.asarray(table[rgb])
+
+
+def _srgb(light: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Linear light to sRGB bytes; what is too bright is clipped."""
+    s = np.clip(light, 0, 1)
+    s = np.where(s <= 0.0031308, 12.92 * s, 1.055 * s ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(255 * s), np.uint8)

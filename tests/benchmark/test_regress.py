@@ -1,0 +1,187 @@
+"""The gate: losses beyond chance stop the build, noise and gains do not."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner, Result
+
+from benchmark.cli import app
+from benchmark.paired import compare
+from benchmark.results import (
+    DatasetId,
+    Environment,
+    Method,
+    QueryResult,
+    Results,
+    summarize,
+    summarize_by_condition,
+)
+from scene.localizer import Status
+
+
+def write(folder: Path, errors: dict[str, float | None], sha256: str = "a" * 64) -> None:
+    """Results whose queries have these errors (m); None is a failure, names begin with s or w."""
+    queries = [
+        QueryResult(
+            name=name,
+            condition="summer" if name.startswith("s") else "winter",
+            status=Status.FAILED if error is None else Status.OK,
+            reason="",
+            t_err_m=error,
+            r_err_deg=None if error is None else 0.1,
+            cam_from_world=None if error is None else (1, 0, 0, 0, 0, 0, 0),
+            sigma_t_m=None,
+            iterations=0,
+            inliers=0,
+            seconds={"total": 1.0},
+        )
+        for name, error in errors.items()
+    ]
+    Results(
+        method=Method(name="sift", config={}, weights_sha256=None),
+        dataset=DatasetId(name="d", track="uav-sim", sha256=sha256, map_conditions=("summer",)),
+        start="prior",
+        environment=Environment.current(),
+        summary=summarize(queries, 1.0, None),
+        by_condition=summarize_by_condition(queries, 1.0, None),
+        queries=tuple(queries),
+    ).write(folder / "d" / "sift.json")
+
+
+def regress(new: Path, old: Path, *more: str) -> Result:
+    return CliRunner().invoke(app, ["regress", str(new), "--against", str(old), *more])
+
+
+GOOD: dict[str, float | None] = {f"{season}{k}": 0.1 for season in "sw" for k in range(50)}
+
+
+@pytest.fixture
+def baseline(tmp_path: Path) -> Path:
+    write(tmp_path / "old", GOOD)
+    return tmp_path / "old"
+
+
+def test_the_same_results_pass(baseline: Path) -> None:
+    answer = regress(baseline, baseline)
+    assert answer.exit_code == 0
+    # Three thresholds over all queries, summer's and winter's.
+    assert len(answer.stdout.splitlines()) == 9
+    assert "DROP" not in answer.stdout
+
+
+def test_one_query_in_ten_lost_is_caught(baseline: Path, tmp_path: Path) -> None:
+    write(tmp_path / "new", {n: None if n.endswith("3") else e for n, e in GOOD.items()})
+    answer = regress(tmp_path / "new", baseline)
+    assert answer.exit_code == 1
+    drops = [line for line in answer.stdout.splitlines() if line.startswith("DROP")]
+    assert any("sift on d (uav-sim), all, 0.5m_5deg: -10.0 points" in line for line in drops)
+
+
+def test_queries_that_vanished_are_losses(baseline: Path, tmp_path: Path) -> None:
+    write(tmp_path / "new", {n: e for n, e in GOOD.items() if not n.endswith("3")})
+    answer = regress(tmp_path / "new", baseline)
+    assert answer.exit_code == 1
+    assert "10 lost and 0 won of 100" in answer.stdout
+
+
+def test_a_drop_in_one_condition_alone_is_caught(baseline: Path, tmp_path: Path) -> None:
+    """Eight of fifty winter queries, and as many gained nowhere."""
+    lost = {f"w{k}": 0.3 for k in range(8)}
+    write(tmp_path / "new", GOOD | lost)
+    answer = regress(tmp_path / "new", baseline, "--json")
+    assert answer.exit_code == 1
+    drops = [c for c in json.loads(answer.stdout)["comparisons"] if c["dropped"]]
+    assert {(c["condition"], c["threshold"]) for c in drops} == {
+        ("all", "0.25m_2deg"),
+        ("winter", "0.25m_2deg"),
+    }
+
+
+def test_noise_is_not_flagged(tmp_path: Path) -> None:
+    """Errors redrawn twenty times from one distribution: no alarm in twenty."""
+    rng = np.random.default_rng(0)
+
+    def draw() -> dict[str, float | None]:
+        # Hard and easy queries, each redrawn about its own difficulty.
+        return {
+            n: float(0.2 * np.exp(0.01 * k - 0.5 + 0.3 * rng.standard_normal()))
+            for k, n in enumerate(GOOD)
+        }
+
+    write(tmp_path / "old", draw())
+    for _ in range(20):
+        write(tmp_path / "new", draw())
+        assert regress(tmp_path / "new", tmp_path / "old").exit_code == 0
+
+
+def test_gains_pass(baseline: Path, tmp_path: Path) -> None:
+    write(tmp_path / "worse", dict.fromkeys(GOOD, 0.6))
+    assert regress(baseline, tmp_path / "worse").exit_code == 0
+    assert regress(tmp_path / "worse", baseline).exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (lambda new: (new / "d" / "sift.json").unlink(), "lacks d/sift.json"),
+        (lambda new: write(new, GOOD, "b" * 64), "record it again with --update"),
+        (lambda new: (new / "d" / "sift.json").write_text("{"), "is not valid JSON"),
+    ],
+)
+def test_faults_are_the_inputs(baseline: Path, tmp_path: Path, fault: object, message: str) -> None:
+    write(tmp_path / "new", GOOD)
+    fault(tmp_path / "new")  # type: ignore[operator]
+    answer = regress(tmp_path / "new", baseline)
+    assert answer.exit_code == 2
+    assert message in answer.stderr
+    answer = regress(tmp_path / "new", tmp_path / "nowhere")
+    assert answer.exit_code == 2
+    assert "holds no results" in answer.stderr
+
+
+def test_update_records_the_baseline(baseline: Path, tmp_path: Path) -> None:
+    write(tmp_path / "new", dict.fromkeys(GOOD, 0.6))
+    assert regress(tmp_path / "new", baseline).exit_code == 1
+    assert regress(tmp_path / "new", baseline, "--update").exit_code == 0
+    assert regress(tmp_path / "new", baseline).exit_code == 0
+    (tmp_path / "new" / "d" / "sift.json").write_text("{")
+    before = (baseline / "d" / "sift.json").read_bytes()
+    assert regress(tmp_path / "new", baseline, "--update").exit_code == 2
+    assert (baseline / "d" / "sift.json").read_bytes() == before
+
+
+def test_known_values() -> None:
+    """Ten queries, four lost and one won: P(X >= 4 of 5) = 6/32."""
+    before = [True] * 8 + [False] * 2
+    after = [False] * 4 + [True] * 4 + [True, False]
+    change = compare(before, after)
+    assert (change.queries, change.lost, change.won) == (10, 4, 1)
+    assert change.p_drop == 6 / 32
+    assert change.change == pytest.approx(-30)
+    # Bonett and Price by hand: p = 5/12, q = 2/12.
+    half = 1.959963984540054 * math.sqrt((7 / 12 - (3 / 12) ** 2) / 12)
+    assert change.low == pytest.approx(100 * (-3 / 12 - half))
+    assert change.high == pytest.approx(100 * (-3 / 12 + half))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
+def test_properties(pairs: list[tuple[bool, bool]]) -> None:
+    before, after = [b for b, _ in pairs], [a for _, a in pairs]
+    there, back = compare(before, after), compare(after, before)
+    assert there.change == -back.change
+    assert there.low == pytest.approx(-back.high)
+    assert 0 < there.p_drop <= 1
+    assert -100 <= there.low <= there.high <= 100
+    # Both tails overlap in the outcome itself.
+    changed = there.lost + there.won
+    both = math.comb(changed, there.lost) / 2**changed
+    assert there.p_drop + back.p_drop == pytest.approx(1 + both)
+    if before == after:
+        assert there.p_drop == 1

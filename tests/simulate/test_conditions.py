@@ -1,0 +1,137 @@
+"""Conditions: named parts, light from the sun's real place, geometry that never moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from scene.errors import InputError
+from scene.geodesy import Geodetic
+from simulate import ground
+from simulate.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
+from simulate.config import SimulateConfig
+from simulate.flights import plan_oblique
+from simulate.gallery import main
+from simulate.render import PinholeCamera, RenderJob, frame_path, render
+from simulate.sun import sun_position
+from simulate.town import build_town
+from simulate.world import CLASSES
+
+
+def test_every_combination_is_a_condition() -> None:
+    names = [f"{s}-{t}-{w}" for s in SEASONS for t in LIGHTS for w in WEATHER]
+    all_of_them = [condition(name) for name in names]
+    assert len({(c.time, c.sun_watts, c.visibility_m, c.wet) for c in all_of_them}) == len(names)
+    for c in all_of_them:
+        assert sun_position(c.time, PLACE) == (c.sun_azimuth, c.sun_elevation)
+        assert c.sun_elevation > 5
+        assert set(c.ground) == set(condition("summer-noon").ground)
+
+
+def test_clear_goes_without_saying() -> None:
+    assert condition("summer-noon-clear") == condition("summer-noon")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("monsoon-noon", "no season 'monsoon', choose one of spring, summer, .*leafoff.*snow"),
+        ("summer-midnight", "no light 'midnight', choose one of morning, noon, afternoon, dusk"),
+        ("summer-noon-hail", "no weather 'hail', choose one of clear, overcast, fog, wet"),
+        ("summer", "write SEASON-LIGHT.*seasons: spring, .*lights: morning, .*weather: clear, "),
+        ("summer-noon-fog-wet", r"write SEASON-LIGHT\[-WEATHER\]"),
+    ],
+)
+def test_unknown_parts_name_the_valid_ones(name: str, message: str) -> None:
+    with pytest.raises(InputError, match=f"^unknown condition '{name}': {message}") as caught:
+        condition(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_two_first_conditions_keep_their_hours() -> None:
+    noon, dusk = condition("summer-noon"), condition("winter-dusk")
+    assert f"{noon.time:%Y-%m-%d %H}" == "2025-07-02 11"
+    assert 160 < noon.sun_azimuth < 180
+    assert noon.sun_elevation > 60
+    assert f"{dusk.time:%Y-%m-%d %H}" == "2026-01-20 14"
+    assert 220 < dusk.sun_azimuth < 232
+    assert dusk.sun_elevation == pytest.approx(10, abs=0.2)
+    assert dusk.sun_rgb[2] < noon.sun_rgb[2] - 0.2  # redder
+
+
+def test_light_follows_the_place() -> None:
+    east, west = (condition("summer-morning", Geodetic(47.0, e, 0.0)) for e in (100.0, -100.0))
+    assert (west.time - east.time).total_seconds() / 3600 == pytest.approx(200 / 15, abs=0.1)
+    assert west.sun_elevation == pytest.approx(east.sun_elevation, abs=0.3)
+    south = condition("summer-noon", Geodetic(-35.0, 18.0, 0.0))
+    assert south.time.month == 12
+    assert abs((south.sun_azimuth + 180) % 360 - 180) < 60
+
+
+def test_a_polar_night_is_refused() -> None:
+    with pytest.raises(InputError, match="'winter-noon' has no sun at latitude 78 on 2026-01-20"):
+        condition("winter-noon", Geodetic(78.0, 15.0, 0.0))
+    with pytest.raises(InputError, match="no sun at latitude 78"):
+        SimulateConfig.load(None, {"origin": (78.0, 15.0, 0.0)})
+
+
+def test_rain_darkens_everything_and_lies_on_sealed_ground() -> None:
+    town = build_town(1, 120)
+    dry, wet = condition("autumn-noon"), condition("autumn-noon-wet")
+    darker = ground.bake(town.ground, wet, 1).mean() / ground.bake(town.ground, dry, 1).mean()
+    assert 0.6 < darker < 0.85  # of sRGB bytes
+    assert not ground.mirror(town.ground, dry, 1).any()
+    water = ground.mirror(town.ground, wet, 1)
+    road = town.ground.labels == CLASSES["road"]
+    assert water[road].min() > 0
+    assert (water[road] == 255).mean() > 0.03  # puddles
+    assert water[town.ground.labels == CLASSES["grass"]].max() == 0
+
+
+# --- rendered ------------------------------------------------------------------------------------
+
+SEED, AREA = 5, 120.0
+CAMERA = PinholeCamera(width=96, height=72, f=80.0, cx=48.0, cy=36.0)
+
+
+def shoot(name: str, folder: Path) -> dict[str, np.ndarray]:
+    height = build_town(SEED, AREA).terrain.height
+    rng = np.random.default_rng(0)
+    pose = plan_oblique(height, radius_m=50.0, altitude_m=45.0, frames=1, rng=rng)[0]
+    job = RenderJob(
+        seed=SEED, area_m=AREA, condition=name, camera=CAMERA, samples=1, poses={0: pose.tolist()}
+    )
+    render(job, folder)
+    with np.load(frame_path(folder, 0)) as arrays:
+        return dict(arrays)
+
+
+def test_season_light_and_weather_move_nothing(tmp_path: Path) -> None:
+    names = ("summer-noon", "autumn-morning-fog", "snow-dusk-wet")
+    summer, fog, snow = (shoot(name, tmp_path / name) for name in names)
+    for other in (fog, snow):
+        for layer in ("depth", "instance", "semantic"):
+            assert np.array_equal(summer[layer], other[layer]), layer
+        assert np.abs(summer["rgb"].astype(int) - other["rgb"]).mean() > 15
+    # Fog takes contrast, more of it farther away.
+    near = (summer["depth"] > 0) & (summer["depth"] < 60)
+    far = summer["depth"] > 90
+    contrast = [np.abs(np.diff(c["rgb"].astype(float), axis=0, append=0)) for c in (summer, fog)]
+    kept = [contrast[1][part].mean() / contrast[0][part].mean() for part in (near, far)]
+    assert kept[1] < 0.8 * kept[0] < 0.8
+
+
+def test_gallery(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text("{seed: 5, area: 120, size: 64, spp: 1}")
+    out = tmp_path / "pictures" / "conditions.png"
+    where = ["--config", str(config), "--out", str(out)]
+    assert main([*where, "summer-noon", "summer-moon"]) == 2
+    assert "choose one of morning" in capsys.readouterr().err
+    assert main([*where, "summer-noon", "winter-dusk"]) == 0
+    with Image.open(out) as picture:
+        assert picture.size[0] > picture.size[1] > 200
+        assert np.asarray(picture.convert("RGB")).std() > 30

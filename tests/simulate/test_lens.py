@@ -1,0 +1,220 @@
+"""Photographs of cameras with distortion: every layer through one map, depth still exact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from scene.camera import Camera
+from scene.depth_check import DepthFrames, check_depth
+from scene.errors import InputError
+from simulate.config import SimulateConfig
+from simulate.flights import plan_nadir, plan_oblique
+from simulate.lens import PRESETS, rendered_through
+from simulate.render import RenderJob, frame_path, render
+from simulate.resample import resample
+from simulate.town import build_town
+from tests.scene.made_cameras import CAMERAS
+
+SEED, AREA = 5, 120.0
+# Off-centre, not square, and with unequal focal lengths, so that a mistaken axis shows.
+LENSES = {
+    "opencv": Camera("OPENCV", 128, 96, (100, 102, 61.5, 50.25, -0.1, 0.02, 1e-3, -2e-3)),
+    "fisheye": Camera("OPENCV_FISHEYE", 128, 96, (70, 71, 62, 47, 0.05, -0.01, 2e-3, -5e-4)),
+}
+
+
+def rays_of(camera: Camera) -> np.ndarray:
+    """Rays (H, W, 3) with z = 1 through the pixels' centres."""
+    return camera.unproject(camera.pixel_grid())[0].numpy()
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_depth_is_exact_at_edges_and_on_planes(name: str) -> None:
+    """A box on a tilted ground, of which the truth is known at every pixel."""
+    camera = LENSES[name]
+    pinhole, lens = rendered_through(camera)
+    assert lens is not None
+
+    def ground(rays: np.ndarray) -> np.ndarray:
+        return 60 / (1 + 0.3 * rays[..., 0] - 0.2 * rays[..., 1])
+
+    def box(rays: np.ndarray) -> np.ndarray:
+        """Its top and one side; infinite beside it."""
+        x, y = rays[..., 0], rays[..., 1]
+        inside = (x > -0.31) & (x < 0.17) & (y > -0.23) & (y < 0.21)
+        return np.where(inside, np.where(x < 0.1, 40.0, 40 / (1 + 6 * (x - 0.1))), np.inf)
+
+    def surface(rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        low, high = ground(rays), box(rays)
+        return np.minimum(low, high), np.where(high < low, 7, 0)
+
+    v, u = np.mgrid[: pinhole.height, : pinhole.width] + 0.5
+    source = np.stack([(u - pinhole.cx) / pinhole.f, (v - pinhole.cy) / pinhole.f], -1)
+    depth, instance = surface(source)
+    layers = {
+        "rgb": np.zeros((*depth.shape, 3), np.uint8),
+        "depth": depth.astype(np.float32),
+        "instance": instance.astype(np.uint16),
+        "normal": np.repeat(instance[..., None], 3, -1).astype(np.int8),
+    }
+    rays = rays_of(camera)[..., :2]
+    xy = pinhole.f * rays + [pinhole.cx, pinhole.cy]
+    asked = []
+
+    def cast(number: int, rays: np.ndarray) -> np.ndarray:
+        asked.append(len(rays))
+        return box(rays) if number == 7 else ground(rays)
+
+    out = resample(layers, xy, rays, cast)
+    truth, objects = surface(rays)
+    assert np.array_equal(out["instance"], objects)
+    assert np.array_equal(out["normal"][..., 0], objects)
+    error = np.abs(out["depth"] - truth)
+    assert np.median(error) < 1e-4
+    assert error.max() < 1e-3
+    assert sum(asked) < 0.4 * error.size
+
+
+def test_colours_are_taken_from_where_they_are() -> None:
+    """A smooth pattern, sampled at fractions of a pixel."""
+
+    def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 128 + 60 * np.sin(0.5 * x) + 60 * np.cos(0.4 * y)
+
+    v, u = np.mgrid[:60, :80] + 0.5
+    layers = {
+        "rgb": np.rint(np.repeat(pattern(u, v)[..., None], 3, -1)).astype(np.uint8),
+        "depth": np.full((60, 80), 10, np.float32),
+        "instance": np.zeros((60, 80), np.uint16),
+        "normal": np.zeros((60, 80, 3), np.int8),
+    }
+    xy = np.stack(np.meshgrid(np.linspace(4, 75, 50), np.linspace(4, 55, 40)), -1)
+    out = resample(layers, xy, 0 * xy, lambda number, rays: np.zeros(len(rays)))
+    assert np.abs(out["rgb"][..., 1] - pattern(xy[..., 0], xy[..., 1])).max() < 2
+
+
+@pytest.mark.parametrize("name", [name for name in CAMERAS if name != "fisheye"])  # 160 degrees
+def test_the_pinhole_covers_the_view_as_finely(name: str) -> None:
+    camera = CAMERAS[name]
+    pinhole, lens = rendered_through(camera)
+    if camera.model == "SIMPLE_PINHOLE":
+        assert lens is None
+        assert (pinhole.width, pinhole.height) == (camera.width, camera.height)
+        return
+    assert lens is not None
+    assert Camera.parse(lens.split()) == camera
+    xy = pinhole.f * rays_of(camera)[..., :2] + [pinhole.cx, pinhole.cy]
+    assert xy.min() >= 3.5
+    assert (xy.max((0, 1)) <= [pinhole.width - 3.5, pinhole.height - 3.5]).all()
+    assert np.linalg.norm(np.diff(xy, axis=1), axis=-1).min() > 0.999
+
+
+@pytest.fixture(scope="module", params=LENSES)
+def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory):
+    """A camera, poses, and its frames."""
+    camera = LENSES[request.param]
+    town = build_town(SEED, AREA)
+    rng = np.random.default_rng(0)
+    down = plan_nadir(
+        AREA, town.terrain.height, width=128, height=96, focal=90.0, altitude_m=50.0, rng=rng,
+        frames=6, attitude_jitter_deg=3.0,
+    )[2:4]  # fmt: skip
+    oblique = plan_oblique(town.terrain.height, radius_m=45.0, altitude_m=40.0, frames=12, rng=rng)
+    poses = np.concatenate([down, oblique[:2]])
+    pinhole, lens = rendered_through(camera)
+    job = RenderJob(
+        seed=SEED, area_m=AREA, condition="summer-noon", camera=pinhole, lens=lens, samples=1,
+        poses={i: pose.tolist() for i, pose in enumerate(poses)},
+    )  # fmt: skip
+    out: Path = tmp_path_factory.mktemp(request.param)
+    render(job, out)
+    frames = []
+    for i in range(len(poses)):
+        with np.load(frame_path(out, i)) as arrays:
+            frames.append(dict(arrays))
+    return camera, poses, frames
+
+
+def test_frames_agree_through_the_lens(flown) -> None:
+    camera, poses, frames = flown
+    check = check_depth(
+        "lens",
+        DepthFrames(
+            [camera] * len(poses),
+            poses,
+            [f["depth"] for f in frames],
+            [f["instance"] for f in frames],
+        ),
+    )
+    assert check.ok, check.detail
+    assert check.figures["median_px"] < 0.01
+
+
+def test_ground_and_objects_are_where_they_stand(flown) -> None:
+    camera, poses, frames = flown
+    town = build_town(SEED, AREA)
+    by_id = {o.id: o for o in town.objects}
+    for pose, arrays in zip(poses, frames, strict=True):
+        assert {a.shape[:2] for a in arrays.values()} == {(96, 128)}
+        local = rays_of(camera) * arrays["depth"][..., None]
+        world = (local - pose[:3, 3]) @ pose[:3, :3]
+        instance = arrays["instance"]
+        x, y, z = world[(instance == 0) & (arrays["depth"] > 0)].T
+        inside = np.maximum(np.abs(x), np.abs(y)) < 0.5 * AREA
+        error = np.abs(z - town.terrain.height(x, y))[inside]
+        assert np.median(error) < 0.002  # the triangulation of the terrain
+        assert np.percentile(error, 99) < 0.02
+        for number in set(np.unique(instance).tolist()) - {0}:
+            thing = by_id[number]
+            seen = world[instance == number] - thing.centre
+            cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
+            seen[:, :2] = seen[:, :2] @ np.array([[cos, -sin], [sin, cos]])
+            foundation = 1.5 if thing.class_name == "building" else 0.0
+            assert (np.abs(seen[:, :2]) <= 0.5 * thing.size[:2] + 0.03).all(), thing
+            assert (np.abs(seen[:, 2]) <= 0.5 * thing.size[2] + foundation + 0.03).all(), thing
+
+
+def test_presets_are_drones_of_the_size_asked_for() -> None:
+    for name, (width, height, fov_deg, _) in PRESETS.items():
+        config = SimulateConfig.load(None, {"size": 640, "camera": {"preset": name}})
+        camera = config.photo_camera()
+        assert camera.width == 640
+        assert camera.height == round(640 * height / width)
+        corners = torch.tensor([[0.0, 0.0], [camera.width, camera.height]], dtype=torch.float64)
+        if not any(camera.distortion):
+            a, b = camera.unproject(corners)[0].numpy()
+            angle = np.degrees(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
+            assert_allclose(angle, fov_deg, atol=0.1)
+    sized = SimulateConfig.load(None, {"camera": {"preset": "mini-2", "size": 96}})
+    assert sized.photo_camera().width == 96
+    assert SimulateConfig().photo_camera().params[2:] == (256.0, 256.0)
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        ({"preset": "kite"}, "unknown camera 'kite'; known: mini-2"),
+        ({"preset": "mini-2", "width": 640}, "a preset takes no"),
+        ({"model": "PINHOLE", "width": 640}, "model, width, height and params"),
+        ({"model": "OPENCV", "width": 64, "height": 48, "params": [50, 50]}, "takes 8 parameters"),
+        (
+            {"model": "SIMPLE_RADIAL", "width": 64, "height": 64, "params": [30, 32, 32, -0.5]},
+            "folds back",
+        ),
+        (
+            {"model": "OPENCV_FISHEYE", "width": 64, "height": 64,
+             "params": [32, 32, 32, 32, 0, 0, 0, 0]},
+            "sees 160 degrees; at most 140",
+        ),
+        ({"lens": "fish"}, "unknown key 'camera.lens'"),
+    ],
+)  # fmt: skip
+def test_cameras_that_cannot_be_are_one_line(camera: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        SimulateConfig.load(None, {"camera": camera})
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,187 @@
+"""Every kind of place: what is in it, where it stands, and that it renders."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from scene.errors import InputError
+from simulate import site as site_module
+from simulate.buildings import building_mesh
+from simulate.flights import plan_oblique
+from simulate.grid import CircleGrid
+from simulate.plan import MAX_AREA_M
+from simulate.plants import fence_mesh, hedge_mesh
+from simulate.power import wire_mesh
+from simulate.presets import PLANS, preset
+from simulate.props import shape_mesh
+from simulate.render import PinholeCamera, RenderJob, frame_path, render
+from simulate.world import CLASSES, FIRST_OBJECT_LABEL, MAX_OBJECT_ID, World, overlap
+from tests.simulate.test_town import flat
+
+AREA = 180.0
+STREET = {"lamp", "bin", "hydrant", "sign", "bollard"}
+ALWAYS = {
+    "town": STREET | {"building", "tree", "hedge", "fence", "car", "van", "bench"},
+    "suburb": STREET | {"building", "tree", "hedge", "fence", "car", "bench"},
+    "park": STREET | {"tree", "bench", "table", "boat"},
+    "farmland": {
+        "building", "tree", "hedge", "fence", "bale", "tractor", "tank", "pole", "wire", "car",
+    },
+    "industrial": STREET
+    | {
+        "building", "fence", "tank", "pallet", "container", "boat", "pole", "wire", "truck",
+        "van", "car",
+    },
+}  # fmt: skip
+"""Classes every place of a kind has."""
+GROUND = {
+    "town": {"grass", "road", "pavement", "parking", "driveway"},
+    "suburb": {"grass", "road", "pavement", "parking", "driveway"},
+    "park": {"grass", "road", "path", "water"},
+    "farmland": {"grass", "road", "field", "path"},
+    "industrial": {"road", "pavement", "parking", "water"},
+}
+
+
+@pytest.fixture(scope="module", params=[(name, seed) for name in PLANS for seed in (1, 2)])
+def place(request: pytest.FixtureRequest) -> tuple[str, World]:
+    name, seed = request.param
+    return name, preset(name)(seed, AREA)
+
+
+def test_all_kinds_of_places_are_there():
+    assert set(PLANS) == set(ALWAYS) == set(GROUND)
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_the_seed_decides_everything(name):
+    a, b, other = (preset(name)(seed, 120.0) for seed in (3, 3, 4))
+    assert flat(a) == flat(b)
+    assert flat(a.objects) != flat(other.objects)
+
+
+def test_every_class_is_present(place):
+    name, world = place
+    assert {o.class_name for o in world.objects} >= ALWAYS[name]
+    assert set(np.unique(world.ground.labels)) >= {CLASSES[c] for c in GROUND[name]}
+
+
+def test_there_are_many_classes_of_small_things():
+    small = set().union(*ALWAYS.values()) - {"building", "tree", "hedge", "fence", "wire"}
+    assert len(small) >= 12
+    assert all(CLASSES[c] >= FIRST_OBJECT_LABEL for c in small)
+
+
+def test_ids_are_unique_and_boxes_lie_within_the_area(place):
+    _, world = place
+    ids = [o.id for o in world.objects]
+    assert len(set(ids)) == len(ids)
+    assert 1 <= min(ids) <= max(ids) <= MAX_OBJECT_ID
+    corners = np.concatenate([o.footprint() for o in world.objects])
+    assert np.abs(corners).max() <= 0.5 * world.area_m + 1.0  # wires reach between poles' middles
+    solid = [o.footprint() for o in world.objects if o.class_name != "wire"]
+    assert np.abs(np.concatenate(solid)).max() <= 0.5 * world.area_m
+
+
+def test_no_two_solid_things_intersect(place):
+    _, world = place
+    solid = [o for o in world.objects if o.class_name != "wire"]
+    near = CircleGrid()
+    for thing in solid:
+        centre, radius = thing.centre[:2], 0.5 * float(np.hypot(*thing.size[:2]))
+        for k in near.near(centre, radius):
+            assert not overlap(thing.footprint(), solid[k].footprint()), (thing, solid[k])
+        near.add(centre, radius)
+
+
+def test_meshes_fill_their_boxes(place):
+    _, world = place
+    for thing in world.objects:
+        half = 0.5 * thing.size
+        if thing.class_name == "building":
+            vertices = building_mesh(thing).vertices - [0, 0, half[2]]
+        elif thing.class_name in ("hedge", "fence", "wire"):
+            own = {"hedge": hedge_mesh, "fence": fence_mesh, "wire": wire_mesh}[thing.class_name]
+            vertices = own(thing, world.terrain).vertices
+        else:
+            vertices = shape_mesh(thing.shape).vertices * thing.size
+        assert_allclose(vertices[:, :2].max(0), half[:2], rtol=0.15, atol=0.1)
+        assert vertices[:, 2].max() == pytest.approx(half[2], abs=0.12)
+        assert (np.abs(vertices[:, :2]) <= half[:2] + 1e-3).all()
+        if thing.class_name == "wire":
+            assert vertices[:, 2].min() == pytest.approx(-half[2], abs=1e-3)
+
+
+def test_wires_hang_between_poles_well_above_the_ground(place):
+    name, world = place
+    if "wire" not in ALWAYS[name]:
+        assert not any(o.class_name == "wire" for o in world.objects)
+        return
+    poles = np.array([o.centre[:2] for o in world.objects if o.class_name == "pole"])
+    for wire in (o for o in world.objects if o.class_name == "wire"):
+        out = 0.5 * wire.size[0] * np.array([np.cos(wire.yaw), np.sin(wire.yaw)])
+        for end in (wire.centre[:2] - out, wire.centre[:2] + out):
+            assert np.linalg.norm(poles - end, axis=1).min() < 1e-6
+        low = wire.centre[2] - 0.5 * wire.size[2]
+        assert low > float(world.terrain.height(*wire.centre[:2])) + 4.0
+
+
+def test_water_is_flat_and_boats_alone_are_on_it(place):
+    _, world = place
+    n, texel = len(world.ground.labels), world.ground.texel_m
+    rows, columns = np.nonzero(world.ground.labels == CLASSES["water"])
+    if len(rows):
+        x, y = ((c + 0.5 - 0.5 * n) * texel for c in (columns, rows))
+        z = world.terrain.height(x, y)
+        assert len(np.unique(np.round(z, 6))) <= 12  # one level for each lake
+        slope = np.abs(world.terrain.height(x + 0.2, y) - z)
+        assert slope.max() < 1e-9
+    for thing in world.objects:
+        wet = world.ground.label(*thing.centre[:2]) == CLASSES["water"]
+        if thing.class_name == "boat":
+            assert world.ground.label(*thing.footprint().T).tolist() == [CLASSES["water"]] * 4
+        elif thing.class_name != "wire":
+            assert not wet, thing
+
+
+def test_a_place_with_too_many_things_is_refused_in_one_line(monkeypatch):
+    monkeypatch.setattr(site_module, "MAX_OBJECT_ID", 100)
+    with pytest.raises(InputError, match=r"^[^\n]*180 m .*100 objects .*smaller area$"):
+        preset("town")(1, AREA)
+
+
+@pytest.mark.parametrize("name", PLANS)
+@pytest.mark.parametrize("area", [10.0, MAX_AREA_M + 1, float("nan")])
+def test_an_impossible_area_is_refused(name, area):
+    with pytest.raises(InputError, match="area must be 100 to 2000 m a side"):
+        preset(name)(1, area)
+
+
+@pytest.mark.parametrize("name", sorted(set(PLANS) - {"town"}))
+def test_a_place_renders(name, tmp_path: Path):
+    world = preset(name)(1, 120.0)
+    poses = plan_oblique(
+        world.terrain.height, radius_m=40.0, altitude_m=45.0, frames=1,
+        rng=np.random.default_rng(0),
+    )  # fmt: skip
+    camera = PinholeCamera(width=96, height=96, f=80.0, cx=48.0, cy=48.0)
+    job = RenderJob(
+        preset=name, seed=1, area_m=120.0, condition="summer-noon", camera=camera, samples=1,
+        poses={0: poses[0].tolist()},
+    )  # fmt: skip
+    render(job, tmp_path)
+    with np.load(frame_path(tmp_path, 0)) as arrays:
+        instance, semantic = arrays["instance"], arrays["semantic"]
+        assert arrays["rgb"].std() > 10
+    by_id = {o.id: o.class_name for o in world.objects}
+    seen = Counter(by_id[int(k)] for k in np.unique(instance) if k)
+    assert len(seen) >= 4
+    for name_, label in CLASSES.items():
+        here = semantic == label
+        if label >= FIRST_OBJECT_LABEL and here.any():
+            assert {by_id[int(k)] for k in np.unique(instance[here])} == {name_}
+    if name == "park":
+        assert (semantic == CLASSES["water"]).sum() > 50
