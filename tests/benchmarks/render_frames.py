@@ -15,7 +15,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from simulate.blender import _build_scene, _claim_stdout, _render, _save, _semantic, _set_up_render
+from simulate.blender import (
+    _build_scene,
+    _claim_stdout,
+    _pinhole_rays,
+    _render,
+    _save,
+    _semantic,
+    _set_up_render,
+)
 from simulate.conditions import condition
 from simulate.presets import preset
 from simulate.process import resident_bytes
@@ -28,7 +36,7 @@ def main(job_path: str, out: str) -> None:
     world = preset(job.preset)(job.seed, job.area_m)
     _build_scene(world, condition(job.condition))
     _set_up_render(job.camera, job.samples, 0)
-    layer = bpy.context.scene.view_layers[0]
+    layer, rays = bpy.context.scene.view_layers[0], _pinhole_rays(job.camera)
     with tempfile.TemporaryDirectory() as scratch:
         for line in sys.stdin:
             kind, number = line.split()
@@ -38,7 +46,7 @@ def main(job_path: str, out: str) -> None:
             start = time.process_time()
             if ours:
                 arrays = _render(pose, Path(scratch))
-                arrays["semantic"] = _semantic(world, job.camera, pose, arrays)
+                arrays["semantic"] = _semantic(world, rays, pose, arrays)
                 _save(frame_path(Path(out), int(number)), arrays)
             else:
                 _render_picture(pose, Path(scratch))
