@@ -61,7 +61,8 @@ def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:
         return f"unknown key '{key}' {where}{_known(model, first['loc'][:-1])}"
     if first["type"] == "missing":
         return f"missing key '{key}' {where}"
-    return f"bad value for '{key}' {where}: {first['msg']} (got {reprlib.repr(first['input'])})"
+    reason = first["msg"].removeprefix("Value error, ")  # pydantic's own words before ours
+    return f"bad value for '{key}' {where}: {reason} (got {reprlib.repr(first['input'])})"
 
 
 def _known(model: type[BaseModel], path: Sequence[int | str]) -> str:
