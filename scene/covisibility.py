@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from scene.camera import Camera
-from scene.errors import InputError
+from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
 
 COVISIBLE = 0.1
@@ -82,7 +82,7 @@ def read_covisibility(path: Path) -> Covisibility:
         with h5py.File(path, "r") as file:
             names = tuple(name.decode() for name in file["names"][:])
             overlap = np.asarray(file["overlap"], np.float64)
-    except (OSError, KeyError, ValueError, AttributeError, TypeError):
+    except HDF5_DAMAGE:
         raise InputError(f"{path} is damaged or incomplete") from None
     if overlap.shape != (len(names), len(names)):
         raise InputError(f"{path}: the overlap of {len(names)} frames has shape {overlap.shape}")

@@ -1,4 +1,6 @@
-"""The one exception a person is meant to read."""
+"""The one exception a person is meant to read, and those it stands for."""
+
+from typing import Final
 
 
 class InputError(ValueError):
@@ -6,3 +8,17 @@ class InputError(ValueError):
 
     The command line prints the message alone, without a traceback, and exits with code 2.
     """
+
+
+# What reading a damaged HDF5 file may raise: h5py has no exception of its own.
+HDF5_DAMAGE: Final = (
+    AttributeError,
+    IndexError,
+    KeyError,
+    MemoryError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scene.errors import InputError
+from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
 
 
@@ -64,5 +64,5 @@ def read_features(path: Path) -> dict[str, Features]:
                 )
                 for name, group in file.items()
             }
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
+    except HDF5_DAMAGE as error:
         raise InputError(f"feature file {path} is missing or damaged: {error}") from None

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.camera import Camera
-from scene.errors import InputError
+from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
 from scene.pose import Pose
 
@@ -77,20 +77,6 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 }
 
 
-# What reading a damaged HDF5 file may raise: h5py has no exception of its own.
-_DAMAGE = (
-    AttributeError,
-    IndexError,
-    KeyError,
-    MemoryError,
-    OSError,
-    OverflowError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-)
-
-
 class DenseLayers:
     """Reads annotations frame by frame from an open file."""
 
@@ -111,7 +97,7 @@ class DenseLayers:
         try:
             if self.has(layer):
                 return np.asarray(self._file[layer][index])
-        except _DAMAGE as error:
+        except HDF5_DAMAGE as error:
             raise InputError(
                 f"{self._path}: frame {index} of {layer} is damaged: {error}"
             ) from None
@@ -200,7 +186,7 @@ def read_frames(path: Path) -> Frames:
                 raise IndexError("a camera index is negative")
             cameras = tuple(table[int(k)] for k in rows)
             arrays = {key: np.asarray(file[key], np.float64) for key in _VECTORS}
-        except _DAMAGE as error:
+        except HDF5_DAMAGE as error:
             raise InputError(f"{path} is damaged or incomplete: {error}") from None
     for key, array in arrays.items():
         if array.shape != (len(names), *_SHAPES[key]):
