@@ -196,7 +196,7 @@ class SimulateConfig(Config):
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
 
     def session_names(self) -> tuple[str, ...]:
-        """Folder names: condition-flight, numbered from the second of the same name."""
+        """Folder names: condition-flight-role, numbered from the second of the same name."""
         seen: dict[str, int] = {}
         names = []
         for session in self.sessions:
