@@ -24,7 +24,7 @@ $(VENV)/.installed: pyproject.toml
 # Checked at every run: it takes a moment, and system libraries come and go without us.
 .PHONY: libraries
 libraries: install
-	@$(BIN)/python -m simulate.libraries
+	@$(BIN)/python -m simulate.render.libraries
 
 demo: libraries
 	$(BIN)/objconnect simulate --config configs/demo.yaml --out $(DEMO)/scene

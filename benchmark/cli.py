@@ -330,8 +330,8 @@ def calibrate(
     """Calibrate the simulated camera from rendered chessboards, and compare with the truth."""
     from scene.config import load_config
     from simulate.calibrate import calibrate as run
+    from simulate.camera.lens import CameraConfig
     from simulate.config import SimulateConfig
-    from simulate.lens import CameraConfig
 
     scene = SimulateConfig()
     chosen = None if camera is None else load_config(CameraConfig, camera, {})

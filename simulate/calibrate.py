@@ -23,8 +23,9 @@ from scene.camera import MODELS, Camera
 from scene.errors import InputError
 from scene.files import written_whole
 from scene.progress import progress_bar
-from simulate.lens import rendered_through
-from simulate.render import Board, RenderError, RenderJob, frame_path, render
+from simulate.camera.lens import rendered_through
+from simulate.render.job import Board, RenderJob, frame_path
+from simulate.render.pool import RenderError, render
 
 Array = NDArray[np.float64]
 

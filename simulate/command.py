@@ -34,18 +34,19 @@ from scene.manifest import (
 from scene.pose import Pose
 from scene.progress import progress_bar
 from simulate.annotations import measure_covisibility, pixel_digests
-from simulate.change import ChangedWorld, changed_worlds, every_object
-from simulate.clearance import check_flight
-from simulate.conditions import condition
+from simulate.camera.lens import rendered_through
+from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
-from simulate.disk import bytes_needed, require_space
-from simulate.lens import rendered_through
+from simulate.flight.clearance import check_flight
+from simulate.look.conditions import condition
 from simulate.pictures import draw_pictures
+from simulate.place.change import ChangedWorld, changed_worlds, every_object
+from simulate.place.presets import preset
+from simulate.place.world import CLASSES, WorldObject
 from simulate.planner import plan_session
-from simulate.presets import preset
-from simulate.render import RenderError, RenderJob, frame_path, render
-from simulate.sensor import expose
-from simulate.world import CLASSES, WorldObject
+from simulate.render.disk import bytes_needed, require_space
+from simulate.render.job import RenderJob, frame_path
+from simulate.render.pool import RenderError, render
 
 _CONFIG = ".config.json"
 _RENDERED = ".rendered"

@@ -12,12 +12,12 @@ from pydantic import Field, field_validator, model_validator
 from scene.camera import Camera
 from scene.config import Config, load_config
 from scene.geodesy import Geodetic
-from simulate.change import Change
-from simulate.conditions import PLACE, condition
-from simulate.flight_config import Flight, NadirFlight
-from simulate.lens import CameraConfig
-from simulate.presets import preset
-from simulate.sensor import SensorConfig
+from simulate.camera.lens import CameraConfig
+from simulate.camera.sensor import SensorConfig
+from simulate.flight.config import Flight, NadirFlight
+from simulate.look.conditions import PLACE, condition
+from simulate.place.change import Change
+from simulate.place.presets import preset
 
 Role = Literal["map", "query"]
 
@@ -26,7 +26,7 @@ class SessionConfig(Config):
     """One flight under one condition.
 
     Attributes:
-        condition: SEASON-LIGHT[-WEATHER], see ``simulate.conditions``.
+        condition: SEASON-LIGHT[-WEATHER], see ``simulate.look.conditions``.
         flight: kind of flight and its numbers, or the kind alone, as "nadir".
         role: its frames build the map, or are queries.
         frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.

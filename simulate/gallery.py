@@ -16,11 +16,12 @@ from scene.errors import InputError
 from scene.files import written_whole
 from scene.progress import progress_bar
 from simulate.command import render_job
-from simulate.conditions import condition
 from simulate.config import SessionConfig, SimulateConfig
-from simulate.flights import plan_oblique
-from simulate.presets import preset
-from simulate.render import RenderError, frame_path, render
+from simulate.flight.flights import plan_oblique
+from simulate.look.conditions import condition
+from simulate.place.presets import preset
+from simulate.render.job import frame_path
+from simulate.render.pool import RenderError, render
 
 _COLUMNS = 4
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scene.bundle import Scene
 from scene.files import written_whole
 from scene.images import read_rgb
-from simulate.world import rectangle
+from simulate.place.world import rectangle
 
 # Frames shown of each session on the contact sheet, each with depth and instances beside it.
 _FRAMES = 2

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from scene.camera import Camera
 from scene.errors import InputError
-from simulate.clearance import is_free
 from simulate.config import SessionConfig, SimulateConfig
-from simulate.flight_config import (
+from simulate.flight.clearance import is_free
+from simulate.flight.config import (
     CorridorFlight,
     FreeFlight,
     GridFlight,
@@ -21,11 +21,11 @@ from simulate.flight_config import (
     StreetFlight,
     plan_digest,
 )
-from simulate.flights import plan_grid, plan_nadir, plan_oblique
-from simulate.gimbal import Aims, expose
-from simulate.qgroundcontrol import read_plan
-from simulate.routes import plan_corridor, plan_free, plan_street
-from simulate.world import World, polyline_length, polyline_points
+from simulate.flight.flights import plan_grid, plan_nadir, plan_oblique
+from simulate.flight.gimbal import Aims, expose
+from simulate.flight.qgroundcontrol import read_plan
+from simulate.flight.routes import plan_corridor, plan_free, plan_street
+from simulate.place.world import World, polyline_length, polyline_points
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from hypothesis import settings
 from scene.bundle import Scene
 from simulate.command import simulate
 from simulate.config import SimulateConfig
-from simulate.libraries import require_libraries
 from simulate.mapping import build_map
+from simulate.render.libraries import require_libraries
 
 # The same examples in every run and on every machine, however slow it is.
 settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=50)

@@ -22,11 +22,19 @@ ALLOWED = {
     "objconnect": {"baselines", "scene"},
     "benchmark": {"objconnect", "baselines", "simulate", "scene"},
 }
+# The rooms of the simulator; what stands on its top floor may use them all.
+ROOMS = {
+    "place": set(),
+    "look": {"place"},
+    "flight": {"place"},
+    "camera": set(),
+    "render": {"place", "look", "camera"},
+}
 # Libraries that one module alone may speak to.
 ADAPTERS = {
-    "bpy": "simulate.blender",
-    "bmesh": "simulate.blender",
-    "mathutils": "simulate.blender",
+    "bpy": "simulate.render.blender",
+    "bmesh": "simulate.render.blender",
+    "mathutils": "simulate.render.blender",
     "pycolmap": "scene.colmap",
 }
 
@@ -84,6 +92,19 @@ def test_arrows_run_one_way(package: str) -> None:
         for name, tree in modules(package).items()
         for target in imports_anywhere(tree)
         if target.split(".")[0] in forbidden
+    }
+    assert not wrong
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_of_the_simulator_run_one_way(room: str) -> None:
+    allowed = {f"simulate.{other}" for other in ROOMS[room] | {room}}
+    wrong = {
+        (name, target)
+        for name, tree in modules("simulate").items()
+        if name.startswith(f"simulate.{room}.")
+        for target in imports_anywhere(tree) & set(ALL)
+        if target.startswith("simulate.") and ".".join(target.split(".")[:2]) not in allowed
     }
     assert not wrong
 

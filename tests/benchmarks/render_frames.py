@@ -15,7 +15,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from simulate.blender import (
+from simulate.look.conditions import condition
+from simulate.place.presets import preset
+from simulate.render.blender import (
     _build_scene,
     _claim_stdout,
     _pinhole_rays,
@@ -24,10 +26,8 @@ from simulate.blender import (
     _semantic,
     _set_up_render,
 )
-from simulate.conditions import condition
-from simulate.presets import preset
-from simulate.process import resident_bytes
-from simulate.render import RenderJob, frame_path
+from simulate.render.job import RenderJob, frame_path
+from simulate.render.process import resident_bytes
 
 
 def main(job_path: str, out: str) -> None:

@@ -13,11 +13,12 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from scene.frames import LAYERS, read_frames, write_frames
+from simulate.camera.pinhole import PinholeCamera
 from simulate.command import _frames, _pack
 from simulate.config import SimulateConfig
-from simulate.flights import plan_nadir
-from simulate.render import PinholeCamera, RenderJob
-from simulate.town import build_town
+from simulate.flight.flights import plan_nadir
+from simulate.place.town import build_town
+from simulate.render.job import RenderJob
 
 ROOT = Path(__file__).parents[2]
 POSES = 4

@@ -13,10 +13,10 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from simulate.blender import _build_scene
-from simulate.conditions import condition
-from simulate.presets import preset
-from simulate.render import RenderJob
+from simulate.look.conditions import condition
+from simulate.place.presets import preset
+from simulate.render.blender import _build_scene
+from simulate.render.job import RenderJob
 
 PIXELS = 1000
 

@@ -9,12 +9,19 @@ import pytest
 
 from scene.bundle import Scene
 from scene.errors import InputError
-from simulate.change import LOOSE, VEHICLES, Change, changed_world, changed_worlds, every_object
 from simulate.command import simulate
 from simulate.config import SimulateConfig
-from simulate.props import shape_mesh
-from simulate.town import build_town
-from simulate.world import MAX_OBJECT_ID, World, overlap
+from simulate.look.props import shape_mesh
+from simulate.place.change import (
+    LOOSE,
+    VEHICLES,
+    Change,
+    changed_world,
+    changed_worlds,
+    every_object,
+)
+from simulate.place.town import build_town
+from simulate.place.world import MAX_OBJECT_ID, World, overlap
 
 MUCH = Change(cars_moved=0.5, objects_removed=0.2, objects_added=0.3, bare_trees=True)
 

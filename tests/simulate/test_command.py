@@ -21,8 +21,8 @@ from scene.geodesy import geodetic_from_enu
 from scene.images import read_exif, read_rgb
 from simulate.command import _finished, simulate
 from simulate.config import SimulateConfig
-from simulate.disk import bytes_needed
-from simulate.libraries import PACKAGES, require_libraries
+from simulate.render.disk import bytes_needed
+from simulate.render.libraries import PACKAGES, require_libraries
 from tests.conftest import RENDERED
 
 

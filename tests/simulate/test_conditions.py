@@ -10,15 +10,17 @@ from PIL import Image
 
 from scene.errors import InputError
 from scene.geodesy import Geodetic
-from simulate import ground
-from simulate.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
+from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
-from simulate.flights import plan_oblique
+from simulate.flight.flights import plan_oblique
 from simulate.gallery import main
-from simulate.render import PinholeCamera, RenderJob, frame_path, render
-from simulate.sun import sun_position
-from simulate.town import build_town
-from simulate.world import CLASSES
+from simulate.look import ground
+from simulate.look.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
+from simulate.look.sun import sun_position
+from simulate.place.town import build_town
+from simulate.place.world import CLASSES
+from simulate.render.job import RenderJob, frame_path
+from simulate.render.pool import render
 
 
 def test_every_combination_is_a_condition() -> None:

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from scene.errors import InputError
-from simulate.flights import plan_nadir, plan_oblique
-from simulate.gimbal import camera_centres
+from simulate.flight.flights import plan_nadir, plan_oblique
+from simulate.flight.gimbal import camera_centres
 
 CAMERA = {"width": 512, "height": 384, "focal": 443.0}
 

@@ -12,12 +12,13 @@ from numpy.testing import assert_allclose
 from scene.camera import Camera
 from scene.depth_check import DepthFrames, check_depth
 from scene.errors import InputError
+from simulate.camera.lens import PRESETS, rendered_through
+from simulate.camera.resample import resample
 from simulate.config import SimulateConfig
-from simulate.flights import plan_nadir, plan_oblique
-from simulate.lens import PRESETS, rendered_through
-from simulate.render import RenderJob, frame_path, render
-from simulate.resample import resample
-from simulate.town import build_town
+from simulate.flight.flights import plan_nadir, plan_oblique
+from simulate.place.town import build_town
+from simulate.render.job import RenderJob, frame_path
+from simulate.render.pool import render
 from tests.scene.made_cameras import CAMERAS
 
 SEED, AREA = 5, 120.0

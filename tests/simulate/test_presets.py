@@ -8,17 +8,19 @@ import pytest
 from numpy.testing import assert_allclose
 
 from scene.errors import InputError
-from simulate import site as site_module
-from simulate.buildings import building_mesh
-from simulate.flights import plan_oblique
-from simulate.grid import CircleGrid
-from simulate.plan import MAX_AREA_M
-from simulate.plants import fence_mesh, hedge_mesh
-from simulate.power import wire_mesh
-from simulate.presets import PLANS, preset
-from simulate.props import shape_mesh
-from simulate.render import PinholeCamera, RenderJob, frame_path, render
-from simulate.world import CLASSES, FIRST_OBJECT_LABEL, MAX_OBJECT_ID, World, overlap
+from simulate.camera.pinhole import PinholeCamera
+from simulate.flight.flights import plan_oblique
+from simulate.look.buildings import building_mesh
+from simulate.look.plants import fence_mesh, hedge_mesh
+from simulate.look.props import shape_mesh
+from simulate.look.wires import wire_mesh
+from simulate.place import site as site_module
+from simulate.place.grid import CircleGrid
+from simulate.place.plan import MAX_AREA_M
+from simulate.place.presets import PLANS, preset
+from simulate.place.world import CLASSES, FIRST_OBJECT_LABEL, MAX_OBJECT_ID, World, overlap
+from simulate.render.job import RenderJob, frame_path
+from simulate.render.pool import render
 from tests.simulate.test_town import flat
 
 AREA = 180.0

@@ -17,10 +17,10 @@ from scene.errors import InputError
 from scene.geodesy import Geodetic, geodetic_from_enu
 from simulate.command import simulate
 from simulate.config import SimulateConfig
-from simulate.gimbal import Aims, camera_centres
+from simulate.flight.gimbal import Aims, camera_centres
+from simulate.flight.qgroundcontrol import read_plan
+from simulate.place.town import build_town
 from simulate.planner import plan_session
-from simulate.qgroundcontrol import read_plan
-from simulate.town import build_town
 from tests.simulate.test_flights import hills
 
 ORIGIN = Geodetic(47.0, 8.0, 450.0)

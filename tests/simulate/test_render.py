@@ -11,12 +11,14 @@ import pytest
 from numpy.testing import assert_allclose
 from pydantic import ValidationError
 
-import simulate.render
+import simulate.render.pool
 from scene.errors import InputError
-from simulate.flights import plan_nadir, plan_oblique
-from simulate.render import PinholeCamera, RenderError, RenderJob, frame_path, render
-from simulate.town import build_town
-from simulate.world import CLASSES, MAX_OBJECT_ID, class_lookup
+from simulate.camera.pinhole import PinholeCamera
+from simulate.flight.flights import plan_nadir, plan_oblique
+from simulate.place.town import build_town
+from simulate.place.world import CLASSES, MAX_OBJECT_ID, class_lookup
+from simulate.render.job import RenderJob, frame_path
+from simulate.render.pool import RenderError, render
 
 SEED, AREA = 5, 120.0
 # Off-centre and not square, so that a mistaken principal point or axis shows.
@@ -208,7 +210,7 @@ def test_only_missing_frames_are_rendered_again_and_come_out_the_same(summer):
     "limit", [("_FRAMES_PER_PROCESS", 1), ("_MAY_GROW_BYTES", 0)], ids=["frames", "memory"]
 )
 def test_a_process_that_ends_early_is_followed_by_another(summer, tmp_path, monkeypatch, limit):
-    monkeypatch.setattr(simulate.render, *limit)
+    monkeypatch.setattr(simulate.render.pool, *limit)
     started = []
 
     class Counted(subprocess.Popen):
@@ -232,7 +234,7 @@ def test_no_process_outlives_a_killed_run(tmp_path):
     """kill -9 of the parent alone: nothing goes on writing where the next run will write."""
     script = tmp_path / "run.py"
     script.write_text(
-        "import sys\nfrom pathlib import Path\nfrom simulate.render import RenderJob, render\n"
+        "import sys\nfrom pathlib import Path\nfrom simulate.render.pool import RenderJob, render\n"
         "job = RenderJob.model_validate_json(Path(sys.argv[1]).read_text())\n"
         "render(job, Path(sys.argv[2]), on_frame=lambda frame: print(frame, flush=True))\n"
     )

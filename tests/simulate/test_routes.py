@@ -13,15 +13,15 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from simulate.clearance import check_flight, is_free
 from simulate.command import simulate
 from simulate.config import SimulateConfig
-from simulate.flights import plan_nadir
-from simulate.gimbal import camera_centres
+from simulate.flight.clearance import check_flight, is_free
+from simulate.flight.flights import plan_nadir
+from simulate.flight.gimbal import camera_centres
+from simulate.flight.routes import beside, plan_corridor, plan_free
+from simulate.place.town import build_town
+from simulate.place.world import World
 from simulate.planner import plan_session
-from simulate.routes import beside, plan_corridor, plan_free
-from simulate.town import build_town
-from simulate.world import World
 from tests.simulate.test_flights import CAMERA, assert_rigid, hills, level
 
 Array = NDArray[np.float64]

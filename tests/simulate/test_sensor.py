@@ -11,9 +11,9 @@ from scene.bundle import Scene
 from scene.errors import InputError
 from scene.frames import LAYERS
 from scene.images import read_rgb
+from simulate.camera.sensor import SensorConfig, expose
 from simulate.command import simulate
 from simulate.config import SimulateConfig
-from simulate.sensor import SensorConfig, expose
 
 GREY = np.full((80, 120, 3), 120, np.uint8)
 

@@ -8,7 +8,7 @@ from math import degrees
 import pytest
 
 from scene.geodesy import Geodetic
-from simulate.sun import sun_equatorial, sun_position
+from simulate.look.sun import sun_equatorial, sun_position
 
 GREENWICH = Geodetic(51.4779, 0.0, 46.0)
 

@@ -5,14 +5,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from scene.errors import InputError
-from simulate import ground
-from simulate.buildings import building_mesh
-from simulate.conditions import condition
-from simulate.plants import fence_mesh, hedge_mesh
-from simulate.presets import preset
-from simulate.props import shape_mesh
-from simulate.town import build_town
-from simulate.world import (
+from simulate.look import ground
+from simulate.look.buildings import building_mesh
+from simulate.look.conditions import condition
+from simulate.look.plants import fence_mesh, hedge_mesh
+from simulate.look.props import shape_mesh
+from simulate.place.presets import preset
+from simulate.place.town import build_town
+from simulate.place.world import (
     CLASSES,
     FIRST_OBJECT_LABEL,
     MAX_OBJECT_ID,

@@ -1,0 +1,1 @@
+"""Cameras that are no pinholes, photographs that are not perfect."""

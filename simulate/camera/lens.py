@@ -1,0 +1,119 @@
+"""Cameras of photographs: given by COLMAP's parameters or by name, and how they are rendered.
+
+Blender renders pinholes. Every other camera is seen through a pinhole that covers its view, and
+`simulate.camera.resample` takes each of its pixels from there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from pydantic import Field, model_validator
+
+from scene.camera import Camera
+from scene.config import Config
+from scene.errors import InputError
+from simulate.camera.pinhole import PinholeCamera
+
+# A pinhole picture grows with the tangent of the angle: beyond, nearly all of it is thrown away.
+_MAX_FOV_DEG = 140.0
+_MARGIN_PX = 4.0  # around the view, for the resampling kernels
+_COARSE = 16  # pixels between the positions where the scale of the picture is looked at
+
+# Full resolution width and height (px), diagonal field of view (deg), k1 k2 p1 p2. All nominal:
+# size and field of view as the makers state them, principal point in the middle. These cameras
+# correct their distortion before they write a JPEG, except "phantom-4-rtk-raw", the survey drone
+# with that correction switched off, whose coefficients are typical of published calibrations.
+# "mini-2-wide" is the middle of the "mini-2".
+PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
+    "mini-2": (4000, 3000, 83.0, ()),
+    "mini-2-wide": (4000, 2250, 78.16, ()),
+    "mavic-3": (5280, 3956, 84.0, ()),
+    "phantom-3": (4000, 3000, 94.0, ()),
+    "phantom-4-pro": (5472, 3648, 84.0, ()),
+    "phantom-4-rtk-raw": (5472, 3648, 84.0, (-0.27, 0.11, 0.0, 0.0)),
+}
+
+
+class CameraConfig(Config):
+    """The camera of the photographs: COLMAP's parameters, or the name of a drone's camera.
+
+    Attributes:
+        model: COLMAP camera model.
+        width: pixels.
+        height: pixels.
+        params: in COLMAP's order for the model.
+        preset: a key of ``PRESETS``, in place of the others.
+        size: long side of the preset's photographs, pixels; None takes the scene's.
+    """
+
+    model: str | None = None
+    width: int | None = Field(None, ge=16, le=8192)
+    height: int | None = Field(None, ge=16, le=8192)
+    params: tuple[float, ...] | None = None
+    preset: str | None = None
+    size: int | None = Field(None, ge=64, le=8192)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> CameraConfig:
+        given = [self.model, self.width, self.height, self.params]
+        if self.preset is not None:
+            if any(value is not None for value in given):
+                raise ValueError("a preset takes no model, width, height or params")
+            if self.preset not in PRESETS:
+                raise ValueError(f"unknown camera {self.preset!r}; known: {', '.join(PRESETS)}")
+        elif any(value is None for value in given) or self.size is not None:
+            raise ValueError("a camera is a preset (and size), or model, width, height and params")
+        rendered_through(self.build(64))
+        return self
+
+    def build(self, size: int) -> Camera:
+        """The camera; a preset without a size of its own has the long side `size`."""
+        if self.preset is None:
+            assert self.model is not None
+            assert self.width is not None
+            assert self.height is not None
+            assert self.params is not None
+            return Camera(self.model, self.width, self.height, self.params)
+        width, height, fov_deg, distortion = PRESETS[self.preset]
+        scale = (self.size or size) / width
+        focal = 0.5 * scale * math.hypot(width, height) / math.tan(math.radians(0.5 * fov_deg))
+        width, height = round(width * scale), round(height * scale)
+        params = (focal, focal, 0.5 * width, 0.5 * height, *distortion)
+        return Camera("OPENCV" if distortion else "PINHOLE", width, height, params)
+
+
+def rendered_through(camera: Camera) -> tuple[PinholeCamera, str | None]:
+    """The pinhole to render for `camera`, and the lens of the job, None where they are the same.
+
+    The pinhole covers the view of every pixel of the camera, at least as finely.
+
+    Raises:
+        InputError: a view wider than a pinhole can cover, or a picture larger than what the
+            distortion can reach.
+    """
+    (fx, fy), (cx, cy) = camera.focal, camera.principal
+    if fx == fy and not camera.is_fisheye and not any(camera.distortion):
+        return PinholeCamera(width=camera.width, height=camera.height, f=fx, cx=cx, cy=cy), None
+    grid = camera.pixel_grid()
+    edge = torch.cat([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
+    inside = grid[::_COARSE, ::_COARSE].reshape(-1, 2)
+    rays, valid = camera.unproject(torch.cat([edge, inside]))
+    if not bool(valid.all()):
+        raise InputError(
+            f"camera {camera}: its picture reaches beyond where the distortion folds back; "
+            "use a smaller picture or other coefficients"
+        )
+    angle = 2 * float(torch.rad2deg(torch.atan(rays[:, :2].norm(dim=-1).max())))
+    if angle > _MAX_FOV_DEG:
+        raise InputError(
+            f"camera {camera} sees {angle:.0f} degrees; at most {_MAX_FOV_DEG:.0f} can be rendered"
+        )
+    jacobian = camera.project(rays, jacobian=True).jacobian
+    assert jacobian is not None
+    f = float(torch.linalg.matrix_norm(jacobian[..., :2], ord=2).max())
+    low, high = (f * rays[:, :2].amin(0) - _MARGIN_PX), (f * rays[:, :2].amax(0) + _MARGIN_PX)
+    width, height = (math.ceil(float(side)) for side in high - low)
+    pinhole = PinholeCamera(width=width, height=height, f=f, cx=-float(low[0]), cy=-float(low[1]))
+    return pinhole, str(camera)

@@ -1,0 +1,1 @@
+"""How flights are flown, and whether they can be."""

@@ -1,0 +1,101 @@
+"""Refuses flights that no aircraft could fly, or that photograph nothing of the place."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.camera import Camera
+from scene.errors import InputError
+from simulate.flight.gimbal import camera_centres
+from simulate.place.world import World
+
+Array = NDArray[np.float64]
+
+# No camera comes closer to the ground or to an object's box.
+_CLEARANCE_M = 0.3
+# Lines of sight looked along, per side of a photograph.
+_RAYS = 17
+
+
+def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World) -> None:
+    """Hold every exposure of a flight against the place.
+
+    Args:
+        name: of the session, for the message.
+        cam_from_world: (N, 4, 4).
+
+    Raises:
+        InputError: a camera is under the ground, in or under an object's box, or sees nothing of
+            the place.
+    """
+    centres = camera_centres(cam_from_world)
+    depth = _under_ground(centres, world)
+    if (depth > 0).any():
+        k = int(depth.argmax())
+        raise InputError(
+            f"session {name}: photograph {k} is taken {depth[k]:.1f} m below where a camera clears "
+            "the ground: fly higher"
+        )
+    blocking = blocked_by(centres, world)
+    if blocking.any():
+        k = int(np.flatnonzero(blocking)[0])
+        item = next(item for item in world.objects if item.id == blocking[k])
+        x, y, _ = centres[k]
+        top = item.centre[2] + 0.5 * item.size[2] - float(world.terrain.height(x, y))
+        raise InputError(
+            f"session {name}: photograph {k} is taken in or under {item.class_name} {item.id} at "
+            f"({x:.0f}, {y:.0f}) m: fly higher than {top:.1f} m there, or elsewhere"
+        )
+    seen = _sees_place(cam_from_world, centres, camera, world)
+    if not seen.all():
+        k = int(np.flatnonzero(~seen)[0])
+        x, y, _ = centres[k]
+        raise InputError(
+            f"session {name}: photograph {k} at ({x:.0f}, {y:.0f}) m sees nothing of the place, "
+            f"which is {world.area_m:g} m a side around the origin: fly nearer or look down"
+        )
+
+
+def is_free(centres: Array, world: World) -> NDArray[np.bool_]:
+    """Whether a camera can be at each of (N, 3) positions: inside the place, out of everything."""
+    inside = (np.abs(centres[:, :2]) <= 0.5 * world.area_m).all(1)
+    free: NDArray[np.bool_] = inside & (_under_ground(centres, world) <= 0)
+    free[free] = blocked_by(centres[free], world) == 0
+    return free
+
+
+def blocked_by(centres: Array, world: World) -> NDArray[np.int64]:
+    """The object in or under whose box each of (N, 3) positions lies, by id; 0 is none."""
+    blocking = np.zeros(len(centres), np.int64)
+    for item in world.objects:
+        offset = centres - item.centre
+        cos, sin = np.cos(item.yaw), np.sin(item.yaw)
+        along = np.abs(cos * offset[:, 0] + sin * offset[:, 1])
+        aside = np.abs(cos * offset[:, 1] - sin * offset[:, 0])
+        half = 0.5 * item.size + _CLEARANCE_M
+        inside = (along < half[0]) & (aside < half[1]) & (offset[:, 2] < half[2])
+        blocking[inside] = item.id
+    return blocking
+
+
+def _under_ground(centres: Array, world: World) -> Array:
+    ground = world.terrain.height(centres[:, 0], centres[:, 1])
+    return np.asarray(ground + _CLEARANCE_M - centres[:, 2])
+
+
+def _sees_place(cam_from_world: Array, centres: Array, camera: Camera, world: World) -> Array:
+    """Whether any line of sight meets the box around ground and objects, (N,)."""
+    size = np.array([camera.width, camera.height], float)
+    share = np.stack(np.meshgrid(*[np.linspace(0, 1, _RAYS)] * 2), -1).reshape(-1, 2)
+    local = np.column_stack([(share * size - camera.principal) / camera.focal, np.ones(_RAYS**2)])
+    ray = np.einsum("nji,rj->nri", cam_from_world[:, :3, :3], local)
+    ray = np.where(np.abs(ray) < 1e-12, 1e-12, ray)
+    tops = [item.centre[2] + 0.5 * item.size[2] for item in world.objects]
+    half = 0.5 * world.area_m
+    low = np.array([-half, -half, world.terrain.nodes.min() - 1])
+    high = np.array([half, half, max([world.terrain.nodes.max(), *tops])])
+    # Slabs: a ray is within the box between its last entry and its first exit.
+    a, b = ((edge - centres[:, None]) / ray for edge in (low, high))
+    entry, leave = np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
+    return np.asarray((leave >= np.maximum(entry, 0)).any(1))

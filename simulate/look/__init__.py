@@ -1,0 +1,1 @@
+"""How places look: conditions, meshes, rasters and node graphs, without Blender."""

@@ -1,0 +1,266 @@
+"""Building meshes: walls cut into bays, gable, hip and flat roofs, and what stands on them.
+
+A mesh is in the building's box frame: origin at the centre of the base, x along the frontage.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.look.mesh import Mesh, MeshBuilder
+from simulate.look.textures import BAY_M, BAYS, FLOOR_M, FLOORS, ROOF_TILE_M
+from simulate.place.world import Rgb, WorldObject
+
+_FOUNDATION_M = 1.5  # walls go this far below the base, for ground that falls away beneath
+_CHIMNEY_M = 0.5  # the part of `roof_height_m` above the ridge of a pitched house roof
+
+
+def building_mesh(building: WorldObject) -> Mesh:
+    """Mesh filling the box of a `building` above ground; raises ValueError without a style."""
+    style = building.style
+    if style is None:
+        raise ValueError(f"building {building.id} has no style")
+    rng = np.random.default_rng(style.detail)
+    out = MeshBuilder()
+    length, depth, height = building.size
+    half_x, half_y = 0.5 * length, 0.5 * depth
+    eaves = height - style.roof_height_m
+    house = building.shape == "house"
+    ridge = height - (_CHIMNEY_M if house and style.roof != "flat" else 0.0)
+
+    # The main body takes the back of the box; the wing of an L comes forward from its left part.
+    main_share, wing_share = style.wing
+    split = half_y - main_share * depth
+    main = (-half_x, half_x, split, half_y)
+    bodies = [(main, ridge)]
+    if wing_share < 1.0:
+        wing = (-half_x, -half_x + wing_share * length, -half_y, split + 0.5 * (half_y - split))
+        # Half of the wing's length again lies under the main roof, so its ridge is closed there.
+        wing_ridge = eaves + (ridge - eaves) * min(1.0, wing_share * length / (half_y - split))
+        bodies.append((wing, min(wing_ridge, ridge - 0.15)))
+    for k, (rect, top) in enumerate(bodies):
+        turned = k == 1
+        inset = _inset(rect, style.eaves_m)
+        _walls(out, inset, eaves, style.facade, style.wall_rgb, rng)
+        if style.roof == "flat":
+            parapet = min(height, eaves + 0.45) if k == 0 else eaves + 0.2
+            _flat_roof(out, rect, parapet, style.roof_rgb, style.wall_rgb, rng)
+        elif style.roof == "hip" and not turned:
+            _hip_roof(out, rect, eaves, top, style.roofing, style.roof_rgb, rng)
+        else:
+            _gable_roof(
+                out, rect, inset, eaves, top, style.roofing, style.roof_rgb,
+                style.wall_rgb, rng, turned=turned,
+            )  # fmt: skip
+    if style.roof == "flat":
+        _roof_plant(out, main, eaves + 0.4, height, building.shape, rng)
+    elif house:
+        _chimney(out, main, eaves, ridge, height, rng)
+    if building.shape in ("house", "slab", "hall") and style.roof != "flat":
+        _skylights(out, main, eaves, ridge, style.roof == "hip", rng)
+    return out.build()
+
+
+Rect = tuple[float, float, float, float]  # x0, x1, y0, y1
+
+
+def _inset(rect: Rect, by: float) -> Rect:
+    x0, x1, y0, y1 = rect
+    return x0 + by, x1 - by, y0 + by, y1 - by
+
+
+def _outline(rect: Rect, z: float) -> NDArray[np.float64]:
+    x0, x1, y0, y1 = rect
+    return np.array([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)])
+
+
+def _walls(
+    out: MeshBuilder, rect: Rect, top: float, style: int, tint: Rgb, rng: np.random.Generator
+) -> None:
+    """Four walls whose facade texture always shows whole bays."""
+    low, high = _outline(rect, -_FOUNDATION_M), _outline(rect, top)
+    v1 = top / (FLOORS * FLOOR_M)
+    for i in range(4):
+        j = (i + 1) % 4
+        bays = max(1, round(float(np.linalg.norm(low[j] - low[i])) / BAY_M))
+        u0 = int(rng.integers(BAYS)) / BAYS
+        u1 = u0 + bays / BAYS
+        # Below the base the image would wrap to its top floor: stretch its lowest row instead.
+        foot_i, foot_j = low[i] * [1, 1, 0], low[j] * [1, 1, 0]
+        uv = [(u0, 0.001), (u1, 0.001), (u1, v1), (u0, v1)]
+        out.polygon([foot_i, foot_j, high[j], high[i]], f"facade_{style}", tint, uv)
+        flat = [(u0, 0.001)] * 4
+        out.polygon([low[i], low[j], foot_j, foot_i], f"facade_{style}", tint, flat)
+
+
+def _slope(
+    out: MeshBuilder,
+    points: NDArray[np.float64],
+    roofing: str,
+    tint: Rgb,
+    rng: np.random.Generator,
+) -> None:
+    """A roof plane (K, 3) whose first edge is its eaves; the texture runs up from there."""
+    along = points[1] - points[0]
+    along /= np.linalg.norm(along)
+    normal = np.cross(along, points[2] - points[0])
+    up = np.cross(normal / np.linalg.norm(normal), along)
+    offset = rng.uniform(0, 1, 2)
+    local = points - points[0]
+    uv = np.stack([local @ along, local @ up], -1) / ROOF_TILE_M + offset
+    out.polygon(points, f"roof_{roofing}", tint, uv)
+
+
+def _gable_roof(
+    out: MeshBuilder,
+    rect: Rect,
+    walls: Rect,
+    eaves: float,
+    ridge: float,
+    roofing: str,
+    tint: Rgb,
+    wall_rgb: Rgb,
+    rng: np.random.Generator,
+    *,
+    turned: bool,
+) -> None:
+    """Two slopes and two gables; the ridge runs along x, or along y when `turned`."""
+
+    def place(a: float, b: float, z: float) -> tuple[float, float, float]:
+        return (-b, a, z) if turned else (a, b, z)
+
+    x0, x1, y0, y1 = (rect[2], rect[3], -rect[1], -rect[0]) if turned else rect
+    w0, w1, d0, d1 = (walls[2], walls[3], -walls[1], -walls[0]) if turned else walls
+    m = 0.5 * (y0 + y1)
+    drop = (ridge - eaves) * (d0 - y0) / max(m - d0, 0.1)  # eaves overhang below the wall top
+    low = eaves - drop
+    for a, b, y in ((x0, x1, y0), (x1, x0, y1)):
+        corners = [place(a, y, low), place(b, y, low), place(b, m, ridge), place(a, m, ridge)]
+        _slope(out, np.array(corners), roofing, tint, rng)
+        under = [(p[0], p[1], p[2] - 0.12) for p in reversed(corners)]
+        out.polygon(under, "plain", (0.30, 0.27, 0.24))
+    for x, order in ((w0, -1), (w1, 1)):
+        gable = [place(x, d0, eaves), place(x, d1, eaves), place(x, m, ridge - 0.05)]
+        out.polygon(gable[::order], "plain", tuple(0.8 * c for c in wall_rgb))  # type: ignore[arg-type]
+
+
+def _hip_roof(
+    out: MeshBuilder,
+    rect: Rect,
+    eaves: float,
+    ridge: float,
+    roofing: str,
+    tint: Rgb,
+    rng: np.random.Generator,
+) -> None:
+    x0, x1, y0, y1 = rect
+    m = 0.5 * (y0 + y1)
+    run = min(0.5 * (y1 - y0), 0.48 * (x1 - x0))
+    low = eaves
+    a, b = (x0 + run, m, ridge), (x1 - run, m, ridge)
+    sw, se, ne, nw = (x0, y0, low), (x1, y0, low), (x1, y1, low), (x0, y1, low)
+    for plane in ([sw, se, b, a], [se, ne, b], [ne, nw, a, b], [nw, sw, a]):
+        _slope(out, np.array(plane), roofing, tint, rng)
+    out.polygon([nw, ne, se, sw], "plain", (0.30, 0.27, 0.24))
+
+
+def _flat_roof(
+    out: MeshBuilder, rect: Rect, top: float, tint: Rgb, wall_rgb: Rgb, rng: np.random.Generator
+) -> None:
+    """A roof surface inside a low parapet."""
+    x0, x1, y0, y1 = rect
+    _slope(out, _outline(rect, top - 0.2), "flat", tint, rng)
+    t = 0.22
+    rim: Rgb = tuple(0.7 * c + 0.08 for c in wall_rgb)  # type: ignore[assignment]
+    low = top - 0.55
+    out.box((x0, y0, low), (x1, y0 + t, top), "plain", rim)
+    out.box((x0, y1 - t, low), (x1, y1, top), "plain", rim)
+    out.box((x0, y0 + t, low), (x0 + t, y1 - t, top), "plain", rim)
+    out.box((x1 - t, y0 + t, low), (x1, y1 - t, top), "plain", rim)
+
+
+def _roof_plant(
+    out: MeshBuilder, rect: Rect, deck: float, top: float, shape: str, rng: np.random.Generator
+) -> None:
+    """Stair heads, ventilators, hatches and solar panels on a flat roof, up to `top`."""
+    x0, x1, y0, y1 = _inset(rect, 1.0)
+    if shape == "shed":
+        return
+    area = (x1 - x0) * (y1 - y0)
+    if top - deck > 1.0:  # the highest thing up there reaches the top of the box
+        size = (2.2, 2.2) if shape == "hall" else (4.0, 3.0)
+        x = rng.uniform(x0, x1 - size[0])
+        y = rng.uniform(y0, max(y0 + 0.1, y1 - size[1]))
+        out.box((x, y, deck - 0.4), (x + size[0], y + size[1], top), "plain", (0.34, 0.33, 0.32))
+    for _ in range(int(area / 28) + int(rng.integers(0, 4))):
+        x, y = rng.uniform(x0, x1), rng.uniform(y0, y1)
+        w, d, h = rng.uniform(0.5, 1.8, 3) * (1, 1, 0.5)
+        shade = rng.uniform(0.12, 0.5)
+        out.box(
+            (x, y, deck - 0.4),
+            (min(x + w, x1 + 0.7), min(y + d, y1 + 0.7), min(deck + h, top)),
+            "plain",
+            (shade, shade, shade * rng.uniform(0.95, 1.1)),
+        )
+    if rng.random() < 0.5:
+        columns = int((x1 - x0) * rng.uniform(0.2, 0.6) / 1.3)
+        y = rng.uniform(y0, 0.5 * (y0 + y1))
+        x = rng.uniform(x0, 0.4 * x1 + 0.6 * x0)
+        for i in range(columns):
+            for j in range(int(rng.integers(1, 3))):
+                a, b, high = x + 1.3 * i, y + 2.2 * j, min(deck + 0.45, top)
+                quad = [(a, b, deck), (a + 1.15, b, deck), (a + 1.15, b + 1.5, high),
+                        (a, b + 1.5, high)]  # fmt: skip
+                if a + 1.2 < x1 and b + 1.6 < y1:
+                    out.polygon(quad, "glass", (0.02, 0.03, 0.07))
+
+
+def _chimney(
+    out: MeshBuilder, rect: Rect, eaves: float, ridge: float, top: float, rng: np.random.Generator
+) -> None:
+    """One chimney on the ridge reaching the top of the box, perhaps a second, lower one."""
+    x0, x1, y0, y1 = rect
+    m = 0.5 * (y0 + y1)
+    brick = (0.24, 0.11, 0.08) if rng.random() < 0.7 else (0.42, 0.40, 0.37)
+    half = 0.5 * (x1 - x0)
+    x = 0.5 * (x0 + x1) + rng.uniform(-0.45, 0.45) * half
+    out.box((x - 0.35, m - 0.35, eaves), (x + 0.35, m + 0.35, top), "plain", brick)
+    out.box((x - 0.18, m - 0.18, top - 0.1), (x + 0.18, m + 0.18, top), "plain", (0.03, 0.03, 0.03))
+    if rng.random() < 0.4:
+        x, y = x0 + rng.uniform(0.3, 0.7) * (x1 - x0), m + rng.uniform(0.15, 0.3) * (y1 - y0)
+        out.box((x - 0.15, y - 0.15, eaves), (x + 0.15, y + 0.15, ridge - 0.2), "plain", (0.3,) * 3)
+
+
+def _skylights(
+    out: MeshBuilder, rect: Rect, eaves: float, ridge: float, hip: bool, rng: np.random.Generator
+) -> None:
+    """Skylights or solar panels lying just above the slopes."""
+    x0, x1, y0, y1 = rect
+    m, half = 0.5 * (y0 + y1), 0.5 * (y1 - y0)
+    rise = (ridge - eaves) / half
+    lift = np.array([0.0, -rise, 1.0]) / np.hypot(rise, 1.0) * 0.06
+
+    def panel(xa: float, xb: float, s0: float, s1: float, side: int, tint: Rgb) -> None:
+        """A quad between shares s0 < s1 of the slope."""
+        quad = [
+            (x, m + side * half * (1 - s), eaves + s * (ridge - eaves)) for x, s in
+            ((xa, s0), (xb, s0), (xb, s1), (xa, s1))
+        ]  # fmt: skip
+        points = np.array(quad) + lift * (1, -side, 1)
+        out.polygon(points if side < 0 else points[::-1], "glass", tint)
+
+    reach = 0.25 if hip else 0.42
+    middle, span = 0.5 * (x0 + x1), reach * (x1 - x0)
+    if rng.random() < 0.35:  # an array of solar panels
+        side = int(rng.choice([-1, 1]))
+        a = middle - span * rng.uniform(0.3, 0.9)
+        for i in range(int(rng.integers(3, 8))):
+            if a + 1.15 * i + 1.05 < middle + span:
+                for s0, s1 in ((0.22, 0.48), (0.50, 0.76)):
+                    panel(a + 1.15 * i, a + 1.15 * i + 1.05, s0, s1, side, (0.02, 0.025, 0.06))
+    else:
+        for _ in range(int(rng.integers(0, 5))):
+            x = middle + rng.uniform(-1, 1) * (span - 0.5)
+            s, side = rng.uniform(0.25, 0.55), int(rng.choice([-1, 1]))
+            panel(x - 0.45, x + 0.45, s, s + 0.22, side, (0.07, 0.09, 0.11))

@@ -1,0 +1,284 @@
+"""Conditions: a season, a light and perhaps a weather, named in one word as "autumn-dusk-fog".
+
+They say how a place looks and when it is flown. Geometry never changes here: see `change`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from functools import cache
+from math import exp, inf, log2, pi, radians, sin
+from typing import TypeVar
+
+from scene.errors import InputError
+from scene.geodesy import Geodetic
+from simulate.look.sun import sun_position
+from simulate.place.world import Rgb
+
+PLACE = Geodetic(47.0, 8.0, 450.0)
+"""Where on earth a place lies that does not say."""
+
+# Linear albedo pairs (fresh, worn) of each kind of ground.
+_SUMMER_GROUND: dict[str, tuple[Rgb, Rgb]] = {
+    "grass": ((0.066, 0.092, 0.034), (0.150, 0.140, 0.075)),
+    "field": ((0.105, 0.125, 0.040), (0.260, 0.205, 0.100)),
+    "road": ((0.085, 0.085, 0.088), (0.125, 0.122, 0.118)),
+    "pavement": ((0.240, 0.230, 0.215), (0.300, 0.285, 0.265)),
+    "parking": ((0.100, 0.100, 0.103), (0.150, 0.147, 0.142)),
+    "driveway": ((0.210, 0.190, 0.170), (0.260, 0.215, 0.185)),
+    "path": ((0.270, 0.225, 0.165), (0.320, 0.280, 0.220)),
+}
+_WINTER_GROUND: dict[str, tuple[Rgb, Rgb]] = {
+    "grass": ((0.080, 0.085, 0.042), (0.135, 0.115, 0.070)),
+    "field": ((0.105, 0.085, 0.060), (0.155, 0.125, 0.085)),
+    "road": ((0.070, 0.071, 0.075), (0.115, 0.113, 0.112)),
+    "pavement": ((0.170, 0.168, 0.165), (0.220, 0.215, 0.208)),
+    "parking": ((0.078, 0.079, 0.082), (0.125, 0.123, 0.121)),
+    "driveway": ((0.150, 0.140, 0.130), (0.185, 0.160, 0.142)),
+    "path": ((0.180, 0.155, 0.120), (0.220, 0.195, 0.160)),
+}
+_SPRING_GROUND = _SUMMER_GROUND | {
+    "grass": ((0.052, 0.098, 0.026), (0.090, 0.120, 0.042)),
+    "field": ((0.050, 0.095, 0.026), (0.150, 0.110, 0.070)),
+}
+_AUTUMN_GROUND = _SUMMER_GROUND | {
+    "grass": ((0.078, 0.086, 0.034), (0.165, 0.120, 0.056)),
+    "field": ((0.098, 0.072, 0.048), (0.170, 0.130, 0.082)),
+}
+
+
+@dataclass(frozen=True)
+class Season:
+    """When in the year, and what grows and lies then.
+
+    `day` is of the northern hemisphere; the southern has the season half a year later. `ground`
+    holds linear albedo pairs (fresh, worn) by class, `leaf` and `leaf_tip` the inner and outer
+    colours of foliage that is shed, `snow` 0..1 how much of open ground is covered. `bare`: trees
+    that shed their leaves have done so, a change of geometry that sessions declare.
+    """
+
+    day: date
+    ground: Mapping[str, tuple[Rgb, Rgb]]
+    leaf: Rgb
+    leaf_tip: Rgb
+    snow: float = 0.0
+    bare: bool = False
+
+
+_BROWN_LEAF: Rgb = (0.042, 0.036, 0.024)
+_BROWN_TIP: Rgb = (0.130, 0.105, 0.068)
+SUMMER_LEAF: tuple[Rgb, Rgb] = (0.028, 0.046, 0.016), (0.120, 0.150, 0.050)
+"""Inner and outer foliage in summer; of conifers all year."""
+
+SEASONS: dict[str, Season] = {
+    "spring": Season(
+        date(2026, 4, 28),
+        _SPRING_GROUND,
+        leaf=(0.040, 0.066, 0.014),
+        leaf_tip=(0.170, 0.215, 0.050),
+    ),
+    "summer": Season(date(2025, 7, 2), _SUMMER_GROUND, *SUMMER_LEAF),
+    "autumn": Season(
+        date(2025, 10, 20),
+        _AUTUMN_GROUND,
+        leaf=(0.085, 0.042, 0.012),
+        leaf_tip=(0.330, 0.170, 0.030),
+    ),
+    "leafoff": Season(date(2025, 12, 3), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, bare=True),
+    "winter": Season(date(2026, 1, 20), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, snow=0.62),
+    "snow": Season(date(2026, 2, 6), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, snow=0.95),
+}
+
+
+@dataclass(frozen=True)
+class Light:
+    """A time of day: the sun at `elevation` degrees, or near its highest where that is None."""
+
+    elevation: float | None
+    rising: bool = False
+
+
+LIGHTS: dict[str, Light] = {
+    "morning": Light(25.0, rising=True),
+    "noon": Light(None),
+    "afternoon": Light(35.0),
+    "dusk": Light(10.0),
+}
+# Where the sun never gets as high as a light wants it, it stands this share of its highest.
+_SHARE_OF_HIGHEST = 0.6
+_LOWEST_NOON = 3.0
+
+
+@dataclass(frozen=True)
+class Weather:
+    """What the sky and the ground do to the light of the hour.
+
+    `cloud` 0..1 turns the sky grey and dims and softens the sun. `visibility_m` is the distance
+    at which fog leaves 2 % of the contrast (Koschmieder). `wet` 0..1 darkens what rain soaks and
+    lays a film and puddles on sealed ground.
+    """
+
+    cloud: float = 0.0
+    visibility_m: float = inf
+    wet: float = 0.0
+
+
+WEATHER: dict[str, Weather] = {
+    "clear": Weather(),
+    "overcast": Weather(cloud=1.0),
+    "fog": Weather(cloud=1.0, visibility_m=800.0),
+    "wet": Weather(wet=1.0),
+}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Season, light and weather over a place. Angles in degrees: azimuth clockwise from north,
+    elevation above the horizon, `sun_angle` the diameter of the disc. Colours are linear RGB;
+    `snow`, `wet` and `visibility_m` as in Season and Weather, `time` when a flight under it begins.
+
+    `leaf` and `leaf_tip` are the inner and outer colours of foliage, `sun_watts` and
+    `sky_strength` Blender's irradiance (W/m2) and background factor, `exposure` in stops.
+    """
+
+    name: str
+    time: datetime
+    sun_azimuth: float
+    sun_elevation: float
+    sun_angle: float
+    sun_watts: float
+    sun_rgb: Rgb
+    sky_zenith: Rgb
+    sky_horizon: Rgb
+    sky_strength: float
+    exposure: float
+    snow: float
+    wet: float
+    visibility_m: float
+    ground: Mapping[str, tuple[Rgb, Rgb]]
+    leaf: Rgb
+    leaf_tip: Rgb
+    bare: bool
+
+
+@cache
+def condition(name: str, place: Geodetic = PLACE) -> Condition:
+    """The condition called SEASON-LIGHT[-WEATHER] over a place; clear when it does not say.
+
+    Raises:
+        InputError: an unknown part, named with the valid ones, or no sun that day at that latitude.
+    """
+    words = name.split("-")
+    if len(words) not in (2, 3):
+        raise InputError(
+            f"unknown condition {name!r}: write SEASON-LIGHT[-WEATHER], as summer-noon, "
+            f"winter-dusk or autumn-morning-fog; seasons: {', '.join(SEASONS)}; lights: "
+            f"{', '.join(LIGHTS)}; weather: {', '.join(WEATHER)}"
+        )
+    season = _part(SEASONS, words[0], "season", name)
+    light = _part(LIGHTS, words[1], "light", name)
+    weather = _part(WEATHER, words[2] if len(words) == 3 else "clear", "weather", name)
+
+    time = _time(name, season, light, place)
+    azimuth, elevation = sun_position(time, place)
+    watts, sun_rgb = _sunlight(elevation)
+    watts *= 1 - 0.96 * weather.cloud
+    zenith, horizon, strength = _sky(elevation, weather.cloud)
+    return Condition(
+        name=name.removesuffix("-clear"),
+        time=time,
+        sun_azimuth=azimuth,
+        sun_elevation=elevation,
+        sun_angle=0.53 + 14.0 * weather.cloud,
+        sun_watts=watts,
+        sun_rgb=sun_rgb,
+        sky_zenith=zenith,
+        sky_horizon=horizon,
+        sky_strength=strength,
+        exposure=_exposure(elevation, watts, zenith, horizon, strength, season, weather),
+        snow=season.snow,
+        wet=weather.wet,
+        visibility_m=weather.visibility_m,
+        ground=season.ground,
+        leaf=season.leaf,
+        leaf_tip=season.leaf_tip,
+        bare=season.bare,
+    )
+
+
+T = TypeVar("T")
+
+
+def _part(known: dict[str, T], word: str, kind: str, name: str) -> T:
+    if word not in known:
+        raise InputError(
+            f"unknown condition {name!r}: no {kind} {word!r}, choose one of {', '.join(known)}"
+        )
+    return known[word]
+
+
+def _time(name: str, season: Season, light: Light, place: Geodetic) -> datetime:
+    """The whole UTC minute of the season's day at which the light is there."""
+    day = season.day if place.latitude >= 0 else season.day + timedelta(days=182)
+    midnight = datetime(day.year, day.month, day.day, tzinfo=UTC)
+    first = midnight - timedelta(minutes=round(place.longitude * 4))  # of mean solar time
+    minutes = [first + timedelta(minutes=k) for k in range(1440)]
+    height = [sun_position(minute, place).elevation for minute in minutes]
+    top = max(range(1440), key=height.__getitem__)
+    if height[top] < _LOWEST_NOON:
+        raise InputError(
+            f"condition {name!r} has no sun at latitude {place.latitude:g} on {day}: choose "
+            "another season or origin"
+        )
+    if light.elevation is None:
+        return minutes[top - 30]  # before noon, so that shadows do not lie due north
+    wanted = min(light.elevation, _SHARE_OF_HIGHEST * height[top])
+    side = range(top) if light.rising else range(top, 1440)
+    return minutes[min(side, key=lambda k: abs(height[k] - wanted))]
+
+
+def _sunlight(elevation: float) -> tuple[float, Rgb]:
+    """Direct irradiance (W/m2 in Blender's scale) and colour of a clear sun.
+
+    Irradiance falls with the air mass (Kasten and Young, 1989) as Meinel's 0.7^(AM^0.678); blue and
+    green fall faster than red.
+    """
+    mass = 1 / (sin(radians(elevation)) + 0.50572 * (elevation + 6.07995) ** -1.6364)
+    return 6.15 * 0.7 ** (mass**0.678), (1.0, exp(-0.042 * mass), exp(-0.092 * mass))
+
+
+def _sky(elevation: float, cloud: float) -> tuple[Rgb, Rgb, float]:
+    """Zenith, horizon and strength of the sky: darker and redder with a low sun, grey in cloud."""
+    day = min(1.0, max(0.0, (sin(radians(elevation)) - 0.15) / 0.7))
+    zenith = _mix((0.20, 0.30, 0.52), (0.30, 0.44, 0.72), day)
+    horizon = _mix((0.55, 0.56, 0.62), (0.72, 0.80, 0.88), day)
+    zenith, horizon = (
+        _mix(zenith, (0.62, 0.65, 0.70), cloud),
+        _mix(horizon, (0.52, 0.55, 0.59), cloud),
+    )
+    return zenith, horizon, 0.5 + 0.85 * day
+
+
+def _exposure(
+    elevation: float,
+    watts: float,
+    zenith: Rgb,
+    horizon: Rgb,
+    strength: float,
+    season: Season,
+    weather: Weather,
+) -> float:
+    """Most of the stops a meter looking down from 100 m wants: an evening stays a little dark."""
+    sky = strength * (sum(zenith) + sum(horizon)) / 6
+    albedo = 0.12 + 0.3 * season.snow
+    ground = albedo * (watts * sin(radians(elevation)) / pi + sky)
+    through = exp(-3.912 * 100 / weather.visibility_m)
+    return 0.85 * log2(0.33 / (through * ground + (1 - through) * sky))
+
+
+def _mix(a: Rgb, b: Rgb, share: float) -> Rgb:
+    """`share` 0: a, 1: b."""
+    red, green, blue = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+    return red, green, blue

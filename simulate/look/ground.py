@@ -1,0 +1,187 @@
+"""The albedo a season gives to the ground cover of a place."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.look.conditions import Condition
+from simulate.place.paint import SHIFT, to_raster
+from simulate.place.world import CLASSES, Ground, Rgb
+
+# What differs between materials besides their colour: contrast of the blotches (fraction of
+# albedo) and of the grain.
+_TEXTURE: dict[str, tuple[float, float]] = {
+    "grass": (0.22, 0.10),
+    "field": (0.18, 0.08),
+    "road": (0.10, 0.05),
+    "pavement": (0.08, 0.06),
+    "parking": (0.10, 0.05),
+    "driveway": (0.10, 0.07),
+    "path": (0.12, 0.08),
+    "water": (0.10, 0.0),
+}
+_SEALED = ("road", "pavement", "parking", "driveway")  # where rain stays on top
+_WET_DARKENING = 0.5
+# What looks the same in every season: linear albedo (deep, shallow).
+_SEASONLESS: dict[str, tuple[Rgb, Rgb]] = {"water": ((0.012, 0.024, 0.026), (0.020, 0.034, 0.028))}
+# Share of its snow that each kind of ground keeps: traffic and shovels clear the others.
+_SNOW_KEPT: dict[str, float] = {
+    "grass": 1.0,
+    "field": 0.95,
+    "road": 0.12,
+    "pavement": 0.45,
+    "parking": 0.4,
+    "driveway": 0.5,
+    "path": 0.6,
+    "water": 0.0,
+}
+
+
+def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
+    """Albedo (n, n, 3) uint8 sRGB of `ground` under `condition`, row 0 in the south.
+
+    The same seed gives the same blotches under every condition; only colours and snow change.
+    """
+    rng = np.random.default_rng([seed, 1])
+    n = len(ground.labels)
+    across = n * ground.texel_m
+    broad = _noise(rng, n, across / 40.0)
+    blotch = 0.6 * _noise(rng, n, across / 9.0) + 0.4 * _noise(rng, n, across / 2.2)
+    grain = 0.5 * _noise(rng, n, across / 0.5) + 0.5 * _grain(rng, n)
+    drift = 0.45 * broad + 0.4 * blotch + 0.15 * grain
+    tone = ground.tone.astype(np.float32) / 255.0 - 0.5
+
+    size = max(CLASSES.values()) + 1
+    colour = np.zeros((size, 3), np.float32)
+    dry = np.zeros((size, 3), np.float32)
+    soft, sharp, snow = (np.zeros(size, np.float32) for _ in range(3))
+    for name, (low, high) in _TEXTURE.items():
+        k = CLASSES[name]
+        colour[k], dry[k] = _SEASONLESS.get(name) or condition.ground[name]
+        soft[k], sharp[k], snow[k] = low, high, _SNOW_KEPT[name]
+
+    labels = ground.labels
+    # The second colour of a class shows where the ground is worn, and in some parcels more.
+    worn = np.clip(0.5 + 0.55 * broad + 0.35 * blotch + 0.9 * tone, 0, 1)
+    value = 1 + soft[labels] * (0.6 * broad + blotch) + sharp[labels] * grain + 0.22 * tone
+    value *= 1 - _furrows(ground, tone)
+    albedo = colour[labels]
+    albedo += worn[..., None] * (dry - colour)[labels]
+    albedo *= value[..., None]
+    albedo *= _wear(rng, ground)[..., None]
+
+    albedo *= _kerbs(ground)[..., None]
+    paint_mask = _marking_mask(ground) * np.clip(0.85 + 0.25 * blotch, 0.3, 1)
+    albedo += paint_mask[..., None] * (np.float32(0.72) - albedo)
+    albedo *= 1 - _WET_DARKENING * condition.wet
+    if condition.snow > 0:
+        # Road edges keep what the wheels throw there, hence the blurred coverage.
+        kept = cv2.GaussianBlur(snow[labels], (0, 0), 0.5 / ground.texel_m)
+        cover = np.clip(kept * condition.snow * 4.2 - 1.4 + 1.5 * drift, 0, 1)
+        white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
+        albedo += (0.93 * cover)[..., None] * (white - albedo)
+    return _srgb(albedo)
+
+
+def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
+    """How much of a mirror the ground is, (n, n) uint8: ponds and rivers are one, and rain leaves a
+    film and puddles on sealed ground."""
+    n = len(ground.labels)
+    standing = np.where(ground.labels == CLASSES["water"], 255, 0).astype(np.uint8)
+    if condition.wet == 0:
+        return standing
+    rng = np.random.default_rng([seed, 2])
+    across = n * ground.texel_m
+    hollows = 0.6 * _noise(rng, n, across / 7.0) + 0.4 * _noise(rng, n, across / 2.0)
+    puddles = np.clip((hollows - 0.35) / 0.08, 0, 1)
+    sealed = np.isin(ground.labels, [CLASSES[c] for c in _SEALED])
+    film = sealed * condition.wet * (0.25 + 0.75 * puddles)
+    return np.maximum(standing, np.asarray(255 * film, np.uint8))
+
+
+def _noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
+    """Smooth noise (n, n), mean 0, standard deviation about 0.5, `cells` cells a side."""
+    m = int(np.clip(round(cells), 2, n)) + 3
+    coarse = rng.standard_normal((m, m), np.float32)
+    fine = cv2.resize(coarse, (n, n), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(fine * np.float32(0.7))
+
+
+def _grain(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
+    """White noise (n, n), tiled from a patch: nobody sees the period at this scale."""
+    tile = rng.standard_normal((509, 509), np.float32) * np.float32(0.5)
+    repeat = -(-n // 509)
+    return np.tile(tile, (repeat, repeat))[:n, :n]
+
+
+def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Darkening (n, n) by crop rows and mowing stripes, their direction set by the tone."""
+    n = len(ground.labels)
+    axis = (np.arange(n, dtype=np.float32) - 0.5 * n) * ground.texel_m
+    angle = tone * 9.0
+    across = np.cos(angle) * axis[None, :] + np.sin(angle) * axis[:, None]
+    rows = np.where(ground.labels == CLASSES["field"], np.float32(0.11), np.float32(0))
+    rows *= 0.5 + 0.5 * np.sin(across * 4.2)
+    # About every third lawn is mown in stripes.
+    mown = (ground.labels == CLASSES["grass"]) & (ground.tone % 3 == 0) & (ground.tone != 128)
+    return np.asarray(rows + mown * 0.05 * (1 + np.sign(np.sin(across * 3.1))), np.float32)
+
+
+def _wear(rng: np.random.Generator, ground: Ground) -> NDArray[np.float32]:
+    """Albedo factor (n, n) of asphalt repairs, manholes and stains on sealed ground."""
+    n = len(ground.labels)
+    wear = np.ones((n, n), np.float32)
+    sealed = np.isin(ground.labels, [CLASSES[c] for c in ("road", "parking", "driveway")])
+    rows, columns = np.nonzero(sealed[::7, ::7])
+    if len(rows) == 0:
+        return wear
+    count = int(sealed.sum() * ground.texel_m**2 / 40.0)
+    for i in rng.integers(0, len(rows), count):
+        at = (int(columns[i]) * 7, int(rows[i]) * 7)
+        kind, angle = rng.random(), float(rng.uniform(0, 180))
+        size = rng.uniform(0.6, 3.5, 2) / ground.texel_m
+        if kind < 0.45:  # a patch of newer or older asphalt
+            box = cv2.boxPoints((at, (float(size[0]), float(0.5 * size[1])), angle))
+            cv2.fillPoly(wear, [box.astype(np.int32)], rng.uniform(0.72, 1.22))
+        elif kind < 0.6:  # a manhole
+            cv2.circle(wear, at, max(1, round(0.35 / ground.texel_m)), 0.55, -1, cv2.LINE_AA)
+        else:  # oil and tyre marks
+            axes = (max(1, int(0.4 * size[0])), max(1, int(0.12 * size[1])))
+            cv2.ellipse(wear, at, axes, angle, 0, 360, rng.uniform(0.75, 0.95), -1, cv2.LINE_AA)
+    wear = cv2.GaussianBlur(wear, (0, 0), 0.8)
+    return np.where(sealed, wear, np.float32(1))
+
+
+def _kerbs(ground: Ground) -> NDArray[np.float32]:
+    """Albedo factor (n, n): a pale kerb stone around carriageways and a dark gutter inside."""
+    road = (ground.labels == CLASSES["road"]).astype(np.uint8)
+    width = max(1, round(0.15 / ground.texel_m))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * width + 1, 2 * width + 1))
+    kerb = cv2.dilate(road, disc) - road
+    gutter = road - cv2.erode(road, disc)
+    return np.asarray(1 + np.float32(0.35) * kerb - np.float32(0.25) * gutter)
+
+
+def _marking_mask(ground: Ground) -> NDArray[np.float32]:
+    """Coverage 0..1 (n, n) of painted lines."""
+    n = len(ground.labels)
+    mask = np.zeros((n, n), np.uint8)
+    for marking in ground.markings:
+        step = np.diff(marking.line, axis=0)
+        normal = np.stack([-step[:, 1], step[:, 0]], -1)
+        normal *= 0.5 * marking.width_m / np.linalg.norm(step, axis=1, keepdims=True)
+        for a, b, side in zip(marking.line[:-1], marking.line[1:], normal, strict=True):
+            quad = np.stack([a - side, b - side, b + side, a + side])
+            corners = [to_raster(quad, ground.texel_m, n)]
+            cv2.fillPoly(mask, corners, 255, cv2.LINE_AA, SHIFT)
+    return mask.astype(np.float32) / 255.0
+
+
+def _srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Linear 0..1 of any shape to sRGB bytes, through a table: exact enough and fast."""
+    x = np.arange(4096, dtype=np.float64) / 4095.0
+    curve = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    table = np.round(255 * curve).astype(np.uint8)
+    return np.asarray(table[np.clip(linear * 4095.0, 0, 4095).astype(np.uint16)])

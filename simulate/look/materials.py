@@ -1,0 +1,251 @@
+"""Shader graphs of everything a mesh may be made of, for one condition.
+
+Works on the data it is handed and does not import bpy, so that only the renderer needs Blender.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.look import textures
+from simulate.look.conditions import SUMMER_LEAF, Condition
+from simulate.place.world import Rgb
+
+_SNOW: Rgb = (0.76, 0.79, 0.84)
+_WET_DARKENING = 0.35  # of walls, roofs and paint
+
+
+def build_materials(
+    data: Any, condition: Condition, ground: NDArray[np.uint8], mirror: NDArray[np.uint8]
+) -> dict[str, Any]:
+    """Blender materials by the names meshes use; `data` is bpy.data, `ground` the baked albedo
+    (n, n, 3), `mirror` how much of a mirror it is (n, n), both uint8.
+
+    Meshes bring the attribute "tint" and the texture coordinates "uv"; objects their colour.
+    """
+    build = _Builder(data, condition)
+    image = build.image("ground", np.dstack([ground, mirror]))
+    materials = {"ground": build.ground(image, mirrored=bool(mirror.any()))}
+    for style in range(textures.FACADES):
+        name = f"facade_{style}"
+        materials[name] = build.textured(name, textures.facade(style))
+    for kind in textures.ROOFINGS:
+        materials[f"roof_{kind}"] = build.textured(f"roof_{kind}", textures.roof(kind))
+    materials["plain"] = build.plain()
+    materials["paint"] = build.paint()
+    materials["glass"] = build.glass()
+    materials["leaf"] = build.leaf("leaf", condition.leaf, condition.leaf_tip)
+    materials["needle"] = build.leaf("needle", *SUMMER_LEAF)
+    if isfinite(condition.visibility_m):
+        for material in materials.values():
+            _veil(material, condition)
+    return materials
+
+
+def _veil(material: Any, condition: Condition) -> None:
+    """Put fog before a finished material: what the camera sees fades into the sky's colour.
+
+    Contrast is exp(-3.912 d / visibility) at d metres (Koschmieder). Only what the camera sees
+    directly fades, so that fog costs neither light nor noise, and depth stays that of surfaces.
+    """
+    tree = material.node_tree
+    graph = _Graph.of(material)
+    (output,) = (node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+    surface = output.inputs["Surface"].links[0].from_socket
+    distance = graph.node("ShaderNodeCameraData").outputs["View Distance"]
+    depth = graph.math("MULTIPLY", distance, -3.912 / condition.visibility_m)
+    through = graph.math("EXPONENT", depth, 0.0)
+    seen = graph.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
+    veil = graph.math("MULTIPLY", graph.math("SUBTRACT", 1.0, through), seen)
+    glow = graph.node(
+        "ShaderNodeEmission",
+        Color=(*condition.sky_horizon, 1.0),
+        Strength=condition.sky_strength,
+    )
+    veiled = graph.blend(veil, surface, glow.outputs[0])
+    tree.links.new(veiled, output.inputs["Surface"])
+    material.cycles.emission_sampling = "NONE"  # a veil lights nothing
+
+
+class _Builder:
+    def __init__(self, data: Any, condition: Condition) -> None:
+        self.data = data
+        self.condition = condition
+
+    def image(self, name: str, pixels: NDArray[np.uint8]) -> Any:
+        """A Blender image of (rows, columns, 4) sRGB bytes, row 0 at the bottom."""
+        rows, columns, _ = pixels.shape
+        image = self.data.images.new(name, columns, rows, alpha=True)
+        image.alpha_mode = "CHANNEL_PACKED"  # alpha is data here, not transparency
+        image.pixels.foreach_set((pixels.astype(np.float32) / 255.0).ravel())
+        image.update()
+        return image
+
+    def ground(self, image: Any, mirrored: bool) -> Any:
+        """The baked ground, repeated as a mirror image beyond the area; snow and soaking are in the
+        bake. Where alpha is high, water stands: a faintly rippled mirror over its own colour."""
+        graph = _Graph(self.data, "ground")
+        texture = graph.image(image, extension="MIRROR")
+        surface = graph.diffuse(texture.outputs["Color"])
+        if mirrored:
+            water = graph.glossy(texture.outputs["Color"], roughness=0.08)
+            surface = graph.blend(texture.outputs["Alpha"], surface, water)
+        graph.finish(surface)
+        return graph.material
+
+    def textured(self, name: str, pixels: NDArray[np.uint8]) -> Any:
+        """An image whose alpha says where the polygon's tint multiplies it."""
+        graph = _Graph(self.data, name)
+        texture = graph.image(self.image(name, pixels), extension="REPEAT")
+        tinted = graph.multiply(texture.outputs["Color"], graph.attribute("tint"))
+        colour = graph.mix(texture.outputs["Alpha"], texture.outputs["Color"], tinted)
+        graph.finish(graph.diffuse(self._snowed(graph, colour)))
+        return graph.material
+
+    def plain(self) -> Any:
+        """The polygon's tint."""
+        graph = _Graph(self.data, "plain")
+        graph.finish(graph.diffuse(self._snowed(graph, graph.attribute("tint"))))
+        return graph.material
+
+    def paint(self) -> Any:
+        """The object's colour times the polygon's tint, with a faint gloss."""
+        graph = _Graph(self.data, "paint")
+        colour = graph.multiply(graph.object_colour(), graph.attribute("tint"))
+        graph.finish(graph.glossy(self._snowed(graph, colour), roughness=0.35))
+        return graph.material
+
+    def glass(self) -> Any:
+        """Dark and shiny."""
+        graph = _Graph(self.data, "glass")
+        colour = self._snowed(graph, graph.attribute("tint"), share=0.6)
+        graph.finish(graph.glossy(colour, roughness=0.12))
+        return graph.material
+
+    def leaf(self, name: str, inner: Rgb, tip: Rgb) -> Any:
+        """Between two leaf colours by the tint's red, times the object's colour."""
+        graph = _Graph(self.data, name)
+        depth = graph.red(graph.attribute("tint"))
+        between = graph.mix(depth, graph.rgb(inner), graph.rgb(tip))
+        colour = graph.multiply(between, graph.object_colour())
+        graph.finish(graph.diffuse(self._snowed(graph, colour, share=0.75)))
+        return graph.material
+
+    def _snowed(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
+        """The colour soaked, then under the condition's snow: on what faces up, in patches."""
+        if self.condition.wet > 0:
+            value = 1 - _WET_DARKENING * self.condition.wet
+            colour = graph.multiply(colour, graph.rgb((value, value, value)))
+        cover = share * self.condition.snow
+        if cover <= 0:
+            return colour
+        up = graph.ramp(graph.up(), 0.35, 0.75)
+        # Noise is centred on 0.5 and rarely leaves 0.25..0.75; more cover, lower threshold.
+        threshold = 0.75 - 0.5 * cover
+        patches = graph.ramp(graph.noise(scale=0.3, detail=2.0), threshold - 0.1, threshold + 0.12)
+        mask = graph.math("MULTIPLY", graph.math("MULTIPLY", up, patches), 0.9)
+        return graph.mix(mask, colour, graph.rgb(_SNOW))
+
+
+class _Graph:
+    """A material's node tree under construction; methods return output sockets."""
+
+    def __init__(self, data: Any, name: str) -> None:
+        self.material = data.materials.new(name)
+        self.material.use_nodes = True
+        self.tree = self.material.node_tree
+        self.tree.nodes.clear()
+
+    @classmethod
+    def of(cls, material: Any) -> _Graph:
+        """The tree a finished material has."""
+        graph = cls.__new__(cls)
+        graph.material, graph.tree = material, material.node_tree
+        return graph
+
+    def node(self, kind: str, **inputs: Any) -> Any:
+        """A node; inputs are values or sockets by name (underscores for spaces)."""
+        node = self.tree.nodes.new(kind)
+        for name, value in inputs.items():
+            self._set(node.inputs[name.replace("_", " ")], value)
+        return node
+
+    def _set(self, socket: Any, value: Any) -> None:
+        if hasattr(value, "is_output"):
+            self.tree.links.new(value, socket)
+        else:
+            socket.default_value = value
+
+    def image(self, image: Any, extension: str) -> Any:
+        node = self.node("ShaderNodeTexImage", Vector=self.attribute("uv", "Vector"))
+        node.image, node.extension = image, extension
+        return node
+
+    def attribute(self, name: str, output: str = "Color") -> Any:
+        node = self.node("ShaderNodeAttribute")
+        node.attribute_name = name
+        return node.outputs[output]
+
+    def object_colour(self) -> Any:
+        return self.node("ShaderNodeObjectInfo").outputs["Color"]
+
+    def rgb(self, colour: Rgb) -> Any:
+        node = self.node("ShaderNodeRGB")
+        node.outputs[0].default_value = (*colour, 1.0)
+        return node.outputs[0]
+
+    def red(self, colour: Any) -> Any:
+        return self.node("ShaderNodeSeparateColor", Color=colour).outputs["Red"]
+
+    def up(self) -> Any:
+        normal = self.node("ShaderNodeNewGeometry").outputs["Normal"]
+        return self.node("ShaderNodeSeparateXYZ", Vector=normal).outputs["Z"]
+
+    def noise(self, scale: float, detail: float) -> Any:
+        at = self.node("ShaderNodeNewGeometry").outputs["Position"]
+        return self.node("ShaderNodeTexNoise", Vector=at, Scale=scale, Detail=detail).outputs[0]
+
+    def ramp(self, value: Any, low: float, high: float) -> Any:
+        """0 below `low`, 1 above `high`."""
+        return self.node("ShaderNodeMapRange", Value=value, From_Min=low, From_Max=high).outputs[
+            "Result"
+        ]
+
+    def math(self, operation: str, a: Any, b: Any) -> Any:
+        node = self.tree.nodes.new("ShaderNodeMath")
+        node.operation = operation
+        self._set(node.inputs[0], a)
+        self._set(node.inputs[1], b)
+        return node.outputs[0]
+
+    def mix(self, factor: Any, a: Any, b: Any, blend: str = "MIX") -> Any:
+        node = self.tree.nodes.new("ShaderNodeMixRGB")
+        node.blend_type = blend
+        for socket, value in zip(node.inputs, (factor, a, b), strict=True):
+            self._set(socket, value)
+        return node.outputs[0]
+
+    def multiply(self, a: Any, b: Any) -> Any:
+        return self.mix(1.0, a, b, blend="MULTIPLY")
+
+    def blend(self, factor: Any, a: Any, b: Any) -> Any:
+        """Surface `a` where `factor` is 0, `b` where it is 1."""
+        node = self.tree.nodes.new("ShaderNodeMixShader")
+        for socket, value in zip(node.inputs, (factor, a, b), strict=True):
+            self._set(socket, value)
+        return node.outputs[0]
+
+    def diffuse(self, colour: Any) -> Any:
+        return self.node("ShaderNodeBsdfDiffuse", Color=colour).outputs[0]
+
+    def glossy(self, colour: Any, roughness: float) -> Any:
+        return self.node(
+            "ShaderNodeBsdfPrincipled", Base_Color=colour, Roughness=roughness
+        ).outputs[0]
+
+    def finish(self, surface: Any) -> None:
+        self.node("ShaderNodeOutputMaterial", Surface=surface)

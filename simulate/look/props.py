@@ -1,0 +1,212 @@
+"""Vehicles and street furniture, built once in metres and fitted into each object's box.
+
+Fronts look along +x. What an object's own colour paints has the material "paint".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from simulate.look.furniture import FURNITURE
+from simulate.look.mesh import Mesh, MeshBuilder
+from simulate.look.plants import bare, broadleaf, conifer
+from simulate.place.world import Rgb
+
+_RUBBER: Rgb = (0.018, 0.018, 0.019)
+_TRIM: Rgb = (0.045, 0.046, 0.048)
+_GLASS: Rgb = (0.025, 0.030, 0.034)
+_LAMP_WHITE: Rgb = (0.75, 0.75, 0.70)
+_LAMP_RED: Rgb = (0.30, 0.02, 0.02)
+_WOOD: Rgb = (0.24, 0.15, 0.085)
+_IRON: Rgb = (0.06, 0.06, 0.065)
+
+# Where the bonnet, windscreen, roof and rear window begin and end, as shares of the length from
+# the tail, and the height of the waist line as a share of the height.
+_CAR_SHAPES = {
+    "hatchback": (0.02, 0.10, 0.55, 0.74, 0.60),
+    "saloon": (0.16, 0.28, 0.55, 0.72, 0.62),
+    "estate": (0.01, 0.07, 0.57, 0.73, 0.60),
+    "suv": (0.01, 0.09, 0.58, 0.73, 0.58),
+}
+
+
+def shape_mesh(name: str) -> Mesh:
+    """The mesh of a named shape, fitted to the unit cube; KeyError when there is none."""
+    kind, _, variant = name.rpartition("_")
+    if kind == "broadleaf":
+        return broadleaf(int(variant)).fitted()
+    if kind == "bare":
+        return bare(int(variant)).fitted()
+    if kind == "conifer":
+        return conifer(int(variant)).fitted()
+    if name in _CAR_SHAPES:
+        return _car(*_CAR_SHAPES[name]).fitted()
+    return _SHAPES[name]().fitted()
+
+
+def _car(tail: float, roof_back: float, roof_front: float, bonnet: float, waist: float) -> Mesh:
+    """A car 4.5 x 1.8 x 1.5 m: a body, and a narrower cabin whose sides are glass."""
+    length, width, height = 4.5, 1.8, 1.5
+    out = MeshBuilder()
+    half = 0.5 * width
+    x = [length * t for t in (tail, roof_back, roof_front, bonnet)]
+    w, sill, nose = waist * height, 0.16, 0.48 * height
+    body = [(0.05, sill), (length - 0.05, sill), (length, 0.32), (length - 0.03, nose),
+            (x[3], w), (x[0], w), (0.0, 0.62 * height if tail < 0.1 else 0.56 * height),
+            (0.0, 0.32)]  # fmt: skip
+    out.prism(body, (-half, half), "paint")
+    # The cabin leans inwards; its roof is painted, the rest is glass behind painted pillars.
+    lean = 0.20
+    base = [(x[0], -half + 0.06, w), (x[3], -half + 0.06, w), (x[3], half - 0.06, w),
+            (x[0], half - 0.06, w)]  # fmt: skip
+    roof = [(x[1], -half + lean, height), (x[2], -half + lean, height),
+            (x[2], half - lean, height), (x[1], half - lean, height)]  # fmt: skip
+    out.polygon(roof, "paint")
+    for i in range(4):
+        j = (i + 1) % 4
+        out.polygon([base[i], base[j], roof[j], roof[i]], "glass", _GLASS)
+    for t in (0.36, 0.64):  # door pillars
+        a = x[0] + t * (x[3] - x[0])
+        b = x[1] + t * (x[2] - x[1])
+        for side in (-1, 1):
+            foot, top = side * (half - 0.05), side * (half - lean + 0.01)
+            quad = [(a - 0.05, foot, w), (a + 0.05, foot, w), (b + 0.05, top, height),
+                    (b - 0.05, top, height)]  # fmt: skip
+            out.polygon(quad[::-side], "paint")
+    for side in (-1, 1):
+        y = side * half
+        for at in (0.80, 3.65):
+            _wheel(out, at, y, 0.33)
+        low, high = sorted((y, y - side * 0.35))
+        out.box(
+            (length - 0.12, low + 0.05, 0.5),
+            (length + 0.005, high - 0.05, 0.64),
+            "plain",
+            _LAMP_WHITE,
+        )
+        out.box((-0.005, low + 0.05, 0.62), (0.08, high - 0.05, 0.78), "plain", _LAMP_RED)
+        low, high = sorted((y, y + side * 0.12))
+        out.box((x[3] - 0.3, low, w - 0.05), (x[3] - 0.15, high, w + 0.1), "plain", _TRIM)
+    out.box((-0.02, -0.3, 0.40), (0.02, 0.3, 0.52), "plain", (0.6, 0.6, 0.55))
+    out.box((length - 0.03, -0.5, 0.25), (length + 0.01, 0.5, 0.42), "plain", _TRIM)
+    return out.build()
+
+
+def _wheel(out: MeshBuilder, x: float, y: float, radius: float) -> None:
+    turn = np.linspace(0, 2 * np.pi, 10, endpoint=False)
+    ring = np.stack([x + radius * np.cos(turn), radius + radius * np.sin(turn)], -1)
+    low, high = sorted((y - np.sign(y) * 0.2, y + np.sign(y) * 0.01))
+    out.prism(ring, (low, high), "plain", _RUBBER)
+
+
+def _van() -> Mesh:
+    out = MeshBuilder()
+    half = 1.0
+    side = [(0.0, 0.25), (5.6, 0.25), (5.6, 0.95), (5.45, 1.15), (4.75, 1.35), (4.2, 2.3),
+            (3.9, 2.45), (0.05, 2.45)]  # fmt: skip
+    out.prism(side, (-half, half), "paint")
+    screen = [(4.78, -0.88, 1.40), (4.78, 0.88, 1.40), (4.25, 0.82, 2.26), (4.25, -0.82, 2.26)]
+    out.polygon([(x + 0.03, y, z + 0.02) for x, y, z in screen], "glass", _GLASS)
+    for y in (-half, half):
+        door = [(3.4, y * 1.004, 1.35), (4.6, y * 1.004, 1.35), (4.15, y * 1.004, 2.15),
+                (3.4, y * 1.004, 2.15)]  # fmt: skip
+        out.polygon(door if y < 0 else door[::-1], "glass", _GLASS)
+        for x in (1.0, 4.5):
+            _wheel(out, x, y, 0.36)
+    for y in np.linspace(-0.7, 0.7, 4):  # roof ribs
+        out.box((0.3, y - 0.03, 2.4), (3.6, y + 0.03, 2.475), "paint")
+    return out.build()
+
+
+def _lorry() -> Mesh:
+    out = MeshBuilder()
+    out.box((0, -1.22, 1.05), (6.1, 1.22, 3.4), "paint")
+    for x in np.linspace(0.0, 6.1, 8):  # frames of the body
+        out.box((x - 0.03, -1.235, 1.05), (x + 0.03, 1.235, 3.41), "plain", (0.35, 0.35, 0.35))
+    out.box((0, -0.5, 0.55), (8.0, 0.5, 1.05), "plain", _TRIM)
+    cab = [(6.3, 0.5), (8.4, 0.5), (8.4, 1.5), (8.15, 2.75), (6.3, 2.85)]
+    out.prism(cab, (-1.18, 1.18), "plain", (0.45, 0.45, 0.46))
+    out.polygon([(8.42, -1.05, 1.55), (8.42, 1.05, 1.55), (8.2, 1.0, 2.55), (8.2, -1.0, 2.55)],
+                "glass", _GLASS)  # fmt: skip
+    for y in (-1.19, 1.19):
+        window = [(7.2, y, 1.6), (8.2, y, 1.6), (8.05, y, 2.4), (7.2, y, 2.4)]
+        out.polygon(window if y < 0 else window[::-1], "glass", _GLASS)
+        for x in (1.0, 2.1, 7.3):
+            _wheel(out, x, y, 0.48)
+    return out.build()
+
+
+def _container(length: float) -> Mesh:
+    """A shipping container: ribbed sides and roof, a frame, door bars at +x."""
+    out = MeshBuilder()
+    width, height, inset = 2.44, 2.59, 0.04
+    low, high = (
+        (inset, -0.5 * width + inset, 0.1),
+        (length - inset, 0.5 * width - inset, height - 0.04),
+    )
+    out.box(low, high, "paint")
+    for x in np.arange(0.3, length - 0.2, 0.28):
+        for y in (-0.5 * width, 0.5 * width - inset):
+            out.box((x, y, 0.15), (x + 0.12, y + inset, height - 0.1), "paint", (0.8, 0.8, 0.8))
+        out.box(
+            (x, -1.05, height - 0.04), (x + 0.12, 1.05, height - 0.01), "paint", (0.8, 0.8, 0.8)
+        )
+    for x in (0.0, length - 0.12):
+        for y in (-0.5 * width, 0.5 * width - 0.12):
+            out.box((x, y, 0.0), (x + 0.12, y + 0.12, height), "paint", (0.6, 0.6, 0.6))
+    for y in (-0.8, -0.3, 0.3, 0.8):
+        out.box((length - 0.04, y, 0.2), (length + 0.02, y + 0.05, 2.4), "plain", (0.4, 0.4, 0.4))
+    for y in (-0.5 * width - 0.003, 0.5 * width + 0.003):  # the owner's panel
+        quad = [(0.35 * length, y, 1.5), (0.65 * length, y, 1.5), (0.65 * length, y, 2.2),
+                (0.35 * length, y, 2.2)]  # fmt: skip
+        out.polygon(quad if y < 0 else quad[::-1], "plain", (0.55, 0.55, 0.53))
+    return out.build()
+
+
+def _skip() -> Mesh:
+    """An open waste skip with sloping ends, half full."""
+    out = MeshBuilder()
+    side = [(0.5, 0.0), (2.7, 0.0), (3.2, 1.3), (0.0, 1.3)]
+    for y0, y1 in ((-0.85, -0.8), (0.8, 0.85)):
+        out.prism(side, (y0, y1), "paint")
+    out.prism([(0.5, 0.0), (0.55, 0.0), (0.05, 1.3), (0.0, 1.3)], (-0.8, 0.8), "paint")
+    out.prism([(2.65, 0.0), (2.7, 0.0), (3.2, 1.3), (3.15, 1.3)], (-0.8, 0.8), "paint")
+    out.prism(
+        [(0.5, 0.0), (2.7, 0.0), (2.95, 0.8), (0.3, 0.8)], (-0.8, 0.8), "plain", (0.14, 0.11, 0.08)
+    )
+    return out.build()
+
+
+def _bench() -> Mesh:
+    out = MeshBuilder()
+    for y in (-0.20, -0.03, 0.14):
+        out.box((0, y, 0.42), (1.8, y + 0.14, 0.47), "plain", _WOOD)
+    for z in (0.56, 0.72):
+        out.box((0, 0.29, z), (1.8, 0.33, z + 0.13), "plain", _WOOD)
+    for x in (0.15, 1.55):
+        out.box((x, -0.22, 0), (x + 0.1, -0.15, 0.42), "plain", _IRON)
+        out.box((x, 0.26, 0), (x + 0.1, 0.33, 0.82), "plain", _IRON)
+    return out.build()
+
+
+def _lamp() -> Mesh:
+    """A lamp post at the -x end of its box, its arm along +x over the road."""
+    out = MeshBuilder()
+    out.box((0, -0.07, 0), (0.14, 0.07, 7.0), "paint")
+    out.box((0.14, -0.04, 6.9), (1.2, 0.04, 6.98), "paint")
+    out.box((1.1, -0.12, 6.84), (1.7, 0.12, 6.97), "plain", (0.5, 0.5, 0.48))
+    return out.build()
+
+
+_SHAPES: dict[str, Callable[[], Mesh]] = {
+    "van": _van,
+    "lorry": _lorry,
+    "container": lambda: _container(6.06),
+    "long_container": lambda: _container(12.19),
+    "skip": _skip,
+    "bench": _bench,
+    "lamp": _lamp,
+    **FURNITURE,
+}

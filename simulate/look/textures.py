@@ -1,0 +1,246 @@
+"""Small images drawn in numpy for walls and roofs.
+
+Each is (rows, columns, 4) uint8, row 0 at the bottom: sRGB colour, and in alpha how much of the
+object's own tint multiplies it (255: a wall or tile of that tint, 0: a colour of its own).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.place.world import Rgb
+
+Image = NDArray[np.uint8]
+Float = NDArray[np.float32]
+
+BAY_M, FLOOR_M = 3.0, 2.8  # a window's share of a facade
+BAYS, FLOORS = 12, 6  # in one facade image
+ROOF_TILE_M = 12.8  # side of one roof image
+FACADES = 8
+"""Facade styles: 0-3 houses, 4-5 slabs, 6 halls, 7 sheds."""
+ROOFINGS = ("tile", "slate", "metal", "flat")
+
+_TEXEL_M = 0.05
+
+
+def facade(style: int) -> Image:
+    """Facade image of `style` in 0..FACADES-1: BAYS x FLOORS cells, the bottom row has doors."""
+    rng = np.random.default_rng([77, style])
+    canvas = _Canvas(BAYS * BAY_M, FLOORS * FLOOR_M)
+    canvas.weather(rng)
+    if style == 7:
+        _boards(canvas, rng)
+        return canvas.image()
+    if style == 6:
+        _cladding(canvas, rng)
+        return canvas.image()
+    slab = style >= 4
+    frame = [(0.85, 0.85, 0.83), (0.30, 0.20, 0.13), (0.20, 0.21, 0.22), (0.80, 0.78, 0.72)][
+        style % 4
+    ]
+    canvas.rect(0, 0, BAYS * BAY_M, 0.45, (0.45, 0.44, 0.42), tinted=0.4)  # plinth
+    for floor in range(FLOORS):
+        z = floor * FLOOR_M
+        if slab and floor > 0:
+            canvas.rect(0, z - 0.12, BAYS * BAY_M, z + 0.06, (0.7, 0.7, 0.7), tinted=0.6)
+        for bay in range(BAYS):
+            x = bay * BAY_M
+            kind = rng.random()
+            if floor == 0 and bay % (4 if slab else 6) == 1:
+                _door(canvas, x, rng)
+            elif floor == 0 and not slab and bay % 6 == 4:
+                _window(canvas, x + 0.4, z + 0.15, 2.2, 2.1, frame, rng)  # onto the terrace
+            elif slab and (bay % 3 == 1 or kind < 0.1):
+                _balcony(canvas, x, z, frame, rng)
+            elif kind < 0.13:
+                continue  # blank wall
+            elif kind < 0.28:
+                _window(canvas, x + 1.1, z + 1.2, 0.8, 1.0, frame, rng)
+            else:
+                width = 1.8 if kind > 0.72 else 1.3
+                left = x + 0.5 * (BAY_M - width) + rng.normal(0, 0.08)
+                _window(canvas, left, z + 0.95, width, 1.35, frame, rng)
+                if style in (1, 3) and kind < 0.6:
+                    colour = (0.12, 0.22, 0.16) if style == 1 else (0.25, 0.13, 0.09)
+                    for side in (left - 0.42, left + width + 0.04):
+                        canvas.rect(side, z + 0.92, side + 0.38, z + 2.33, colour)
+    return canvas.image()
+
+
+def roof(kind: str) -> Image:
+    """Roof image of `kind` in ROOFINGS, periodic, ROOF_TILE_M a side; v runs up the slope."""
+    rng = np.random.default_rng([78, ROOFINGS.index(kind)])
+    n = round(ROOF_TILE_M / _TEXEL_M)
+    v, u = np.mgrid[:n, :n].astype(np.float32) * np.float32(_TEXEL_M)
+    value = 0.74 + 0.09 * _periodic(rng, n, 2.0) + 0.07 * _periodic(rng, n, 0.5)
+    colour = np.ones((n, n, 3), np.float32)
+    if kind in ("tile", "slate"):
+        course, width = (0.40, 0.32) if kind == "tile" else (0.2667, 0.40)
+        row = np.floor(v / course).astype(int)
+        column = np.floor(u / width + 0.5 * (row % 2)).astype(int) % round(ROOF_TILE_M / width)
+        each = rng.normal(0, 0.10, (row.max() + 1, column.max() + 1)).astype(np.float32)
+        value += each[row, column]
+        value *= np.where((v / course) % 1 < 0.2, 0.72, 1.0)  # the shadow under each course
+        moss = np.clip(_periodic(rng, n, 1.3) + 0.5 * _periodic(rng, n, 0.3) - 0.75, 0, 1)
+        colour -= 0.8 * moss[..., None] * np.array([0.55, 0.15, 0.6], np.float32)
+        # Streaks run down the slope: the same noise, smeared along v.
+        value += 0.06 * cv2.blur(_periodic(rng, n, 0.25), (1, 61))
+    elif kind == "metal":
+        value += 0.06 * np.cos(2 * np.pi * u / 0.4)
+        sheet = np.floor(u / 1.6).astype(int)
+        value += rng.normal(0, 0.06, sheet.max() + 1).astype(np.float32)[sheet]
+        value *= np.where((v % 6.4) < 0.12, 0.7, 1.0)
+        skylight = (sheet % 4 == 2) & (v % 6.4 > 2.0) & (v % 6.4 < 4.6)
+        value = np.where(skylight, 1.25, value)
+        rust = np.clip(_periodic(rng, n, 0.8) - 0.9, 0, 1)
+        colour -= rust[..., None] * np.array([0.1, 0.45, 0.6], np.float32)
+    else:
+        value += 0.10 * _periodic(rng, n, 4.0) + 0.05 * _periodic(rng, n, 0.12)
+        value *= np.where((u % 3.2) < 0.1, 0.78, 1.0) * np.where((v % 6.4) < 0.1, 0.8, 1.0)
+        value = np.ascontiguousarray(value, np.float32)
+        for _ in range(14):  # repairs, puddle marks
+            at = tuple(int(c) for c in rng.integers(30, n - 30, 2))
+            axes = tuple(int(c) for c in rng.integers(6, 28, 2))
+            level = float(rng.uniform(0.55, 1.05))
+            if rng.random() < 0.5:
+                cv2.ellipse(value, at, axes, float(rng.uniform(0, 180)), 0, 360, level, -1)
+            else:
+                corner = (at[0] + axes[0], at[1] + axes[1])
+                cv2.rectangle(value, at, corner, level, -1)
+        value = cv2.GaussianBlur(value, (0, 0), 0.8)
+    rgb = np.clip(colour * value[..., None], 0, 1)
+    return _encode(rgb, np.ones((n, n), np.float32))
+
+
+class _Canvas:
+    """A wall being drawn: metres from its lower left corner."""
+
+    def __init__(self, width_m: float, height_m: float) -> None:
+        rows, columns = round(height_m / _TEXEL_M), round(width_m / _TEXEL_M)
+        self.rgb = np.full((rows, columns, 3), 0.88, np.float32)
+        self.tinted = np.ones((rows, columns), np.float32)
+
+    def rect(
+        self,
+        x0: float,
+        z0: float,
+        x1: float,
+        z1: float,
+        rgb: Rgb,
+        tinted: float = 0.0,
+    ) -> None:
+        """Fill a rectangle with a linear colour, `tinted` 0..1 by the object's tint."""
+        c0, r0, c1, r1 = (max(0, round(v / _TEXEL_M)) for v in (x0, z0, x1, z1))
+        self.rgb[r0:r1, c0:c1] = rgb
+        self.tinted[r0:r1, c0:c1] = tinted
+
+    def weather(self, rng: np.random.Generator) -> None:
+        """Blotches, and streaks running down."""
+        rows, columns = self.tinted.shape
+        for scale, strength, stretch in ((0.6, 0.06, 1), (0.15, 0.05, 1), (0.1, 0.12, 90)):
+            noise = rng.standard_normal((rows, columns), np.float32)
+            sigma = scale / _TEXEL_M
+            noise = cv2.GaussianBlur(noise, (0, 0), sigma) * np.float32(2 * sigma)
+            if stretch > 1:
+                noise = cv2.blur(noise, (1, stretch))
+            self.rgb *= 1 + strength * noise[..., None]
+
+    def image(self) -> Image:
+        """What has been drawn."""
+        return _encode(np.clip(self.rgb, 0, 1), self.tinted)
+
+
+def _glass(shade: float) -> Rgb:
+    return (0.10 * shade, 0.13 * shade, 0.16 * shade)
+
+
+def _window(
+    canvas: _Canvas,
+    x: float,
+    z: float,
+    width: float,
+    height: float,
+    frame: Rgb,
+    rng: np.random.Generator,
+) -> None:
+    canvas.rect(x - 0.06, z - 0.12, x + width + 0.06, z, (0.5, 0.5, 0.48), tinted=0.3)  # sill
+    canvas.rect(x, z, x + width, z + height, frame)
+    panes = 2 if width > 1.0 else 1
+    pane = width / panes
+    drawn = rng.random() < 0.3
+    for i in range(panes):
+        shade = float(rng.uniform(0.5, 1.6))
+        left = x + i * pane + 0.06
+        canvas.rect(left, z + 0.06, left + pane - 0.12, z + height - 0.06, _glass(shade))
+        if drawn:  # blind or curtain
+            top = z + height - 0.06
+            low = top - rng.uniform(0.2, 0.9) * (height - 0.12)
+            canvas.rect(left, low, left + pane - 0.12, top, (0.55, 0.53, 0.48))
+
+
+def _door(canvas: _Canvas, x: float, rng: np.random.Generator) -> None:
+    colour = [(0.20, 0.05, 0.04), (0.05, 0.10, 0.17), (0.16, 0.09, 0.05), (0.5, 0.5, 0.48)]
+    canvas.rect(x + 0.75, 0, x + 2.05, 2.35, (0.7, 0.7, 0.68))
+    canvas.rect(x + 0.9, 0, x + 1.9, 2.2, colour[int(rng.integers(4))])
+    canvas.rect(x + 1.15, 1.3, x + 1.65, 2.0, _glass(1.0))
+
+
+def _balcony(
+    canvas: _Canvas,
+    x: float,
+    z: float,
+    frame: Rgb,
+    rng: np.random.Generator,
+) -> None:
+    canvas.rect(x + 0.1, z + 0.1, x + BAY_M - 0.1, z + 2.55, (0.16, 0.16, 0.16), tinted=0.3)
+    _window(canvas, x + 0.6, z + 0.3, 1.8, 2.0, frame, rng)
+    panel = [(0.5, 0.5, 0.5), (0.30, 0.33, 0.36), (0.45, 0.30, 0.2)][int(rng.integers(3))]
+    canvas.rect(x + 0.1, z + 0.1, x + BAY_M - 0.1, z + 1.05, panel)
+    canvas.rect(x + 0.1, z + 0.98, x + BAY_M - 0.1, z + 1.05, (0.75, 0.75, 0.75))
+
+
+def _boards(canvas: _Canvas, rng: np.random.Generator) -> None:
+    """A shed: boards, and a door or garage door every second bay."""
+    for x in np.arange(0, BAYS * BAY_M, 0.25):
+        canvas.rgb[:, round(x / _TEXEL_M)] *= 0.7
+    for bay in range(0, BAYS, 2):
+        x = bay * BAY_M
+        shade = float(rng.uniform(0.25, 0.6))
+        canvas.rect(x + 0.3, 0, x + BAY_M - 0.3, 2.1, (shade, shade, shade))
+        for z in np.arange(0.35, 2.1, 0.35):
+            canvas.rect(x + 0.3, z, x + BAY_M - 0.3, z + 0.05, (0.5 * shade,) * 3)
+
+
+def _cladding(canvas: _Canvas, rng: np.random.Generator) -> None:
+    """A hall: ribbed sheets, a band of windows, roller doors, a coloured fascia."""
+    columns = canvas.rgb.shape[1]
+    ribs = 1 + 0.06 * np.sign(np.sin(2 * np.pi * np.arange(columns) * _TEXEL_M / 0.5))
+    canvas.rgb *= ribs[None, :, None].astype(np.float32)
+    canvas.rect(0, 0, BAYS * BAY_M, 0.6, (0.35, 0.35, 0.34))
+    canvas.rect(0, 3.6, BAYS * BAY_M, 4.4, (0.14, 0.17, 0.20))
+    for x in np.arange(0, BAYS * BAY_M, 1.0):
+        canvas.rect(x, 3.6, x + 0.08, 4.4, (0.6, 0.6, 0.6))
+    for bay in range(1, BAYS, 3):
+        x = bay * BAY_M
+        shade = float(rng.uniform(0.3, 0.6))
+        canvas.rect(x, 0, x + 3.4, 3.3, (shade, shade, 0.95 * shade))
+        for z in np.arange(0.3, 3.3, 0.3):
+            canvas.rect(x, z, x + 3.4, z + 0.05, (0.6 * shade,) * 3)
+
+
+def _periodic(rng: np.random.Generator, n: int, scale_m: float) -> Float:
+    """Gaussian noise (n, n) that tiles: mean 0, standard deviation 1, blobs of `scale_m`."""
+    frequency = np.fft.fftfreq(n, _TEXEL_M)
+    keep = np.exp(-2 * (np.pi * 0.5 * scale_m) ** 2 * (frequency[:, None] ** 2 + frequency**2))
+    noise = np.fft.ifft2(np.fft.fft2(rng.standard_normal((n, n))) * keep).real
+    noise -= noise.mean()
+    return np.asarray(noise / noise.std(), np.float32)
+
+
+def _encode(rgb: Float, tinted: Float) -> Image:
+    srgb = np.where(
+        rgb <= 0.0031308, 12.92 * rgb, 1.055 * np.maximum(rgb, 1e-6) ** (1 / 2.4) - 0.055
+    )
+    return np.asarray(np.round(255 * np.dstack([srgb, tinted])).clip(0, 255), np.uint8)

@@ -1,0 +1,1 @@
+"""Places as plain data: what stands where."""

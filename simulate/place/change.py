@@ -1,0 +1,219 @@
+"""Declared change between flights: vehicles in other places, things gone, things new, bare trees.
+
+Conditions leave geometry alone; whatever differs from the place a scene's seed makes is asked for
+as a `Change` and recorded object by object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from scene.config import Config
+from scene.errors import InputError
+from scene.manifest import DeclaredChange
+from simulate.place.grid import CircleGrid
+from simulate.place.world import CLASSES, MAX_OBJECT_ID, World, WorldObject, overlap, rectangle
+
+Array = NDArray[np.float64]
+
+VEHICLES = ("car", "van", "truck")
+"""Classes that move."""
+LOOSE = (*VEHICLES, "tractor", "container", "bench", "bin", "table", "pallet", "bale")
+"""Classes that come and go."""
+
+_SHEDS_LEAVES, _BARE = "broadleaf_", "bare_"
+_BAY_M = 2.6  # between vehicles side by side
+_GAP_M = 0.3  # kept around what is put anew, per side
+_TRIES = 60
+
+
+class Change(Config):
+    """How the world of a session differs from the place the scene's seed makes.
+
+    Sessions with the same change see the same world.
+
+    Attributes:
+        cars_moved: share of the cars, vans and trucks left that stand in another place, room
+            permitting.
+        objects_removed: share of the objects of the classes `LOOSE` that are gone.
+        objects_added: new ones, as a share of those the place was built with, room
+            permitting.
+        bare_trees: trees that shed their leaves have done so; true of leaf-off seasons.
+        seed: another seed draws other objects.
+    """
+
+    cars_moved: float = Field(0.0, ge=0, le=1)
+    objects_removed: float = Field(0.0, ge=0, le=1)
+    objects_added: float = Field(0.0, ge=0, le=1)
+    bare_trees: bool = False
+    seed: int = Field(0, ge=0)
+
+
+@dataclass(frozen=True)
+class ChangedWorld:
+    """A world after a change; `first_new_id` is where the numbers of its new objects start."""
+
+    world: World
+    change: Change
+    first_new_id: int
+    declared: DeclaredChange
+
+
+def changed_worlds(base: World, changes: Iterable[Change]) -> list[ChangedWorld]:
+    """The world after each change, numbered so that an id means one object in all of them.
+
+    Raises:
+        InputError: as of `changed_world`.
+    """
+    known: dict[Change, ChangedWorld] = {}
+    worlds = []
+    free_id = _free_id(base)
+    for change in changes:
+        if change not in known:
+            known[change] = changed_world(base, change, free_id)
+            free_id = max(free_id, _free_id(known[change].world))
+        worlds.append(known[change])
+    return worlds
+
+
+def every_object(base: World, worlds: Iterable[ChangedWorld]) -> tuple[WorldObject, ...]:
+    """The objects of the base world, then those that any change brought, by id."""
+    objects = {o.id: o for o in base.objects}
+    for changed in worlds:
+        for thing in changed.world.objects:
+            objects.setdefault(thing.id, thing)
+    return tuple(objects[number] for number in sorted(objects))
+
+
+def changed_world(base: World, change: Change, first_new_id: int = 0) -> ChangedWorld:
+    """The world after a change, the same whenever and wherever it is asked for.
+
+    What stays keeps its id and its box. An object in a new place gets a new id, from
+    `first_new_id` on or from the first that `base` leaves free.
+
+    Raises:
+        InputError: there are more objects than a renderer can number.
+    """
+    first_new_id = max(first_new_id, _free_id(base))
+    rng = np.random.default_rng([base.seed, 3, change.seed])
+    loose = [o for o in base.objects if o.class_name in LOOSE]
+    order = [loose[i] for i in rng.permutation(len(loose))]
+    gone = order[: round(change.objects_removed * len(loose))]
+    staying = [o for o in order[len(gone) :] if o.class_name in VEHICLES]
+    moving = staying[: round(change.cars_moved * len(staying))]
+    left = {o.id for o in (*gone, *moving)}
+    places = _Places(base, rng)
+    placed: list[WorldObject] = []
+    moved = []
+    for thing in moving:
+        new = places.find(thing, first_new_id + len(placed))
+        if new is None:
+            left.remove(thing.id)  # no room anywhere: it stays
+        else:
+            placed.append(new)
+            moved.append((thing.id, new.id))
+    added = []
+    for _ in range(round(change.objects_added * len(loose))):
+        like = loose[int(rng.integers(len(loose)))]
+        new = places.find(like, first_new_id + len(placed))
+        if new is not None:
+            placed.append(new)
+            added.append(new.id)
+    if placed and placed[-1].id > MAX_OBJECT_ID:
+        raise InputError(
+            f"the changes of all sessions bring more than {MAX_OBJECT_ID} objects: lower "
+            "cars_moved or objects_added, or make the area smaller"
+        )
+    objects = [*(o for o in base.objects if o.id not in left), *placed]
+    bare = []
+    if change.bare_trees:
+        bare = [k for k, o in enumerate(objects) if o.shape.startswith(_SHEDS_LEAVES)]
+    for k in bare:
+        shape = objects[k].shape.replace(_SHEDS_LEAVES, _BARE)
+        objects[k] = replace(objects[k], shape=shape)
+    declared = DeclaredChange(
+        moved=tuple(sorted(moved)),
+        removed=tuple(sorted(o.id for o in gone)),
+        added=tuple(added),
+        bare=tuple(objects[k].id for k in bare),
+    )
+    return ChangedWorld(replace(base, objects=tuple(objects)), change, first_new_id, declared)
+
+
+def _free_id(world: World) -> int:
+    return max((o.id for o in world.objects), default=0) + 1
+
+
+def _kind(thing: WorldObject) -> str:
+    """What a thing stands among: its class, but vehicles among vehicles of all kinds."""
+    return "vehicle" if thing.class_name in VEHICLES else thing.class_name
+
+
+class _Places:
+    """Finds room for objects beside others of their kind, on the same kind of ground.
+
+    Places that were taken before the change stay taken, so that whoever finds none can stay.
+    """
+
+    def __init__(self, base: World, rng: np.random.Generator) -> None:
+        self._base = base
+        self._rng = rng
+        self._taken: list[Array] = []
+        self._circles = CircleGrid()
+        self._kin: dict[str, list[WorldObject]] = {}
+        for thing in base.objects:
+            self._take(thing.footprint())
+            self._kin.setdefault(_kind(thing), []).append(thing)
+
+    def find(self, thing: WorldObject, number: int) -> WorldObject | None:
+        """A copy of a thing in a free place, under a new number; None when none is found."""
+        kin = self._kin[_kind(thing)]
+        for _ in range(_TRIES):
+            beside = kin[int(self._rng.integers(len(kin)))]
+            at = beside.centre[:2] + self._step(beside)
+            if not self._fits(at, thing, beside):
+                continue
+            self._take(rectangle(at, thing.size[:2], beside.yaw))
+            height = float(self._base.terrain.height(*at)) + 0.5 * thing.size[2]
+            centre = np.array([at[0], at[1], height])
+            return replace(thing, id=number, centre=centre, yaw=beside.yaw)
+        return None
+
+    def _step(self, beside: WorldObject) -> Array:
+        """A way (2,) from an object to a place like its own."""
+        ahead = np.array([np.cos(beside.yaw), np.sin(beside.yaw)])
+        left = np.array([-ahead[1], ahead[0]])
+        sign = 1 if self._rng.random() < 0.5 else -1
+        if beside.class_name not in VEHICLES:
+            angle = self._rng.uniform(0, 2 * np.pi)
+            return np.asarray(
+                self._rng.uniform(3, 15) * (np.cos(angle) * ahead + np.sin(angle) * left)
+            )
+        if self._label(beside.centre[None, :2])[0] == CLASSES["road"]:
+            return np.asarray(sign * self._rng.uniform(7, 25) * ahead)
+        bays = int(self._rng.integers(1, 5))
+        return np.asarray(sign * bays * _BAY_M * left)
+
+    def _fits(self, at: Array, thing: WorldObject, beside: WorldObject) -> bool:
+        """Whether the thing stands there on one kind of ground, and on nobody else's place."""
+        grown = rectangle(at, thing.size[:2] + 2 * _GAP_M, beside.yaw)
+        if np.abs(grown).max() > 0.5 * self._base.area_m:
+            return False
+        under = np.vstack([grown, 0.5 * (grown + np.roll(grown, 1, 0)), at])
+        if (self._label(under) != self._label(beside.centre[None, :2])).any():
+            return False
+        near = self._circles.near(at, float(np.linalg.norm(grown[0] - at)))
+        return not any(overlap(grown, self._taken[k]) for k in near)
+
+    def _take(self, corners: Array) -> None:
+        centre = corners.mean(0)
+        self._circles.add(centre, float(np.linalg.norm(corners[0] - centre)))
+        self._taken.append(corners)
+
+    def _label(self, points: Array) -> NDArray[np.uint8]:
+        return self._base.ground.label(points[:, 0], points[:, 1])

@@ -1,0 +1,41 @@
+"""Ground cover: labels painted from regions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.place.world import CLASSES, Ground, Marking, Region
+
+TEXEL_M = 0.1
+MAX_TEXELS = 4096  # a side; larger places get coarser texels, not larger images
+SHIFT = 4  # fractional bits of OpenCV's sub-pixel drawing
+
+
+def texel_size(area_m: float) -> float:
+    """Side of a ground texel in metres for a place of `area_m` metres a side."""
+    return max(TEXEL_M, area_m / MAX_TEXELS)
+
+
+def paint(
+    area_m: float, regions: Iterable[Region], markings: Iterable[Marking], base: str = "grass"
+) -> Ground:
+    """Paint `regions` over `base` in order, later over earlier, on a raster of the whole area."""
+    n = round(area_m / texel_size(area_m))
+    texel = area_m / n
+    labels = np.full((n, n), CLASSES[base], np.uint8)
+    tone = np.full((n, n), 128, np.uint8)
+    for region in regions:
+        corners = [to_raster(region.polygon, texel, n)]
+        cv2.fillPoly(labels, corners, CLASSES[region.class_name], shift=SHIFT)
+        cv2.fillPoly(tone, corners, int(255 * region.tone), shift=SHIFT)
+    return Ground(texel, labels, tone, tuple(markings))
+
+
+def to_raster(points: NDArray[np.float64], texel: float, n: int) -> NDArray[np.int32]:
+    """World metres (K, 2) to OpenCV's fixed-point pixel coordinates (centres at integers)."""
+    pixels = points / texel + 0.5 * n - 0.5
+    return np.asarray(np.round(pixels * (1 << SHIFT)), np.int32)

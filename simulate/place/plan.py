@@ -1,0 +1,86 @@
+"""How a place is composed: its streets, what fills the blocks between them, what lines them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from scene.errors import InputError
+from simulate.place.paint import paint
+from simulate.place.relief import relief
+from simulate.place.site import Site
+from simulate.place.streets import Block, lay_streets
+from simulate.place.world import World
+
+MIN_AREA_M, MAX_AREA_M = 100.0, 2000.0
+_CORE_M = 600.0  # farther from the middle, a place thins out into its open land
+_OUTSKIRTS_OPEN = 0.92  # share of open land out there
+
+Use = Callable[[Site, Block], None]
+"""Fills a block."""
+Lining = Callable[[Site], None]
+"""Puts things along the roads."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The recipe of a kind of place.
+
+    `block_m` is the typical distance between streets and `verge` the ground class along them.
+    The blocks nearest the middle hold one of each use in `first`, so that every place has every
+    class; of the others a share `open_share` is open land, and the rest is drawn from `uses` by
+    their weights. `before` lines the roads before the blocks are filled, `after` when they are.
+    """
+
+    block_m: float
+    first: tuple[Use, ...]
+    uses: Mapping[Use, float]
+    open_land: Use
+    open_share: float
+    after: tuple[Lining, ...]
+    before: tuple[Lining, ...] = ()
+    verge: str = "pavement"
+
+    def build(self, seed: int, area_m: float) -> World:
+        """A place of `area_m` metres a side; seed and area decide everything in it.
+
+        Raises InputError when `area_m` is outside 100..2000 m, the seed is negative, or the
+        place needs more objects than can be told apart.
+        """
+        if not MIN_AREA_M <= area_m <= MAX_AREA_M:
+            raise InputError(
+                f"area must be {MIN_AREA_M:.0f} to {MAX_AREA_M:.0f} m a side, got {area_m:g}"
+            )
+        if seed < 0:
+            raise InputError(f"seed must not be negative, got {seed}")
+        rng = np.random.default_rng([seed, 0])
+        site = Site(area_m, relief(area_m, rng), rng)
+        blocks = lay_streets(site, area_m / max(2, round(area_m / self.block_m)), self.verge)
+        for line in self.before:
+            line(site)
+        self._fill(site, blocks)
+        for line in self.after:
+            line(site)
+        return World(
+            seed=seed,
+            area_m=float(area_m),
+            terrain=site.terrain,
+            roads=site.roads,
+            ground=paint(area_m, site.regions, site.markings),
+            objects=tuple(site.objects),
+        )
+
+    def _fill(self, site: Site, blocks: list[Block]) -> None:
+        """Give each of the `blocks`, nearest the middle first, its use."""
+        first = [self.first[i] for i in site.rng.permutation(len(self.first))]
+        uses, weights = tuple(self.uses), tuple(self.uses.values())
+        for i, block in enumerate(blocks):
+            core = float(np.linalg.norm(block.centre())) < _CORE_M
+            if i < len(first):
+                first[i](site, block)
+            elif site.chance(self.open_share if core else max(self.open_share, _OUTSKIRTS_OPEN)):
+                self.open_land(site, block)
+            else:
+                uses[int(site.rng.choice(len(uses), p=weights))](site, block)

@@ -1,0 +1,61 @@
+"""Power lines: poles along a road and the wires hanging between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.place.roadside import off_junction
+from simulate.place.site import Site
+from simulate.place.things import small
+from simulate.place.world import Heightfield, polyline_length, polyline_points, rectangle
+
+Array = NDArray[np.float64]
+
+_PITCH_M = 42.0  # between poles
+_ATTACHED_M = 8.75  # above the ground at the pole
+APART_M = 1.7  # the two wires
+RADIUS_M = 0.03
+_SAG = 0.02  # of the span
+
+
+def power_lines(site: Site) -> None:
+    """A line along every third of the roads that cross the place, the middle one first."""
+    crossing = [r for r in site.roads if polyline_length(r.line) > site.area_m]
+    crossing.sort(key=lambda r: float(np.linalg.norm(r.line, axis=1).min()))
+    for road in crossing[::3]:
+        side = site.choose((1.0, -1.0))
+        last: Array | None = None
+        for s in np.arange(0.0, polyline_length(road.line), _PITCH_M):
+            pole = _pole(site, road.line, s, side * (0.5 * road.width_m + 1.4))
+            if pole is not None and last is not None:
+                _wires(site, np.stack([last, pole]))
+            last = pole
+
+
+def _pole(site: Site, line: Array, s: float, offset: float) -> Array | None:
+    """Where beside a (K, 2) line, at `s` metres or a little on, a pole has been put up."""
+    for on in np.arange(0.0, 15.0, 3.0):
+        (p,), (along,) = polyline_points(line, s + on)
+        at = p + offset * np.array([-along[1], along[0]])
+        yaw = float(np.arctan2(along[1], along[0]))
+        if off_junction(site, at, 1.2) and small(site, "pole", at, yaw, on_road=True):
+            return np.asarray(at)
+    return None
+
+
+def _wires(site: Site, ends: Array) -> None:
+    """The wires between two poles (2, 2); trees keep off the ground below."""
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    z = hanging(site.terrain, ends)
+    site.span("wire", ends, (z[0], z[-1]), APART_M + 2 * RADIUS_M, z.min() - 2 * RADIUS_M)
+    yaw = float(np.arctan2(*(ends[1] - ends[0])[::-1]))
+    site.reserve(rectangle(ends.mean(0), (length, APART_M + 0.6), yaw))
+
+
+def hanging(terrain: Heightfield, ends: Array) -> Array:
+    """Heights (9,) of a wire from pole to pole (2, 2): a parabola under the chord, metres."""
+    a, b = terrain.height(ends[:, 0], ends[:, 1]) + _ATTACHED_M
+    t = np.linspace(0, 1, 9)
+    sag = _SAG * float(np.linalg.norm(ends[1] - ends[0]))
+    return np.asarray(a + t * (b - a) - 4 * sag * t * (1 - t))

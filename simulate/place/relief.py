@@ -1,0 +1,23 @@
+"""The lie of the land."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simulate.place.world import Heightfield
+
+_SPACING_M = 2.0
+_MAX_NODES = 500  # a side; the shortest wave is 90 m, so that coarser nodes lose nothing
+
+
+def relief(area_m: float, rng: np.random.Generator) -> Heightfield:
+    """Rolling ground: a few long waves, a few metres high, slopes of some per cent."""
+    n = int(np.ceil(area_m / max(_SPACING_M, area_m / _MAX_NODES))) + 1
+    axis = np.linspace(-0.5 * area_m, 0.5 * area_m, n)
+    z = np.zeros((n, n))
+    for length in rng.uniform(90.0, 330.0, 9):
+        heading, phase = rng.uniform(0, 2 * np.pi, 2)
+        k = 2 * np.pi / length
+        wave = k * (np.cos(heading) * axis[None] + np.sin(heading) * axis[:, None]) + phase
+        z += 0.0045 * length * np.sin(wave)
+    return Heightfield(z, float(axis[1] - axis[0]))

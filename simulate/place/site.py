@@ -1,0 +1,249 @@
+"""A place under construction: who stands where. Everything placed claims its footprint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scene.errors import InputError
+from simulate.place.grid import CircleGrid
+from simulate.place.world import (
+    MAX_OBJECT_ID,
+    BuildingStyle,
+    Heightfield,
+    Marking,
+    Region,
+    Rgb,
+    Road,
+    WorldObject,
+    overlap,
+    rectangle,
+)
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+PAVEMENT_M = 2.0  # on both sides of every road
+
+
+class Site:
+    """Collects regions, markings and objects, and refuses objects that would intersect.
+
+    An object must lie inside the area, apart from every earlier object, off the roads and their
+    pavements (unless it is `on_road`) and off reserved ground such as driveways (unless it is
+    `on_reserved`).
+    """
+
+    def __init__(self, area_m: float, terrain: Heightfield, rng: np.random.Generator) -> None:
+        self.area_m = area_m
+        self.terrain = terrain
+        self.rng = rng
+        self.roads: tuple[Road, ...] = ()
+        self.regions: list[Region] = []
+        self.markings: list[Marking] = []
+        self.objects: list[WorldObject] = []
+        self._claims: list[Array] = []
+        self._reserved: list[bool] = []  # whether a claim is only reserved ground
+        self._circles = CircleGrid()  # around the claims
+        # Every straight piece of every road: start, step, half width, number of its road.
+        self._pieces = np.empty((0, 4))
+        self._half_width = np.empty(0)
+        self._road_of = np.empty(0, int)
+        self._reach = CircleGrid()  # from a piece's middle to the farthest point of its carriageway
+
+    def choose(self, options: Sequence[T]) -> T:
+        """One of `options`, uniformly."""
+        return options[int(self.rng.integers(len(options)))]
+
+    def chance(self, probability: float) -> bool:
+        """True with `probability`."""
+        return bool(self.rng.random() < probability)
+
+    def lay_roads(self, roads: Sequence[Road]) -> None:
+        """Set the roads that later objects keep off."""
+        self.roads = tuple(roads)
+        pieces = np.vstack([np.c_[r.line[:-1], np.diff(r.line, axis=0)] for r in roads])
+        counts = [len(r.line) - 1 for r in roads]
+        half_width = np.repeat([0.5 * r.width_m for r in roads], counts)
+        road_of = np.repeat(np.arange(len(roads)), counts)
+        near = np.abs(pieces[:, :2]).max(1) < 0.5 * self.area_m + 30.0
+        self._pieces, self._half_width, self._road_of = (
+            pieces[near],
+            half_width[near],
+            road_of[near],
+        )
+        self._reach = CircleGrid()
+        middle = self._pieces[:, :2] + 0.5 * self._pieces[:, 2:]
+        radius = 0.5 * np.hypot(*self._pieces[:, 2:].T) + self._half_width
+        for centre, r in zip(middle, radius.tolist(), strict=True):
+            self._reach.add(centre, r)
+
+    def roads_within(self, points: Array, clear_m: float) -> set[int]:
+        """Indices of the roads whose carriageway comes within `clear_m` of any point (M, 2)."""
+        centre = points.mean(0)
+        near = self._reach.near(centre, float(np.hypot(*(points - centre).T).max()) + clear_m)
+        if not near:
+            return set()
+        a, d = self._pieces[near, :2], self._pieces[near, 2:]
+        p = points[:, None] - a
+        t = np.clip((p * d).sum(-1) / (d * d).sum(-1), 0, 1)
+        distance = np.linalg.norm(p - t[..., None] * d, axis=-1).min(0)
+        hit = distance < self._half_width[near] + clear_m
+        return set(self._road_of[near][hit].tolist())
+
+    def paint(self, class_name: str, polygon: Array, tone: float = 0.5) -> None:
+        """Paint a polygon (K, 2) over what was painted before."""
+        self.regions.append(Region(class_name, polygon, tone))
+
+    def mark(self, line: ArrayLike, width_m: float = 0.12) -> None:
+        """Paint a white line (K, 2)."""
+        self.markings.append(Marking(np.asarray(line, float), width_m))
+
+    def free(self, at: ArrayLike, size: Sequence[float], yaw: float) -> bool:
+        """Whether nothing stands on, and nothing reserves, a rectangle (2,) metres at (2,)."""
+        return not self._taken(rectangle(at, size, yaw), on_reserved=False)
+
+    def reserve(self, polygon: Array) -> None:
+        """Keep a rectangle (4, 2) free of everything placed later but `on_reserved`."""
+        self._claim(polygon, reserved=True)
+
+    def place(
+        self,
+        class_name: str,
+        shape: str,
+        at: ArrayLike,
+        size: Sequence[float],
+        yaw: float,
+        colour: Rgb = (1.0, 1.0, 1.0),
+        style: BuildingStyle | None = None,
+        *,
+        on_road: bool = False,
+        on_reserved: bool = False,
+        gap_m: float = 0.15,
+    ) -> bool:
+        """Put an object with its box centred over `at` (2,) metres; False when it has no room.
+
+        `size` (3,) metres, `yaw` radians; `gap_m` is the least distance kept to other objects,
+        per side. Buildings stand on the lowest ground under them, hedges and fences follow the
+        ground, everything else stands on the ground under its centre.
+
+        Raises InputError when there are more objects than ids.
+        """
+        at = np.asarray(at, float)
+        length, width, height = size
+        corners = rectangle(at, (length, width), yaw)
+        if np.abs(corners).max() > 0.5 * self.area_m:
+            return False
+        grown = rectangle(at, (length + 2 * gap_m, width + 2 * gap_m), yaw)
+        if self._taken(grown, on_reserved):
+            return False
+        if not on_road and self.roads_within(_outline(grown), PAVEMENT_M):
+            return False
+        self._claim(corners, reserved=False)
+
+        samples = np.vstack([corners, 0.5 * (corners + np.roll(corners, 1, 0)), at])
+        ground = self.terrain.height(samples[:, 0], samples[:, 1])
+        base = float(ground[-1])
+        if class_name == "building":
+            base = float(ground.min())
+        elif class_name in ("hedge", "fence"):
+            base = float(ground.min())
+            height += float(np.ptp(ground))
+        centre = np.array([at[0], at[1], base + 0.5 * height])
+        box = np.array([length, width, height], float)
+        self._add(class_name, shape, centre, box, yaw, colour, style)
+        return True
+
+    def span(
+        self,
+        class_name: str,
+        ends: Array,
+        heights: tuple[float, float],
+        width_m: float,
+        low_m: float,
+    ) -> None:
+        """Hang something between two points in the air: it claims no ground.
+
+        `ends` (2, 2) and the `heights` above them in world metres; `low_m` is the height of its
+        lowest point.
+        """
+        a, b = ends
+        size = np.array([np.linalg.norm(b - a), width_m, max(heights) - low_m])
+        centre = np.array([*(0.5 * (a + b)), 0.5 * (max(heights) + low_m)])
+        yaw = float(np.arctan2(*(b - a)[::-1]))
+        self._add(class_name, class_name, centre, size, yaw, (0.05, 0.05, 0.05))
+
+    def flood(self, shore: Array, bank_m: float) -> None:
+        """Paint still water inside a `shore` (K, 2), and level the ground under it.
+
+        The ground around it slopes to the water over `bank_m` metres beyond the last cell of the
+        terrain that the water touches; nothing may stand there yet.
+        """
+        spacing, nodes = self.terrain.spacing_m, self.terrain.nodes.copy()
+        axis = np.arange(len(nodes)) * spacing - self.terrain.half_side_m
+        margin = 1.5 * spacing
+        spans = [
+            slice(*np.searchsorted(axis, [low - margin - bank_m, high + margin + bank_m]))
+            for low, high in zip(shore.min(0), shore.max(0), strict=True)
+        ]
+        columns, rows = spans
+        outline = shore.astype(np.float32)
+        outside = np.array(
+            [
+                [-cv2.pointPolygonTest(outline, (x, y), True) for x in axis[columns]]
+                for y in axis[rows]
+            ]
+        )
+        if outside.size == 0:
+            return
+        level = float(self.terrain.height(*shore.T).mean()) - 0.3
+        share = np.clip((outside - margin) / bank_m, 0.0, 1.0)
+        share = share * share * (3 - 2 * share)
+        nodes[rows, columns] = level + share * (nodes[rows, columns] - level)
+        self.terrain = Heightfield(nodes, spacing)
+        self.paint("water", shore)
+
+    def _add(
+        self,
+        class_name: str,
+        shape: str,
+        centre: Array,
+        size: Array,
+        yaw: float,
+        colour: Rgb,
+        style: BuildingStyle | None = None,
+    ) -> None:
+        number = len(self.objects) + 1
+        if number > MAX_OBJECT_ID:
+            raise InputError(
+                f"a place of {self.area_m:g} m a side needs more than the {MAX_OBJECT_ID} objects "
+                "that can be told apart: ask for a smaller area"
+            )
+        yaw = float(np.angle(np.exp(1j * yaw)))
+        self.objects.append(
+            WorldObject(number, class_name, centre, size, yaw, shape, colour, style)
+        )
+
+    def _claim(self, corners: Array, reserved: bool) -> None:
+        centre = corners.mean(0)
+        self._circles.add(centre, float(np.linalg.norm(corners - centre, axis=1).max()))
+        self._reserved.append(reserved)
+        self._claims.append(corners)
+
+    def _taken(self, corners: Array, on_reserved: bool) -> bool:
+        centre = corners.mean(0)
+        return any(
+            overlap(corners, self._claims[k])
+            for k in self._circles.near(centre, float(np.linalg.norm(corners[0] - centre)))
+            if not (on_reserved and self._reserved[k])
+        )
+
+
+def _outline(corners: Array) -> Array:
+    """Points (20, 2) along the sides of a rectangle (4, 2)."""
+    steps = np.linspace(0, 1, 5, endpoint=False)[:, None, None]
+    return np.asarray((corners + steps * (np.roll(corners, -1, 0) - corners)).reshape(-1, 2))

@@ -1,0 +1,213 @@
+"""A street plan: a grid of roads with gaps, carried into the world by a smooth warp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.world import Road, polyline_length, polyline_points, ribbon
+
+Array = NDArray[np.float64]
+
+_MAIN_M, _SIDE_M = 8.0, 6.2  # carriageway widths
+_STEP_M = 3.0  # between the points of a centre line
+
+
+@dataclass(frozen=True)
+class Warp:
+    """Carries plan metres (u, v) into world metres: a rotation plus two gentle waves."""
+
+    rotation: float
+    amplitude: Array  # (2, 2) metres, wave x axis
+    wave: Array  # (2, 2) radians per metre, wave x axis
+    phase: Array  # (2,) radians
+
+    @staticmethod
+    def random(rng: np.random.Generator, pitch_m: float) -> Warp:
+        """A warp whose bends are in proportion to the distance between streets."""
+        heading = rng.uniform(0, 2 * np.pi, 2)
+        number = 2 * np.pi / (pitch_m * rng.uniform(2.4, 3.6, 2))
+        return Warp(
+            rotation=float(rng.uniform(-0.45, 0.45)),
+            amplitude=pitch_m * rng.uniform(0.05, 0.085, (2, 2)),
+            wave=number[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1),
+            phase=rng.uniform(0, 2 * np.pi, 2),
+        )
+
+    def __call__(self, uv: ArrayLike) -> Array:
+        """World (..., 2) metres of plan points (..., 2) metres."""
+        p = np.asarray(uv, float)
+        p = p + np.sin(p @ self.wave.T + self.phase) @ self.amplitude
+        cos, sin = np.cos(self.rotation), np.sin(self.rotation)
+        return np.asarray(p @ np.array([[cos, sin], [-sin, cos]]))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Metres along (a) and away from (b) a street, from a plan corner; `sign` -1 turns it
+    round."""
+
+    warp: Warp
+    u: float
+    v: float
+    sign: int = 1
+
+    def shifted(self, a: float, b: float = 0.0) -> Frame:
+        """The same frame with its origin moved to (a, b)."""
+        return Frame(self.warp, self.u + self.sign * a, self.v + self.sign * b, self.sign)
+
+    def point(self, a: ArrayLike, b: ArrayLike) -> Array:
+        """World (..., 2) of local metres a, b."""
+        a, b = np.asarray(a, float), np.asarray(b, float)
+        return self.warp(
+            np.stack(np.broadcast_arrays(self.u + self.sign * a, self.v + self.sign * b), -1)
+        )
+
+    def yaw(self, a: float, b: float) -> float:
+        """World direction, radians, of the local a axis at (a, b)."""
+        dx, dy = self.point(a + 0.5, b) - self.point(a - 0.5, b)
+        return float(np.arctan2(dy, dx))
+
+    def quad(self, a0: float, a1: float, b0: float, b1: float) -> Array:
+        """World corners (4, 2) of the local rectangle [a0, a1] x [b0, b1]."""
+        return self.point([a0, a1, a1, a0], [b0, b0, b1, b1])
+
+
+@dataclass(frozen=True)
+class Block:
+    """The land between four streets, inside their pavements: plan metres."""
+
+    warp: Warp
+    u0: float
+    u1: float
+    v0: float
+    v1: float
+
+    @property
+    def length(self) -> float:
+        """Extent along u, metres."""
+        return self.u1 - self.u0
+
+    @property
+    def depth(self) -> float:
+        """Extent along v, metres."""
+        return self.v1 - self.v0
+
+    def front(self, sign: int) -> Frame:
+        """The frame of the street at v0 (+1) or of the one at v1 (-1)."""
+        if sign > 0:
+            return Frame(self.warp, self.u0, self.v0)
+        return Frame(self.warp, self.u1, self.v1, -1)
+
+    def centre(self) -> Array:
+        """World (2,) of the middle."""
+        return self.warp([0.5 * (self.u0 + self.u1), 0.5 * (self.v0 + self.v1)])
+
+
+def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Block]:
+    """Lay roads, verges and markings about `pitch_m` metres apart; the blocks between them.
+
+    The blocks cover the area and come nearest the origin first.
+    """
+    rng = site.rng
+    warp = Warp.random(rng, pitch_m)
+    cells = int(np.ceil(0.5 * site.area_m * 1.3 / pitch_m)) + 1  # each side of the origin
+    lines = [
+        pitch_m * (np.arange(-cells, cells + 1) + rng.uniform(-0.14, 0.14, 2 * cells + 1))
+        for _ in range(2)
+    ]
+    main = [rng.random(2 * cells + 1) < 0.35 for _ in range(2)]
+    main[int(rng.integers(2))][cells] = True
+    widths = [np.where(m, _MAIN_M, _SIDE_M) for m in main]
+    (us, vs), (u_main, v_main), (u_widths, v_widths) = lines, main, widths
+    # Streets along v may be missing between two streets along u, which makes T junctions.
+    present = rng.random((len(us), len(vs) - 1)) > 0.22
+    present[u_main] = True
+
+    roads = []
+    for v, width, is_main in zip(vs, v_widths, v_main, strict=True):
+        u = np.arange(us[0], us[-1], _STEP_M)
+        line = warp(np.stack([u, np.full_like(u, v)], -1))
+        roads.append(Road(line, float(width), bool(is_main)))
+    for k, u in enumerate(us):
+        for j, (v0, v1) in enumerate(pairwise(vs)):
+            if not present[k, j]:
+                continue
+            v = np.linspace(v0, v1, max(2, int((v1 - v0) / _STEP_M) + 1))
+            line = warp(np.stack([np.full_like(v, u), v], -1))
+            roads.append(Road(line, float(u_widths[k]), bool(u_main[k])))
+    site.lay_roads(roads)
+    _pave(site, warp(np.stack(np.meshgrid(us, vs), -1).reshape(-1, 2)), verge)
+
+    blocks = []
+    for i in range(len(us) - 1):
+        for j in range(len(vs) - 1):
+            # The warp may squeeze a block, so keep a little more than the pavement.
+            inset_u, inset_v = (
+                0.5 * w[k : k + 2] * 1.05 + PAVEMENT_M + 0.5
+                for w, k in ((u_widths, i), (v_widths, j))
+            )
+            blocks.append(
+                Block(
+                    warp,
+                    us[i] + inset_u[0],
+                    us[i + 1] - inset_u[1],
+                    vs[j] + inset_v[0],
+                    vs[j + 1] - inset_v[1],
+                )
+            )
+    reach = 0.5 * site.area_m + 0.75 * pitch_m
+    blocks = [b for b in blocks if np.abs(b.centre()).max() < reach]
+    return sorted(blocks, key=lambda b: float(np.linalg.norm(b.centre())))
+
+
+def _pave(site: Site, junctions: Array, verge: str) -> None:
+    """Paint verges, carriageways and markings of every road; `junctions` (M, 2)."""
+    turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    disc = np.stack([np.cos(turn), np.sin(turn)], -1)
+    for road in site.roads:
+        site.paint(verge, ribbon(road.line, road.width_m + 2 * PAVEMENT_M))
+    for road in site.roads:
+        tone = 0.35 + 0.3 * site.rng.random()
+        site.paint("road", ribbon(road.line, road.width_m), tone)
+    for junction in junctions:
+        if len(site.roads_within(junction[None], 0.5)) < 2:
+            continue
+        # Rounded kerbs: the carriageways widen where they meet.
+        site.paint("road", junction + 5.2 * disc, 0.45)
+    for road in site.roads:
+        if road.main:
+            _centre_line(site, road, junctions)
+            _crossings(site, road, junctions)
+
+
+def _centre_line(site: Site, road: Road, junctions: Array) -> None:
+    dash, period = 3.0, 7.0
+    starts = np.arange(0.0, polyline_length(road.line) - dash, period)
+    a, _ = polyline_points(road.line, starts)
+    b, _ = polyline_points(road.line, starts + dash)
+    gap = np.linalg.norm(0.5 * (a + b)[:, None] - junctions, axis=-1).min(1)
+    for p, q in zip(a[gap > 9.0], b[gap > 9.0], strict=True):
+        site.mark([p, q], 0.14)
+
+
+def _crossings(site: Site, road: Road, junctions: Array) -> None:
+    """Zebra crossings on some approaches of the junctions this road passes."""
+    for junction in junctions:
+        near = np.linalg.norm(road.line - junction, axis=1)
+        if near.min() > _STEP_M:
+            continue
+        at = float(near.argmin()) / (len(road.line) - 1) * polyline_length(road.line)
+        for side in (-1, 1):
+            s = at + side * 9.0
+            if not 0 < s < polyline_length(road.line) or not site.chance(0.45):
+                continue
+            (middle,), (along,) = polyline_points(road.line, s)
+            across = np.array([-along[1], along[0]])
+            for offset in np.arange(-0.5 * road.width_m + 0.7, 0.5 * road.width_m - 0.4, 1.0):
+                stripe = middle + offset * across
+                site.mark([stripe - 1.5 * along, stripe + 1.5 * along], 0.5)

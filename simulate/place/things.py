@@ -1,0 +1,178 @@
+"""Single things of every kind: their sizes, their colours, and how they are put down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.place.site import Site
+from simulate.place.streets import Frame
+from simulate.place.styles import vary
+from simulate.place.world import BuildingStyle, Rgb
+
+Array = NDArray[np.float64]
+Size = tuple[float, float, float]  # length, width, height in metres
+
+# Linear albedo.
+_PAINTS: tuple[Rgb, ...] = (
+    (0.62, 0.62, 0.61),
+    (0.30, 0.31, 0.32),
+    (0.020, 0.021, 0.023),
+    (0.075, 0.078, 0.085),
+    (0.30, 0.022, 0.018),
+    (0.025, 0.06, 0.19),
+    (0.05, 0.09, 0.06),
+    (0.38, 0.34, 0.27),
+)
+STEEL: tuple[Rgb, ...] = (
+    (0.28, 0.050, 0.028),
+    (0.035, 0.09, 0.22),
+    (0.05, 0.15, 0.07),
+    (0.42, 0.21, 0.04),
+    (0.40, 0.40, 0.39),
+    (0.17, 0.04, 0.03),
+)
+# Length, width, height in metres.
+_CARS: dict[str, Size] = {
+    "hatchback": (4.0, 1.76, 1.48),
+    "saloon": (4.6, 1.82, 1.44),
+    "estate": (4.7, 1.83, 1.50),
+    "suv": (4.6, 1.90, 1.70),
+}
+_TRUCKS: dict[str, Size] = {
+    "van": (5.6, 2.0, 2.45),
+    "lorry": (8.4, 2.45, 3.4),
+}
+_BENCH_M: Size = (1.8, 0.65, 0.85)
+LAMP_M: Size = (1.7, 0.24, 7.0)
+CONTAINER_M: dict[str, Size] = {
+    "container": (6.06, 2.44, 2.59),
+    "long_container": (12.19, 2.44, 2.59),
+}
+_GREY: Rgb = (0.20, 0.205, 0.21)
+_CREOSOTE: Rgb = (0.12, 0.085, 0.06)
+# Size, and the colours its painted parts come in.
+_SMALL: dict[str, tuple[Size, tuple[Rgb, ...]]] = {
+    "bin": ((0.60, 0.60, 1.05), ((0.03, 0.10, 0.05), _GREY, (0.035, 0.04, 0.05))),
+    "hydrant": ((0.40, 0.48, 0.85), ((0.45, 0.03, 0.02), (0.50, 0.36, 0.03))),
+    "sign": ((0.13, 0.80, 2.68), ((0.48, 0.03, 0.02), (0.02, 0.09, 0.40), (0.55, 0.42, 0.02))),
+    "bollard": ((0.24, 0.24, 1.05), (_GREY, (0.50, 0.38, 0.03))),
+    "table": ((1.90, 1.70, 0.76), ((0.24, 0.15, 0.085),)),
+    "bale": ((1.50, 1.24, 1.50), ((1.0, 1.0, 1.0),)),
+    "tractor": ((4.00, 2.22, 2.62), ((0.05, 0.17, 0.03), (0.40, 0.03, 0.02), (0.03, 0.10, 0.32))),
+    "pole": ((0.34, 2.00, 9.00), (_CREOSOTE,)),
+    "tank": ((6.00, 6.00, 10.0), ((0.50, 0.50, 0.49), (0.42, 0.44, 0.46), (0.35, 0.38, 0.33))),
+    "pallet": ((1.20, 0.80, 1.16), ((0.35, 0.26, 0.16), (0.30, 0.31, 0.32), (0.08, 0.16, 0.30))),
+    "boat": ((4.20, 1.50, 0.66), ((0.55, 0.55, 0.53), (0.30, 0.04, 0.03), (0.03, 0.12, 0.25))),
+}
+
+
+def small(
+    site: Site,
+    kind: str,
+    at: Array,
+    yaw: float,
+    *,
+    on_road: bool = False,
+    on_reserved: bool = False,
+    gap_m: float = 0.15,
+) -> bool:
+    """A thing that is its own class and shape: bin, hydrant, sign, table, bale, boat, ..."""
+    size, colours = _SMALL[kind]
+    colour = vary(site, site.choose(colours))
+    return site.place(
+        kind, kind, at, size, yaw, colour, on_road=on_road, on_reserved=on_reserved, gap_m=gap_m
+    )  # fmt: skip
+
+
+def steel(site: Site) -> Rgb:
+    return vary(site, site.choose(STEEL))
+
+
+def building(
+    site: Site, shape: str, at: Frame, a: float, b: float, size: Size, style: BuildingStyle
+) -> bool:
+    """A building facing the street of its frame, smaller when the warp leaves it less room."""
+    for share in (1.0, 0.9, 0.8, 0.7):
+        fitted = (size[0] * share, size[1] * share, size[2])
+        if site.place("building", shape, at.point(a, b), fitted, at.yaw(a, b), style=style):
+            return True
+    return False
+
+
+def tree(site: Site, at: Array, radius: float, conifers: float = 0.12) -> bool:
+    rng = site.rng
+    value, warm = rng.uniform(0.75, 1.3), rng.uniform(0.88, 1.18)
+    colour = (value * warm, value, value)
+    if site.chance(conifers):
+        size = (1.5 * radius, 1.5 * radius, radius * rng.uniform(3.0, 4.2) + 1.0)
+        shape = f"conifer_{rng.integers(3)}"
+    else:
+        size = (2 * radius, 2 * radius, radius * rng.uniform(2.1, 2.9) + 1.2)
+        shape = f"broadleaf_{rng.integers(6)}"
+    return site.place("tree", shape, at, size, rng.uniform(-np.pi, np.pi), colour)
+
+
+def bench(site: Site, at: Array, yaw: float) -> bool:
+    return site.place("bench", "bench", at, _BENCH_M, yaw, (0.20, 0.12, 0.07), gap_m=0.05)
+
+
+def barrier(
+    site: Site,
+    kind: str,
+    at: Frame,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    thick: float,
+    high: float,
+) -> None:
+    """A straight hedge or fence between two local points; shortened ends keep corners apart."""
+    p, q = at.point(*start), at.point(*end)
+    length = float(np.linalg.norm(q - p)) - 0.3
+    if length < 1.0:
+        return
+    yaw = float(np.arctan2(*(q - p)[::-1]))
+    colour = vary(site, (1.0, 1.0, 1.0) if kind == "hedge" else (0.22, 0.16, 0.11))
+    site.place(kind, kind, 0.5 * (p + q), (length, thick, high), yaw, colour, gap_m=0.02)
+
+
+def fenced(site: Site, at: Frame, length: float, depth: float, high: float) -> None:
+    """Fences along both sides and the back of a block, in pieces that follow its bends."""
+    for b in np.arange(0.8, depth - 13.0, 12.0):
+        for a in (0.3, length - 0.3):
+            barrier(site, "fence", at, (a, b), (a, b + 12.0), 0.10, high)
+    for a in np.arange(0.8, length - 13.0, 12.0):
+        barrier(site, "fence", at, (a, depth - 0.4), (a + 12.0, depth - 0.4), 0.10, high)
+
+
+def car(site: Site, at: Array, yaw: float, gap_m: float = 0.15) -> bool:
+    shape = site.choose(tuple(_CARS))
+    paint = vary(site, site.choose(_PAINTS))
+    return site.place(
+        "car", shape, at, _CARS[shape], yaw, paint, on_road=True, on_reserved=True, gap_m=gap_m
+    )  # fmt: skip
+
+
+def van(site: Site, at: Array, yaw: float) -> bool:
+    paint = vary(site, site.choose(_PAINTS[:4]))
+    return site.place(
+        "van", "van", at, _TRUCKS["van"], yaw, paint, on_road=True, on_reserved=True
+    )  # fmt: skip
+
+
+def truck(
+    site: Site,
+    at: Array,
+    yaw: float,
+    *,
+    shapes: Sequence[str] = tuple(_TRUCKS),
+    on_road: bool = False,
+) -> bool:
+    shape = site.choose(shapes)
+    paint = vary(site, site.choose(_PAINTS[:2] + STEEL))
+    class_name = "van" if shape == "van" else "truck"
+    return site.place(
+        class_name, shape, at, _TRUCKS[shape], yaw, paint, on_road=on_road, on_reserved=on_road
+    )  # fmt: skip

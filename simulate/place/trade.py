@@ -1,0 +1,104 @@
+"""Blocks where people work: halls, yards and car parks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simulate.place.parking import AISLE_M, BAY_M, car_park
+from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.streets import Block
+from simulate.place.styles import hall_style
+from simulate.place.things import CONTAINER_M, building, fenced, small, steel, tree, truck
+
+
+def trade(site: Site, block: Block) -> None:
+    """A hall or two, a car park before them, containers and lorries beside them."""
+    rng = site.rng
+    at = block.front(int(rng.choice([1, -1])))
+    length, depth = block.length, block.depth
+    site.paint("parking", at.quad(0, length, 0, depth), float(rng.random()))
+    site.paint("parking", at.quad(0.35 * length, 0.35 * length + 7, -PAVEMENT_M - 1, 1), 0.4)
+    rows = 2 if depth > 66 else 1
+    lot = rows * (2 * BAY_M[1] + AISLE_M)
+    car_park(site, at.shifted(2.0, 2.5), 0.86 * length, rows)
+
+    b0, b1 = lot + 5.0, depth - 2.0
+    count = 2 if length > 52 and site.chance(0.5) else 1
+    hall_end = 0.66 * length
+    for i in range(count):
+        share = hall_end / count
+        style = hall_style(site)
+        a, b = 1.5 + (i + 0.5) * share, 0.5 * (b0 + b1)
+        height = rng.uniform(5.5, 8.0) + style.roof_height_m
+        size = (share - 3.0, min(b1 - b0, rng.uniform(18.0, 34.0)), height)
+        building(site, "hall", at, a, b, size, style)
+
+    # The yard: rows of containers, then lorries wherever room is left.
+    yard0, yard1 = hall_end + 3.0, length - 1.0
+    for b in np.arange(b1 - 1.5, b0 + 1.5, -2.9):
+        shape = "long_container" if yard1 - yard0 > 13.5 and site.chance(0.4) else "container"
+        size = CONTAINER_M[shape]
+        a = yard0 + 0.5 * size[0]
+        while a + 0.5 * size[0] < yard1:
+            if site.chance(0.55):
+                yaw = at.yaw(a, b) + rng.normal(0, 0.015)
+                site.place("container", shape, at.point(a, b), size, yaw, steel(site))
+            a += size[0] + 0.6
+    for _ in range(12):
+        a, b = rng.uniform(yard0, yard1), rng.uniform(lot + 3.5, b1)
+        truck(site, at.point(a, b), at.yaw(a, b) + rng.choice([0.0, np.pi / 2]))
+    for a in np.arange(3.0, length, 9.0):
+        tree(site, at.point(a, 1.2), rng.uniform(0.9, 1.6))
+
+
+def works(site: Site, block: Block) -> None:
+    """A factory hall behind its car park, a fenced yard with pallets, containers and lorries."""
+    rng = site.rng
+    at = block.front(int(rng.choice([1, -1])))
+    length, depth = block.length, block.depth
+    site.paint("parking", at.quad(0, length, 0, depth), float(rng.random()))
+    site.paint("parking", at.quad(0.3 * length, 0.3 * length + 7, -PAVEMENT_M - 1, 1), 0.4)
+    lot = 2 * BAY_M[1] + AISLE_M
+    car_park(site, at.shifted(2.0, 2.0), 0.6 * length, rows=1)
+    b0, b1 = lot + 5.0, depth - 2.5
+    count = 1 + int(0.58 * length > 40.0)
+    for i in range(count):
+        share = 0.58 * length / count
+        style = hall_style(site)
+        size = (share - 3.0, min(b1 - b0 - 2.0, 45.0), rng.uniform(7, 11) + style.roof_height_m)
+        building(site, "hall", at, 2.0 + (i + 0.5) * share, 0.5 * (b0 + b1), size, style)
+    for a in np.arange(3.0, 0.58 * length, 7.0):
+        small(site, "bollard", at.point(a, b0 - 1.2), at.yaw(a, b0))
+
+    yard0, yard1 = 0.66 * length, length - 2.0
+    for b in np.arange(0.55 * depth, b1, 2.2):
+        for a in np.arange(yard0, yard1, 2.0):
+            if site.chance(0.35):
+                small(site, "pallet", at.point(a, b), at.yaw(a, b) + rng.normal(0, 0.06))
+    for _ in range(8):
+        a, b = rng.uniform(yard0 + 3, yard1 - 3), rng.uniform(4, 0.5 * depth)
+        if site.chance(0.6):
+            truck(site, at.point(a, b), at.yaw(a, b) + np.pi / 2)
+        else:
+            shape = "container"
+            yaw = at.yaw(a, b)
+            site.place("container", shape, at.point(a, b), CONTAINER_M[shape], yaw, steel(site))
+    fenced(site, at, length, depth, 2.0)
+
+
+def tank_farm(site: Site, block: Block) -> None:
+    """Rows of tanks on concrete inside a fence, lorries waiting."""
+    rng = site.rng
+    at = block.front(1)
+    length, depth = block.length, block.depth
+    site.paint("pavement", at.quad(0, length, 0, depth), float(rng.random()))
+    site.paint("parking", at.quad(0, length, 0, 11), float(rng.random()))
+    site.paint("parking", at.quad(3, 10, -PAVEMENT_M - 1, 1), 0.4)
+    for b in np.arange(16.0, depth - 4.5, 9.0):
+        for a in np.arange(5.5, length - 4.5, 9.0):
+            if site.chance(0.8):
+                small(site, "tank", at.point(a, b), rng.uniform(-np.pi, np.pi))
+    for a in np.arange(7.0, length - 5.0, 10.0):
+        if site.chance(0.5):
+            truck(site, at.point(a, 5.0), at.yaw(a, 5.0))
+    fenced(site, at, length, depth, 2.0)

@@ -1,0 +1,97 @@
+"""Blocks with still water: a lake in the green, a dock among quays."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.streets import Block
+from simulate.place.things import CONTAINER_M, bench, small, steel, tree, truck
+from simulate.place.world import ribbon
+
+_STRIPS = 10  # of ground kept free where an ellipse of water lies
+
+
+def lake(site: Site, block: Block) -> None:
+    """A lake with boats, a path round it with benches, tables and bins, and trees."""
+    rng = site.rng
+    at = block.front(1)
+    length, depth = block.length, block.depth
+    site.paint("grass", at.quad(0, length, 0, depth), float(rng.random()))
+    bank = 4.0
+    land = bank + 1.5 * site.terrain.spacing_m + 1.0  # from the shore to the edge of the block
+    half_a, half_b = (0.5 * side - land for side in (length, depth))
+    if min(half_a, half_b) < 5.0:
+        return
+    middle = 0.5 * length, 0.5 * depth
+    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    phase = rng.uniform(0, 2 * np.pi, 2)
+    reach = 0.87 + 0.08 * np.sin(2 * turn + phase[0]) + 0.05 * np.sin(3 * turn + phase[1])
+    round_ = np.stack([np.cos(turn), np.sin(turn)])
+    shore = at.point(middle[0] + half_a * reach * round_[0], middle[1] + half_b * reach * round_[1])
+    site.flood(shore, bank)
+    for low, high in pairwise(np.linspace(-1, 1, _STRIPS + 1)):
+        wide = half_a * np.sqrt(1 - min(low * low, high * high))
+        b0, b1 = middle[1] + half_b * low, middle[1] + half_b * high
+        site.reserve(at.quad(middle[0] - wide, middle[0] + wide, b0, b1))
+
+    for _ in range(3 + int(half_a * half_b / 250)):
+        a, b = (
+            middle[0] + rng.uniform(-0.5, 0.5) * half_a,
+            middle[1] + rng.uniform(-0.5, 0.5) * half_b,
+        )
+        small(site, "boat", at.point(a, b), rng.uniform(-np.pi, np.pi), on_reserved=True, gap_m=0.4)
+
+    a, b = (middle[i] + (half + 2.2) * round_[i] for i, half in enumerate((half_a, half_b)))
+    path = at.point(np.append(a, a[0]), np.append(b, b[0]))
+    site.paint("path", ribbon(path, 2.0), float(rng.random()))
+    for p, q in pairwise(path):
+        site.reserve(ribbon(np.stack([p, q]), 2.2))
+    kinds = ("bench", "table", "bench", "bin")
+    for k in range(0, len(turn), 3):
+        out = np.array([half_a + 4.6, half_b + 4.6]) * round_[:, k]
+        spot = at.point(middle[0] + out[0], middle[1] + out[1])
+        along = path[k + 1] - path[k]
+        yaw = float(np.arctan2(along[1], along[0]))
+        kind = kinds[k // 3 % len(kinds)]
+        if kind == "bench":  # looks at the water
+            bench(site, spot, yaw + np.pi)
+        else:
+            small(site, kind, spot, yaw)
+    for _ in range(int(0.02 * length * depth)):
+        tree(site, at.point(rng.uniform(0, length), rng.uniform(0, depth)), rng.uniform(1.8, 4.0))
+
+
+def dock(site: Site, block: Block) -> None:
+    """A basin with boats between quays with bollards, containers and lorries."""
+    rng = site.rng
+    at = block.front(1)
+    length, depth = block.length, block.depth
+    site.paint("parking", at.quad(0, length, 0, depth), float(rng.random()))
+    site.paint("parking", at.quad(4, 11, -PAVEMENT_M - 1, 1), 0.4)
+    quay = 3.0
+    land = quay + 1.5 * site.terrain.spacing_m + 0.5
+    a0, a1, b0, b1 = land, length - land, 0.42 * depth, depth - land
+    if b1 - b0 < 8.0:
+        return
+    basin = at.quad(a0, a1, b0, b1)
+    site.flood(basin, quay)
+    site.reserve(basin)
+    for _ in range(4 + int((a1 - a0) * (b1 - b0) / 300)):
+        a, b = rng.uniform(a0 + 3, a1 - 3), rng.uniform(b0 + 3, b1 - 3)
+        yaw = at.yaw(a, b) + site.choose((0.0, np.pi)) + rng.normal(0, 0.15)
+        small(site, "boat", at.point(a, b), yaw, on_reserved=True, gap_m=0.4)
+    for a in np.arange(a0 + 1.0, a1, 6.0):
+        for b in (b0 - 0.7, b1 + 0.7):
+            small(site, "bollard", at.point(a, b), at.yaw(a, b))
+    size = CONTAINER_M["container"]
+    for b in np.arange(2.5, b0 - 5.5, 2.9):
+        for a in np.arange(16.0, length - 4.0, size[0] + 0.6):
+            if site.chance(0.6):
+                yaw = at.yaw(a, b) + rng.normal(0, 0.015)
+                site.place("container", "container", at.point(a, b), size, yaw, steel(site))
+    for _ in range(8):
+        a, b = rng.uniform(2, 14), rng.uniform(3, b0 - 3)
+        truck(site, at.point(a, b), at.yaw(a, b) + np.pi / 2)

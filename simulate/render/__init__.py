@@ -1,0 +1,1 @@
+"""The processes that import Blender, and those who watch over them."""

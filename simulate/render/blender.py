@@ -1,0 +1,375 @@
+"""Renders frames with Cycles: `python -m simulate.render.blender CHUNK.json`, one process each.
+
+The only module that imports bpy. Standard output carries one JSON line per finished frame and
+nothing else; what Blender itself prints there is thrown away.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, TextIO
+
+import bpy
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+from PIL import Image
+
+from simulate.camera.pinhole import PinholeCamera
+from simulate.camera.resample import Cast, resample
+from simulate.look import ground
+from simulate.look.buildings import building_mesh
+from simulate.look.conditions import Condition, condition
+from simulate.look.materials import build_materials
+from simulate.look.mesh import Mesh, MeshBuilder, grid_mesh
+from simulate.look.plants import fence_mesh, hedge_mesh
+from simulate.look.props import shape_mesh
+from simulate.look.wires import wire_mesh
+from simulate.place.change import changed_world
+from simulate.place.presets import preset
+from simulate.place.world import World, WorldObject, class_lookup
+from simulate.render.job import Board, FrameDone, RenderChunk, frame_path
+from simulate.render.process import end_with, resident_bytes
+
+_SENSOR_MM = 36.0
+_APRON_M, _APRON_STEP_M = 400.0, 8.0  # mirrored ground around the area, for the oblique views
+# Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by
+# this much to the right and upwards (px; found by ray casting, the same at every pixel).
+_FIRST_RAY_PX = 0.000526
+_NO_SURFACE_M = 1e9  # Cycles writes 1e10 where a ray hits nothing
+
+
+def main(chunk_path: str) -> None:
+    """Render the frames of a RenderChunk file that are not there yet."""
+    reports = _claim_stdout()
+    chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
+    end_with(chunk.parent)
+    job = chunk.job
+    world = None
+    if job.board is not None:
+        _build_board(job.board)
+    else:
+        base = preset(job.preset)(job.seed, job.area_m)
+        world = changed_world(base, job.change, job.first_new_id).world
+        _build_scene(world, condition(job.condition, job.origin))
+    _set_up_render(job.camera, job.samples, chunk.threads)
+    bpy.context.scene.cycles.use_denoising = job.board is None  # which would move its edges
+    rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
+    caster = _Caster()
+    held = None  # bytes, after the first frame
+    with tempfile.TemporaryDirectory(prefix="frame-") as scratch:
+        for frame, rows in job.poses.items():
+            path = frame_path(chunk.out_dir, frame)
+            if path.exists():
+                continue
+            start = time.monotonic()
+            pose = np.asarray(rows, float)
+            # Every frame has its own noise, the same whoever renders it and in what order.
+            state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
+            bpy.context.scene.cycles.seed = int(state >> 1)
+            arrays = _render(pose, Path(scratch))
+            if chunk.rays is not None:
+                c = job.camera
+                arrays = resample(arrays, c.f * rays + [c.cx, c.cy], rays, caster.seen_from(pose))
+            if world is not None:
+                arrays["semantic"] = _semantic(world, rays, pose, arrays)
+            _save(path, arrays)
+            done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
+            print(done.model_dump_json(), file=reports, flush=True)
+            held = held or resident_bytes()
+            if resident_bytes() - held >= chunk.may_grow_bytes:
+                break
+
+
+def _claim_stdout() -> TextIO:
+    """The real standard output; what others write to descriptor 1 goes nowhere from now on."""
+    reports = os.fdopen(os.dup(1), "w")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)
+    return reports
+
+
+# --- the scene ---------------------------------------------------------------------------------
+
+
+def _build_scene(world: World, light: Condition) -> None:
+    """Fill an empty Blender file with the world under a condition."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    albedo = ground.bake(world.ground, light, world.seed)
+    mirror = ground.mirror(world.ground, light, world.seed)
+    materials = build_materials(bpy.data, light, albedo, mirror)
+    terrain = _add("terrain", _mesh_data("terrain", _terrain_mesh(world), materials))
+    terrain.pass_index = 0
+    shared: dict[str, Any] = {}
+    for thing in world.objects:
+        own = _own_mesh(thing, world)
+        if own is not None:
+            placed = _add(thing.shape, _mesh_data(thing.shape, own, materials))
+        else:
+            if thing.shape not in shared:
+                shared[thing.shape] = _mesh_data(thing.shape, shape_mesh(thing.shape), materials)
+            placed = _add(thing.shape, shared[thing.shape])
+            placed.scale = thing.size
+        placed.location = thing.centre
+        if thing.class_name == "building":  # whose mesh starts at the ground
+            placed.location.z -= 0.5 * thing.size[2]
+        placed.rotation_euler = (0.0, 0.0, thing.yaw)
+        placed.pass_index = thing.id
+        placed.color = (*thing.colour, 1.0)
+    _add_light(light)
+
+
+def _build_board(board: Board) -> None:
+    """Fill an empty Blender file with a chessboard that shines by itself on a grey ground."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    materials: dict[str, Any] = {}
+    for name, shade in (("white", 0.8), ("black", 0.02), ("grey", 0.3)):
+        materials[name] = bpy.data.materials.new(name)
+        materials[name].use_nodes = True
+        tree = materials[name].node_tree
+        tree.nodes.clear()
+        glow = tree.nodes.new("ShaderNodeEmission")
+        glow.inputs["Color"].default_value = (shade, shade, shade, 1.0)
+        output = tree.nodes.new("ShaderNodeOutputMaterial")
+        tree.links.new(glow.outputs[0], output.inputs["Surface"])
+    out = MeshBuilder()
+    side = board.square_m
+
+    def square(x0: float, x1: float, y0: float, y1: float, z: float, name: str) -> None:
+        corners = [[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]
+        out.polygon(np.multiply(corners, [side, side, 1]), name)
+
+    for j in range(-1, board.rows):
+        for i in range(-1, board.columns):
+            square(i, i + 1, j, j + 1, 0.0, "white" if (i + j) % 2 else "black")
+    square(-2, board.columns + 1, -2, board.rows + 1, 1e-3 * side, "white")  # the quiet margin
+    square(-99, 99, -99, 99, 1.0, "grey")
+    _add("board", _mesh_data("board", out.build(), materials))
+
+
+def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:
+    """The mesh of an object that shares its with no other, in metres."""
+    if thing.class_name == "building":
+        return building_mesh(thing)
+    if thing.class_name == "hedge":
+        return hedge_mesh(thing, world.terrain)
+    if thing.class_name == "fence":
+        return fence_mesh(thing, world.terrain)
+    if thing.class_name == "wire":
+        return wire_mesh(thing, world.terrain)
+    return None
+
+
+def _terrain_mesh(world: World) -> Mesh:
+    """The ground of the area on its own nodes, and a coarser apron around it."""
+    half, count = world.terrain.half_side_m, len(world.terrain.nodes)
+    outside = half + np.arange(_APRON_STEP_M, _APRON_M + 1, _APRON_STEP_M)
+    axis = np.concatenate([-outside[::-1], np.linspace(-half, half, count), outside])
+    z = world.terrain.height(*np.meshgrid(axis, axis))
+    mesh = grid_mesh(axis, axis, z, "ground")
+    mesh.uv[:] = mesh.uv / world.area_m + 0.5  # the image covers the area once
+    return mesh
+
+
+def _mesh_data(name: str, mesh: Mesh, materials: dict[str, Any]) -> Any:
+    """A Blender mesh with its materials and the attributes they read."""
+    data = bpy.data.meshes.new(name)
+    data.vertices.add(len(mesh.vertices))
+    data.vertices.foreach_set("co", mesh.vertices.ravel())
+    data.loops.add(len(mesh.corners))
+    data.loops.foreach_set("vertex_index", mesh.corners)
+    data.polygons.add(len(mesh.sizes))
+    starts = np.concatenate([[0], np.cumsum(mesh.sizes)[:-1]]).astype(np.int32)
+    data.polygons.foreach_set("loop_start", starts)
+    data.polygons.foreach_set("material_index", mesh.material)
+    data.uv_layers.new(name="uv").data.foreach_set("uv", mesh.uv.ravel())
+    tint = data.attributes.new("tint", "FLOAT_COLOR", "CORNER")
+    rgba = np.insert(mesh.tint, 3, 1.0, axis=1)
+    tint.data.foreach_set("color", np.repeat(rgba, mesh.sizes, axis=0).ravel())
+    for material in mesh.materials:
+        data.materials.append(materials[material])
+    data.update(calc_edges=True)
+    return data
+
+
+def _add(name: str, data: Any) -> Any:
+    """An object in the scene."""
+    thing = bpy.data.objects.new(name, data)
+    bpy.context.scene.collection.objects.link(thing)
+    return thing
+
+
+def _add_light(light: Condition) -> None:
+    """The sun, and a sky that brightens towards the horizon."""
+    sun = bpy.data.lights.new("sun", "SUN")
+    sun.energy, sun.color, sun.angle = light.sun_watts, light.sun_rgb, np.radians(light.sun_angle)
+    elevation, azimuth = np.radians([light.sun_elevation, light.sun_azimuth])
+    _add("sun", sun).rotation_euler = (0.5 * np.pi - elevation, 0.0, np.pi - azimuth)
+
+    sky = bpy.data.worlds.new("sky")
+    bpy.context.scene.world = sky
+    sky.use_nodes = True
+    tree = sky.node_tree
+    tree.nodes.clear()
+    direction = tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
+    split = tree.nodes.new("ShaderNodeSeparateXYZ")
+    ramp = tree.nodes.new("ShaderNodeValToRGB")
+    background = tree.nodes.new("ShaderNodeBackground")
+    output = tree.nodes.new("ShaderNodeOutputWorld")
+    ramp.color_ramp.elements[0].color = (*light.sky_horizon, 1.0)
+    ramp.color_ramp.elements[1].color = (*light.sky_zenith, 1.0)
+    ramp.color_ramp.elements[1].position = 0.6
+    background.inputs["Strength"].default_value = light.sky_strength
+    tree.links.new(direction, split.inputs[0])
+    tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
+    tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
+    tree.links.new(background.outputs[0], output.inputs["Surface"])
+    bpy.context.scene.view_settings.exposure = light.exposure
+
+
+# --- the camera and the renderer -----------------------------------------------------------------
+
+
+def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
+    """Camera intrinsics and every setting of Cycles that decides what pixels hold."""
+    scene = bpy.context.scene
+    data = bpy.data.cameras.new("camera")
+    data.sensor_fit = "HORIZONTAL"
+    data.sensor_width = _SENSOR_MM
+    data.lens = camera.f * _SENSOR_MM / camera.width
+    data.shift_x = (0.5 * camera.width - camera.cx - _FIRST_RAY_PX) / camera.width
+    data.shift_y = (camera.cy - _FIRST_RAY_PX - 0.5 * camera.height) / camera.width
+    data.clip_start, data.clip_end = 0.1, 1e4
+    scene.camera = _add("camera", data)
+    scene.camera.rotation_mode = "QUATERNION"
+
+    render = scene.render
+    render.engine = "CYCLES"
+    render.resolution_x, render.resolution_y = camera.width, camera.height
+    render.resolution_percentage = 100
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    render.use_persistent_data = True
+    render.dither_intensity = 0.0
+    if threads > 0:
+        render.threads_mode, render.threads = "FIXED", threads
+    scene.view_settings.view_transform = "AgX"
+    scene.view_settings.look = "AgX - Base Contrast"
+
+    cycles = scene.cycles
+    cycles.device = "CPU"
+    cycles.samples = samples
+    cycles.use_adaptive_sampling = False
+    cycles.use_animated_seed = False
+    cycles.use_light_tree = False
+    cycles.max_bounces = 2
+    cycles.diffuse_bounces, cycles.glossy_bounces = 1, 1
+    cycles.caustics_reflective = cycles.caustics_refractive = False
+    cycles.use_denoising = True
+    cycles.denoiser = "OPENIMAGEDENOISE"
+    # Guides used as they are: 3.0 instead of 5.4 CPU seconds a frame, no difference one can see.
+    cycles.denoising_prefilter = "FAST"
+    layer = scene.view_layers[0]
+    layer.use_pass_z = layer.use_pass_normal = layer.use_pass_object_index = True
+
+
+def _render(cam_from_world: NDArray[np.float64], scratch: Path) -> dict[str, NDArray[Any]]:
+    """One frame's rgb, depth, instance and normal."""
+    scene = bpy.context.scene
+    world_from_cam = np.linalg.inv(cam_from_world)
+    # Blender's camera looks along -z with y up.
+    scene.camera.matrix_world = (world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])).T.tolist()
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    settings.exr_codec = "NONE"
+    scene.render.filepath = str(scratch / "passes.exr")
+    bpy.ops.render.render(write_still=True)
+    settings.file_format, settings.color_depth, settings.color_mode = "PNG", "8", "RGB"
+    settings.compression = 0
+    picture = scratch / "picture.png"
+    bpy.data.images["Render Result"].save_render(str(picture), scene=scene)
+
+    with OpenEXR.File(str(scratch / "passes.exr"), separate_channels=True) as exr:
+        channels = {name.split(".", 1)[1]: c.pixels for name, c in exr.channels().items()}
+    depth = np.where(channels["Depth.Z"] < _NO_SURFACE_M, channels["Depth.Z"], 0)
+    normal = np.stack([channels[f"Normal.{axis}"] for axis in "XYZ"], -1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
+    return {
+        "rgb": np.asarray(Image.open(picture).convert("RGB")),
+        "depth": depth.astype(np.float32),
+        "instance": np.rint(channels["IndexOB.X"]).astype(np.uint16),
+        "normal": np.rint(127 * normal).astype(np.int8),
+    }
+
+
+def _pinhole_rays(camera: PinholeCamera) -> NDArray[np.float64]:
+    """x/z and y/z through every pixel centre, (H, W, 2)."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    return np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f], -1)
+
+
+class _Caster:
+    """Casts rays at objects, as `simulate.camera.resample` asks for them."""
+
+    def __init__(self) -> None:
+        bpy.context.view_layer.update()
+        self._objects: dict[int, list[Any]] = {}
+        for thing in bpy.context.scene.objects:
+            if thing.type == "MESH":
+                self._objects.setdefault(thing.pass_index, []).append(thing)
+
+    def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
+        """Of the camera at a pose."""
+        world_from_cam = np.linalg.inv(cam_from_world)
+
+        def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+            nearest = np.full(len(rays), np.inf)
+            ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
+            for thing in self._objects[number]:
+                local_from_cam = np.linalg.inv(np.array(thing.matrix_world)) @ world_from_cam
+                origin = local_from_cam[:3, 3]
+                directions = ahead @ local_from_cam[:3, :3].T
+                start = origin.tolist()
+                # One list, then arrays: numpy a ray would cost more than the rays themselves.
+                answers = [thing.ray_cast(start, way) for way in directions.tolist()]
+                hit = np.array([answer[0] for answer in answers], bool)
+                at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
+                # Along (x/z, y/z, 1) the planar depth is the length.
+                z = ((at - origin) * directions).sum(-1) / np.square(directions).sum(-1)
+                nearest = np.where(hit, np.minimum(nearest, z), nearest)
+            return nearest
+
+        return cast
+
+
+def _semantic(
+    world: World,
+    rays: NDArray[np.float64],
+    cam_from_world: NDArray[np.float64],
+    arrays: dict[str, NDArray[Any]],
+) -> NDArray[np.uint8]:
+    """Labels (H, W): the class of the object, or of the ground each pixel's ray (H, W, 2) meets."""
+    depth, instance = arrays["depth"], arrays["instance"]
+    ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], -1)
+    rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
+    points = (ahead * depth[..., None] - translation) @ rotation
+    labels = class_lookup(world.objects)[instance]
+    on_ground = (instance == 0) & (depth > 0)
+    labels[on_ground] = world.ground.label(points[on_ground, 0], points[on_ground, 1])
+    return np.asarray(labels)
+
+
+def _save(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write under another name first: a file called `path` is always complete."""
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as file:
+        np.savez(file, **arrays)
+    partial.replace(path)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,87 @@
+"""What the rendering processes are told, and what they answer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from scene.geodesy import Geodetic
+from simulate.camera.pinhole import PinholeCamera
+from simulate.look.conditions import PLACE
+from simulate.place.change import Change
+
+
+class Board(BaseModel):
+    """A chessboard on the plane z = 0, in metres: the origin is its first inner corner, x runs
+    along its `columns` inner corners, y along its `rows`, and its face is seen from below (-z).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    columns: int = Field(ge=3)
+    rows: int = Field(ge=3)
+    square_m: float = Field(gt=0)
+
+
+class RenderJob(BaseModel):
+    """One flight under one condition.
+
+    `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
+    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from. `change`
+    and `first_new_id` make the world as `simulate.place.change.changed_world` does. `lens` is the
+    camera of the photographs, as `str(scene.camera.Camera)`, when it is not the pinhole `camera`,
+    which then covers its view.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    preset: str = "town"
+    seed: int = Field(ge=0)
+    area_m: float = Field(gt=0)
+    condition: str
+    origin: Geodetic = PLACE
+    change: Change = Change()
+    first_new_id: int = Field(default=0, ge=0)
+    camera: PinholeCamera
+    lens: str | None = None
+    board: Board | None = None
+    samples: int = Field(default=4, ge=1)
+    poses: dict[int, list[list[float]]]
+
+    @field_validator("poses")
+    @classmethod
+    def _are_matrices(cls, poses: dict[int, list[list[float]]]) -> dict[int, list[list[float]]]:
+        for frame, rows in poses.items():
+            if [len(row) for row in rows] != [4, 4, 4, 4]:
+                raise ValueError(f"the pose of frame {frame} is not a 4 x 4 matrix")
+        return poses
+
+
+class RenderChunk(BaseModel):
+    """What one Blender process is told: a job whose poses are its own share of the frames.
+
+    It ends early, to be followed by another, once its memory has grown by `may_grow_bytes` since
+    its first frame; and it ends with the process `parent`.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    job: RenderJob
+    rays: Path | None  # npy (H, W, 2): x/z and y/z of the lens's pixels; None: of the pinhole's
+    out_dir: Path
+    threads: int = Field(ge=0)  # 0: as many as there are processors
+    may_grow_bytes: int = Field(ge=0)
+    parent: int
+
+
+class FrameDone(BaseModel):
+    """The line a Blender process prints for each finished frame."""
+
+    frame: int
+    seconds: float
+
+
+def frame_path(out_dir: Path, frame: int) -> Path:
+    """Where a finished frame lies: NNNNNN.npz."""
+    return out_dir / f"{frame:06d}.npz"

@@ -1,0 +1,179 @@
+"""Renders a flight: hands frames to Blender processes and watches over them."""
+
+from __future__ import annotations
+
+import math
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.look.conditions import condition
+from simulate.place.presets import preset
+from simulate.render.job import FrameDone, RenderChunk, RenderJob, frame_path
+
+_APT_PACKAGES = (
+    "libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libice6 libgl1 libxext6"
+)
+
+
+# What Blender leaks, if it leaks, ends with its process: after so many frames, ...
+_FRAMES_PER_PROCESS = 200
+# ... or when it holds so much more than after its first frame.
+_MAY_GROW_BYTES = 1_000_000_000
+
+
+class RenderError(RuntimeError):
+    """A rendering process failed; the message says in one line why."""
+
+
+def render(
+    job: RenderJob,
+    out_dir: Path,
+    jobs: int = 1,
+    on_frame: Callable[[int], None] | None = None,
+) -> None:
+    """Render every frame of `job` that `out_dir` does not hold yet, with `jobs` processes.
+
+    A frame is `NNNNNN.npz` with rgb (H, W, 3) uint8 sRGB, depth (H, W) float32 planar metres
+    (0: no surface), instance (H, W) uint16 object ids (0: ground or sky), semantic (H, W) uint8
+    labels (not of a board) and normal (H, W, 3) int8 world normals times 127. It appears only when
+    complete.
+    `on_frame` is called in this thread with the number of each frame as it is finished.
+
+    Raises:
+        InputError: an unknown preset or condition, or no sun at the origin that day.
+        RenderError: a process died; the frames finished before remain.
+    """
+    condition(job.condition, job.origin)
+    preset(job.preset)
+    out_dir.mkdir(parents=True, exist_ok=True)
+    missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
+    if not missing:
+        return
+    jobs = max(1, min(jobs, len(missing)))
+    threads = 0 if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
+    size = min(_FRAMES_PER_PROCESS, math.ceil(len(missing) / jobs))
+    shares = deque(missing[k : k + size] for k in range(0, len(missing), size))
+    with tempfile.TemporaryDirectory(prefix="render-") as scratch:
+        rays = None
+        if job.lens is not None:
+            rays = Path(scratch) / "rays.npy"
+            np.save(rays, _lens_rays(job.lens))
+        numbers = count()
+
+        def start(share: list[int]) -> _Child:
+            part = job.model_copy(update={"poses": {i: job.poses[i] for i in share}})
+            chunk = RenderChunk(
+                job=part,
+                rays=rays,
+                out_dir=out_dir.resolve(),
+                threads=threads,
+                may_grow_bytes=_MAY_GROW_BYTES,
+                parent=os.getpid(),
+            )
+            path = Path(scratch) / f"{next(numbers)}.json"
+            path.write_text(chunk.model_dump_json())
+            return _Child(path)
+
+        _work_off(shares, jobs, start, out_dir, on_frame)
+
+
+def _lens_rays(lens: str) -> NDArray[np.float64]:
+    """x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
+    from scene.camera import Camera  # torch, which Blender's processes need not load
+
+    camera = Camera.parse(lens.split())
+    rays, _ = camera.unproject(camera.pixel_grid())
+    return np.asarray(rays[..., :2].numpy())
+
+
+class _Child:
+    """A Blender process whose lines arrive in a queue."""
+
+    def __init__(self, chunk: Path) -> None:
+        root = str(Path(__file__).resolve().parents[2])
+        path = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
+        self._errors = chunk.with_suffix(".stderr")
+        with self._errors.open("wb") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "simulate.render.blender", str(chunk)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+                env={**os.environ, "PYTHONPATH": path},
+            )
+
+    def listen(self, lines: queue.Queue[tuple[_Child, str | None]]) -> None:
+        """Put every line, then None at the end, from a thread of its own."""
+
+        def pump() -> None:
+            assert self.process.stdout is not None
+            for line in self.process.stdout:
+                lines.put((self, line))
+            lines.put((self, None))
+
+        threading.Thread(target=pump, daemon=True).start()
+
+    def check(self) -> None:
+        """RenderError when the process ended badly."""
+        code = self.process.wait()
+        if code == 0:
+            return
+        text = self._errors.read_text(errors="replace").strip()
+        last = text.splitlines()[-1] if text else "it said nothing"
+        if "cannot open shared object file" in last:
+            last += f"; try: apt-get install {_APT_PACKAGES}"
+        how = f"was killed by signal {-code}" if code < 0 else f"failed with exit code {code}"
+        raise RenderError(f"the rendering process {how}: {last}")
+
+    def stop(self) -> None:
+        """End the process if it still runs."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+
+
+def _work_off(
+    shares: deque[list[int]],
+    jobs: int,
+    start: Callable[[list[int]], _Child],
+    out_dir: Path,
+    on_frame: Callable[[int], None] | None,
+) -> None:
+    """Keep `jobs` processes at work until no share is left, each share with a process of its own;
+    RenderError as soon as one has failed. What a process leaves of its share goes to another."""
+    lines: queue.Queue[tuple[_Child, str | None]] = queue.Queue()
+    running: dict[_Child, list[int]] = {}
+    try:
+        while shares or running:
+            while shares and len(running) < jobs:
+                share = shares.popleft()
+                child = start(share)
+                running[child] = share
+                child.listen(lines)
+            child, line = lines.get()
+            if line is not None:
+                if on_frame is not None:
+                    on_frame(FrameDone.model_validate_json(line).frame)
+                continue
+            child.check()
+            share = running.pop(child)
+            left = [i for i in share if not frame_path(out_dir, i).exists()]
+            if len(left) == len(share):
+                raise RenderError(f"the rendering process ended with {len(left)} frames missing")
+            if left:
+                shares.append(left)
+    finally:
+        for child in running:
+            child.stop()
