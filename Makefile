@@ -34,7 +34,12 @@ demo: libraries
 	$(BIN)/objconnect leaderboard $(DEMO)/results --out $(DEMO)/leaderboard
 	@echo "Pictures: $(DEMO)/scene/pictures, $(DEMO)/results; table: $(DEMO)/leaderboard"
 
-test: libraries lint
+# What the tests of the leaderboard's page click in.
+.PHONY: browser
+browser: install
+	@$(BIN)/python -m tests.browser
+
+test: libraries browser lint
 	$(BIN)/python -m pytest
 
 lint: install

@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 import torch
 
+from benchmark.album import ALBUM, keep_album
 from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.memory import peak_megabytes, reset_peak
 from benchmark.pictures import median_query, query_overlay
@@ -41,8 +42,9 @@ def evaluate(
 ) -> Results:
     """Localize every query, score it, and write ``OUT/<dataset>/<method>.json`` at the end.
 
-    Beside it goes ``<method>-query.png``, the map drawn into the query of median error. Nothing is
-    written before the last query is done. A method that raises an exception on a query has failed
+    Beside it goes ``<method>-query.png``, the map drawn into the query of median error, and
+    ``album.h5``, what the page shows of each query. Nothing is written before the last query is
+    done. A method that raises an exception on a query has failed
     on that query, and the run goes on.
 
     Args:
@@ -73,23 +75,14 @@ def evaluate(
         for query in dataset.queries:
             loaded = query.load(use_prior)
             start = perf_counter()
-            estimate = _attempt(localizer, loaded)
+            estimate = attempt(localizer, loaded)
             queries.append(_scored(query, estimate, perf_counter() - start))
             advance(len(queries))
 
     run = prepare, peak_megabytes()
     results = Results(
-        method=Method(
-            name=localizer.name,
-            config=localizer.config.model_dump(mode="json"),
-            weights_sha256=localizer.weights_sha256,
-        ),
-        dataset=DatasetId(
-            name=dataset.name,
-            track=dataset.track,
-            sha256=dataset.sha256,
-            map_conditions=dataset.map_conditions,
-        ),
+        method=method_of(localizer),
+        dataset=dataset_id(dataset),
         start="prior" if given else "none",
         environment=Environment.current(),
         summary=summarize(queries, *run),
@@ -98,6 +91,7 @@ def evaluate(
     )
     target = results_path(out, dataset, localizer)
     results.write(target)
+    keep_album(target.with_name(ALBUM), dataset, sparse_map)
     _draw_median(dataset, sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
     return results
 
@@ -107,7 +101,26 @@ def results_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
     return out / dataset.name / f"{localizer.name}.json"
 
 
-def _attempt(localizer: Localizer, query: Query) -> Estimate:
+def method_of(localizer: Localizer) -> Method:
+    """What is written of a method into its results."""
+    return Method(
+        name=localizer.name,
+        config=localizer.config.model_dump(mode="json"),
+        weights_sha256=localizer.weights_sha256,
+    )
+
+
+def dataset_id(dataset: Dataset) -> DatasetId:
+    """What is written of a data set into results."""
+    return DatasetId(
+        name=dataset.name,
+        track=dataset.track,
+        sha256=dataset.sha256,
+        map_conditions=dataset.map_conditions,
+    )
+
+
+def attempt(localizer: Localizer, query: Query) -> Estimate:
     """The method's answer; a crash or a pose that is none is a failure with a reason."""
     try:
         estimate = localizer.localize(query)
