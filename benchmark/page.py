@@ -300,7 +300,8 @@ def _basin(run: Run) -> list[dict[str, Any]] | None:
 
 
 def _recall(recall: Recall) -> list[float]:
-    return [round(x, 2) for x in (recall.value, recall.low, recall.high)]
+    # The page shows one decimal: with six here, rounding twice shows the same.
+    return [round(x, 6) for x in (recall.value, recall.low, recall.high)]
 
 
 def _rounded(value: float | None) -> float | None:

@@ -47,8 +47,10 @@
   };
   const swatch = (run) => svg("svg", { class: "swatch", viewBox: "-6 -6 12 12", "aria-hidden": "true" },
     marker(run, 0, 0, 4.4, { css: { fill: colour(run) } }));
-  const legend = (board, runs) => el("ul", { class: "legend" },
-    runs.map((run) => el("li", {}, swatch(run), board.runs[run].label)));
+  const legend = (board, runs, lines) => el("ul", { class: "legend" },
+    runs.map((run) => el("li", {}, lines ? line(run) : null, swatch(run), board.runs[run].label)));
+  const line = (run) => svg("svg", { class: "line", viewBox: "0 0 30 10", "aria-hidden": "true" },
+    svg("path", { d: "M0 5h30", "stroke-width": 2.4, "stroke-dasharray": dashes[run % 8], css: { stroke: colour(run) } }));
 
   const board = () => data.boards[state.board];
   const everyRun = (b) => b.runs.map((_, run) => run);
@@ -99,7 +101,8 @@
       root.append(svg("line", { class: value ? "rule" : "axis", x1: left, x2: right, y1: y(value), y2: y(value) }));
       root.append(svg("text", { x: left - 7, y: y(value) + 4, "text-anchor": "end" }, String(value)));
     }
-    for (const [value, ...texts] of ticks) {
+    const every = Math.ceil((ticks.length * 52) / (right - left));
+    for (const [value, ...texts] of ticks.filter((_, k) => k % every === 0)) {
       root.append(svg("line", { class: "axis", x1: scaleX(value), x2: scaleX(value), y1: bottom, y2: bottom + 4 }));
       texts.forEach((text, row) => root.append(
         svg("text", { x: scaleX(value), y: bottom + 17 + 14 * row, "text-anchor": "middle" }, text)));
@@ -193,7 +196,7 @@
 
   const tableColumns = () => [
     { name: "method", word: true, key: (row) => row.label.toLowerCase() },
-    { name: "condition", word: true, key: (row) => (row.condition === ALL ? "" : row.condition.toLowerCase()) },
+    { name: "condition", word: true, broad: true, key: (row) => (row.condition === ALL ? "" : row.condition.toLowerCase()) },
     { name: "queries", key: (row) => row.s.queries },
     ...data.thresholds.map((t, k) => ({ name: t.text, unit: "%", key: (row) => row.s.recall[k][0], best: "descending" })),
     { name: "median m", key: (row) => row.s.t },
@@ -211,7 +214,7 @@
   const mainTable = (b) => {
     const columns = tableColumns();
     const body = el("tbody", { id: "rows" });
-    const heads = columns.map((column, k) => el("th", { scope: "col", class: column.word ? "word" : null },
+    const heads = columns.map((column, k) => el("th", { scope: "col", class: `${column.word ? "word" : ""} ${column.broad ? "broad" : ""}` },
       el("button", { type: "button", onclick: () => sortBy(k) }, column.name)));
     const paint = () => {
       const rows = rowsOf(b);
@@ -228,10 +231,10 @@
         else head.removeAttribute("aria-sort");
       });
       body.replaceChildren(...rows.map((row) => el("tr", { class: row.condition === ALL ? "all" : null },
-        el("th", { scope: "row", class: "word" }, swatch(row.run), row.label),
-        el("td", { class: "word" }, row.condition),
+        el("th", { scope: "row", class: "word" }, swatch(row.run), row.label, el("small", { class: "narrow" }, row.condition)),
+        el("td", { class: "word broad" }, row.condition),
         el("td", {}, String(row.s.queries)),
-        row.s.recall.map((recall) => el("td", {}, percent(recall), " ", el("small", {}, interval(recall)), bar(row.run, recall))),
+        row.s.recall.map((recall) => el("td", {}, percent(recall), el("small", {}, interval(recall)), bar(row.run, recall))),
         [row.s.t, row.s.r].map((value) => el("td", {}, digits(value))),
         [row.s.failed, row.s.fallback].map((value) => el("td", {}, String(value))),
         el("td", {}, digits(row.s.seconds)),
@@ -246,7 +249,7 @@
     };
     paint();
     return scroll("Table of results", el("table", { id: "results" },
-      el("thead", {}, el("tr", {}, heads, el("th", { scope: "col" }, "queries, by error"))), body));
+      el("thead", {}, el("tr", {}, heads, el("th", { scope: "col" }, "look at"))), body));
   };
 
   const heatMap = (b) => scroll("Recall by method and condition", el("table", { class: "heat" },
@@ -257,7 +260,7 @@
         const s = run.summaries[condition];
         if (!s) return el("td", { class: "cell" }, "–");
         const recall = s.recall[state.threshold];
-        return el("td", { class: recall[0] >= 50 ? "cell strong" : "cell", css: { background: `hsl(var(--heat) / ${(0.06 + 0.94 * recall[0] / 100).toFixed(3)})` } },
+        return el("td", { class: "cell", css: { background: `hsl(var(--heat) / ${(0.04 + 0.56 * recall[0] / 100).toFixed(3)})` } },
           el("button", { type: "button", title: `${run.label}, ${condition}: ${percent(recall)} % ${interval(recall)} of ${s.queries}; opens its worst query`,
             onclick: () => open(k, condition, "worst") }, recall[0].toFixed(0)));
       }))))));
@@ -273,7 +276,7 @@
         const [low, high] = sign > 0 ? [pair.low, pair.high] : [-pair.high, -pair.low];
         const [won, lost] = sign > 0 ? [pair.won, pair.lost] : [pair.lost, pair.won];
         return el("td", { class: pair.p < 0.05 ? "real" : null, title: `right where the other is wrong: ${won}; wrong where it is right: ${lost}` },
-          signed(sign * pair.change), el("br"), el("small", {}, `[${signed(low)}, ${signed(high)}]`), el("br"), el("small", {}, probability(pair.p)));
+          signed(sign * pair.change), el("small", {}, `[${signed(low)}, ${signed(high)}]`), el("small", {}, probability(pair.p)));
       }))))));
 
   const paper = () => {
@@ -358,7 +361,7 @@
     }
     ranked.forEach((k, place) => {
       const q = of[k], lost = !q || q.t === null, here = place === state.place;
-      const dot = svg("circle", { cx: x(place), cy: lost ? 6 : y(q.t), r: here ? 6 : 2.6, css: { fill: here ? "var(--ink)" : colour(state.run), "fill-opacity": lost || q.status !== "ok" ? .35 : 1 } });
+      const dot = svg("circle", { cx: x(place), cy: lost ? 6 : y(q.t), r: here ? 5 : 2.6, css: { fill: here ? "var(--ink)" : colour(state.run), "fill-opacity": lost || q.status !== "ok" ? .35 : 1 } });
       root.append(dot);
     });
     root.append(svg("text", { x: 46, y: height - 1 }, "best"), svg("text", { x: width - 10, y: height - 1, "text-anchor": "end" }, "worst"));
@@ -423,12 +426,12 @@
     holder.replaceChildren(
       card("curves", "Error curves", `Percent of ${where} localized below an error. Dotted lines: the thresholds, of which recall asks both. Failures and fallback poses never arrive.`,
         group("error", "error", [["t", "position"], ["r", "rotation"]], state.error, (value) => { state.error = value; paintCharts(); focusOn("error", value); }),
-        curves(b), legend(b, runs)),
+        curves(b), legend(b, runs, true)),
       card("speed", "Accuracy against seconds", `Recall (%) at ${threshold}, ${where}, with its interval; one mark a method.`, speed(b), legend(b, runs)),
       card("basin", "Basin of convergence", withBasin.length
         ? `Recall (%) at ${threshold} of all queries, when the prior is wrong by exactly so much; each method hears the same priors.`
         : "Recall against the error of the prior. Nothing measured yet: objconnect basin DATASET --method M --out RESULTS.",
-      ...(withBasin.length ? [basin(b, withBasin), legend(b, withBasin)] : [])),
+      ...(withBasin.length ? [basin(b, withBasin), legend(b, withBasin, true)] : [])),
       card("heat", "Conditions", `Recall (%) at ${threshold}; a cell opens its worst query.`, heatMap(b)),
       b.runs.length > 1 ? card("pairs", "Paired comparison", `Change of recall in points at ${threshold}, ${where}, query by query; p of McNemar's exact test, two-sided, coloured below 0.05 and not corrected for the number of pairs. ${b.pairs_note}`, pairTable(b)) : null);
   };
