@@ -128,7 +128,8 @@ def evaluate(
     """Localize the queries of data sets and score the poses.
 
     Writes RESULTS/<dataset>/<method>.json and a picture of the query of median error, each when its
-    last query is done. An older file of the same name is replaced.
+    last query is done, and once per data set album.h5, which the leaderboard's page shows. An older
+    file of the same name is replaced.
     """
     from baselines.registry import create
     from benchmark.datasets import open_datasets
