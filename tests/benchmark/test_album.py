@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,18 @@ def test_points_out_of_sight_are_unknown(album: Album) -> None:
     below = moved(pose_at(1), 0)
     underground = type(below)(below.rotation, below.translation - 80)
     assert np.isnan(album.entries["b.jpg"].estimated(underground)).all()
+
+
+def test_a_query_off_the_map_has_no_neighbour(made_flight: Path, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(made_flight)
+    away = replace(dataset.queries[0], reference=moved(pose_at(1), 1e4))
+    album = make_album(replace(dataset, queries=(away,)), dataset.load_map())
+    write_album(tmp_path / ALBUM, album)
+    again = read_album(tmp_path / ALBUM, album.sha256)
+    assert again is not None
+    entry = again.entries[away.name]
+    assert (entry.neighbour, entry.world.shape, dict(again.neighbours)) == (None, (0, 3), {})
+    assert entry.estimated(pose_at(1)).shape == (0, 2)
 
 
 def test_file_says_what_the_album_said(album: Album, tmp_path: Path) -> None:

@@ -145,7 +145,6 @@ def test_sorting_by_mouse_and_by_key(page: Path, browser: Browser) -> None:
     assert [float(text.split()[0]) for text in browser.texts("#rows td:nth-child(6)")] == recalls[
         ::-1
     ]
-    # A missing number is last in both directions: no winter query but one has a pose.
     assert is_clean(browser)
 
 
@@ -314,6 +313,23 @@ def test_results_without_an_album(out: Path, tmp_path: Path, browser: Browser) -
     assert "No album lies beside these results" in browser.texts("#query-picture")[0]
     assert "Nothing measured yet" in browser.texts("#basin")[0]
     assert browser.run("document.querySelector('#pairs')") is None
+    assert is_clean(browser)
+
+
+def test_a_query_off_the_map(out: Path, tmp_path: Path, browser: Browser) -> None:
+    results = load(out / "meadow" / "sift.json")
+    album = read_album(out / "meadow" / ALBUM, results.dataset.sha256)
+    assert album is not None
+    nothing = {"world": np.zeros((0, 3)), "truth": np.zeros((0, 2)), "seen": np.zeros((0, 2))}
+    entries = {
+        name: replace(entry, neighbour=None, **nothing) for name, entry in album.entries.items()
+    }
+    results.write(tmp_path / "sift.json")
+    write_album(tmp_path / ALBUM, replace(album, entries=entries))
+    leaderboard([tmp_path / "sift.json"], tmp_path)
+    browser.open(tmp_path / "leaderboard.html")
+    assert browser.run("document.querySelectorAll('#query-picture image').length") == 1
+    assert "No photograph of the map shows this ground." in browser.texts("#map-picture")[0]
     assert is_clean(browser)
 
 
