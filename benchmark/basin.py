@@ -12,32 +12,27 @@ start, so its curve falls only where the nearest photographs no longer show the 
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated, Final, Literal, NamedTuple
 
-import numpy as np
-import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from benchmark.datasets import BenchmarkQuery, Dataset
-from benchmark.evaluate import attempt, dataset_id, method_of
-from benchmark.results import BASIN, DatasetId, Environment, Method, Recall
+from benchmark.datasets import Dataset
+from benchmark.evaluate import attempt, identity, method_of, scored
+from benchmark.results import BASIN, DatasetId, Environment, Method, QueryResult, Recall
 from benchmark.score import THRESHOLDS, is_correct, wilson
+from benchmark.starts import moved_prior
 from scene.errors import InputError
 from scene.files import write_text
-from scene.localizer import Estimate, Localizer, Prior, Status
+from scene.localizer import Localizer, Status
 from scene.manifest import read_json
-from scene.pose import Pose, so3_exp
 from scene.progress import progress_bar
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
-# A sigma of zero would make a prior that no measurement can move.
-_MIN_SIGMA_M: Final = 0.01
-_MIN_SIGMA_DEG: Final = 0.01
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -167,21 +162,25 @@ def basin(
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"cannot write results to {out}: it is not a folder")
-    localizer.prepare(dataset.load_map(), dataset.images, cache)
-    answers: list[list[_Answer]] = [[] for _ in sizes]
+    sparse_map = dataset.load_map()
+    localizer.prepare(sparse_map, dataset.images, cache)
+    answers: list[list[QueryResult]] = [[] for _ in sizes]
     steps = len(dataset.queries) * len(sizes)
     with progress_bar(f"{dataset.name} {localizer.name}", steps) as advance:
         for number, query in enumerate(dataset.queries):
             loaded = query.load()
+            # With seed 0 the priors are those of `evaluate --start error=`.
+            name = f"{seed} {query.name}" if seed else query.name
             for level, size in enumerate(sizes):
-                prior = wrong_prior(query, size, seed)
-                answers[level].append(
-                    _scored(query, attempt(localizer, replace(loaded, prior=prior)))
-                )
+                prior = moved_prior(query.reference, name, *size)
+                began = perf_counter()
+                estimate = attempt(localizer, replace(loaded, prior=prior))
+                seconds = perf_counter() - began
+                answers[level].append(scored(query, estimate, sparse_map, seconds))
                 advance(number * len(sizes) + level + 1)
     result = Basin(
         method=method_of(localizer),
-        dataset=dataset_id(dataset),
+        dataset=identity(dataset),
         seed=seed,
         environment=Environment.current(),
         levels=tuple(_level(size, found) for size, found in zip(sizes, answers, strict=True)),
@@ -200,38 +199,7 @@ def load_basin(path: Path) -> Basin:
     return read_json(path, Basin, "basin file")
 
 
-def wrong_prior(query: BenchmarkQuery, size: Size, seed: int) -> Prior:
-    """The reference pose, moved and turned by a size; see the module."""
-    digest = hashlib.sha256(f"{seed} {query.name}".encode()).digest()
-    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
-    way, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-    turn = so3_exp(torch.from_numpy(np.radians(size.degrees) * axis))
-    return Prior(
-        position=query.reference.centre().numpy() + size.metres * way,
-        # So that the expected squared distance is the square of the size.
-        position_sigma=np.full(3, max(size.metres / np.sqrt(3), _MIN_SIGMA_M)),
-        cam_from_world_rotation=(turn @ query.reference.rotation).numpy(),
-        attitude_sigma_deg=max(size.degrees, _MIN_SIGMA_DEG),
-    )
-
-
-class _Answer(NamedTuple):
-    """An outcome, as ``benchmark.score`` takes it."""
-
-    status: Status
-    t_err_m: float | None
-    r_err_deg: float | None
-
-
-def _scored(query: BenchmarkQuery, estimate: Estimate) -> _Answer:
-    if estimate.cam_from_world is None:
-        return _Answer(estimate.status, None, None)
-    pose: Pose = estimate.cam_from_world.to(dtype=torch.float64, device=torch.device("cpu"))
-    metres, degrees = pose.error_to(query.reference)
-    return _Answer(estimate.status, float(metres), float(degrees))
-
-
-def _level(size: Size, answers: Sequence[_Answer]) -> Level:
+def _level(size: Size, answers: Sequence[QueryResult]) -> Level:
     return Level(
         prior_t_m=size.metres,
         prior_r_deg=size.degrees,

@@ -236,7 +236,7 @@ def _pairs(
     known = {name: query for queries in found for name, query in queries.items()}
     for condition in conditions:
         listed = [name for name in names if condition in (ALL, known[name].condition)]
-        flights = [flight_of(known[name]) for name in listed]
+        flights = [known[name].group for name in listed]
         for number, threshold in enumerate(THRESHOLDS):
             right = [
                 [name in queries and is_correct(queries[name], threshold) for name in listed]
@@ -262,7 +262,7 @@ def _pairs(
 
 
 def _pairs_note(group: Group) -> str:
-    flights = {flight_of(query) for run in group.runs for query in run.results.queries}
+    flights = {query.group for run in group.runs for query in run.results.queries}
     several = "flight" if len(flights) == 1 else "flights"
     if len(flights) >= MIN_CLUSTERS:
         return (
@@ -273,11 +273,6 @@ def _pairs_note(group: Group) -> str:
         f"Intervals are Bonett and Price's, which take queries for independent: these come from "
         f"{len(flights)} {several}, too few to draw whole flights, so the true ones are wider."
     )
-
-
-def flight_of(query: QueryResult) -> str:
-    """The flight a query belongs to: the folder in its name, and its condition."""
-    return f"{query.name.rpartition('/')[0]}\n{query.condition}"
 
 
 def _basin(run: Run) -> list[dict[str, Any]] | None:

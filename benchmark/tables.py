@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.results import Results, Start, Summary, load, results_files
+from benchmark.results import Results, Summary, load, results_files
 from benchmark.score import THRESHOLDS
 
 # The classical method that sets the bar, and the recall (percent) that leaves none to reach.
@@ -15,7 +15,13 @@ _BAR: Final = "sift"
 _SATURATED: Final = 99.0
 
 ALL: Final = "all"
-_START: Final = {"prior": "each query's own prior", "none": "no prior"}
+_STARTS: Final = {
+    "prior": "each query's own prior",
+    "none": "no prior",
+    "retrieval": "the {} map photographs most like it, by VLAD of SIFT",
+    "pairs": "map photographs of the pair list {}",
+    "error": "a prior wrong by {}",
+}
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,7 @@ class Group:
     track: str
     dataset: str
     sha256: str
-    start: Start
+    start: str
     map_conditions: tuple[str, ...]
     runs: tuple[Run, ...]
 
@@ -55,7 +61,7 @@ class Table:
     track: str
     dataset: str
     sha256: str
-    start: Start
+    start: str
     map_conditions: tuple[str, ...]
     rows: tuple[Row, ...]
 
@@ -77,7 +83,7 @@ def groups(results: Sequence[Path]) -> list[Group]:
         InputError: no results, or a file that is none or whose figures do not follow from its
             queries.
     """
-    loaded: dict[tuple[str, str, str, Start], list[tuple[Path, Results]]] = {}
+    loaded: dict[tuple[str, str, str, str], list[tuple[Path, Results]]] = {}
     for path in dict.fromkeys(file.resolve() for given in results for file in results_files(given)):
         run = load(path)
         key = (run.dataset.track, run.dataset.name, run.dataset.sha256, run.start)
@@ -111,7 +117,8 @@ def tables(results: Sequence[Path]) -> list[Table]:
 
 def start_in_words(start: str) -> str:
     """What methods were told about each query."""
-    return _START.get(start, start)
+    kind, _, value = start.partition("=")
+    return _STARTS.get(kind, start).format(value)
 
 
 def saturation(board: Table) -> str | None:

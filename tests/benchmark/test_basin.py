@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.basin import DEFAULT_SIZES, Size, basin, load_basin, parse_sizes, wrong_prior
+from benchmark.basin import DEFAULT_SIZES, Size, basin, load_basin, parse_sizes
 from benchmark.datasets import open_datasets
+from benchmark.evaluate import evaluate
+from benchmark.starts import parse_start
 from scene.errors import InputError
 from scene.localizer import Estimate, Query, Status
-from scene.pose import Pose, so3_log
+from scene.pose import Pose
 from tests.benchmark.made_data import FakeLocalizer
 
 SIZES = (Size(0, 0), Size(1, 2), Size(8, 10))
@@ -29,30 +31,30 @@ class Believer(FakeLocalizer):
         return Estimate(Status.OK, Pose(rotation, -(rotation @ centre)))
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_priors_are_wrong_by_exactly_so_much(made_flight: Path, size: Size) -> None:
+def priors(method: Believer) -> list[np.ndarray]:
+    return [query.prior.position for query in method.seen if query.prior is not None]
+
+
+def test_errors_are_those_of_the_start_of_the_same_size(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
-    for query in dataset.queries:
-        prior = wrong_prior(query, size, seed=3)
-        away = prior.position - query.reference.centre().numpy()
-        assert np.linalg.norm(away) == pytest.approx(size.metres, abs=1e-9)
-        assert prior.cam_from_world_rotation is not None
-        turn = torch.from_numpy(prior.cam_from_world_rotation) @ query.reference.rotation.T
-        angle = float(torch.rad2deg(so3_log(turn).norm()))
-        assert angle == pytest.approx(size.degrees, abs=1e-6)
+    ours, theirs, other = Believer({}), Believer({}), Believer({})
+    basin(dataset, ours, tmp_path, [Size(3, 5)])
+    evaluate(dataset, theirs, tmp_path, parse_start("error=3m,5deg"))
+    assert np.array_equal(priors(ours), priors(theirs))
+    basin(dataset, other, tmp_path, [Size(3, 5)], seed=1)
+    centres = [query.reference.centre().numpy() for query in dataset.queries]
+    away = np.array(priors(other)) - centres
+    assert np.linalg.norm(away, axis=1) == pytest.approx(3)
+    assert (np.abs(np.array(priors(other)) - priors(ours)).max(1) > 0.1).all()
 
 
-def test_directions_are_of_seed_and_query_alone(made_flight: Path) -> None:
+def test_sizes_lie_on_one_line(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
-    one, two = dataset.queries[:2]
-
-    def way(query: object, metres: float, seed: int) -> np.ndarray:
-        prior = wrong_prior(query, Size(metres, 1), seed)
-        return np.asarray((prior.position - query.reference.centre().numpy()) / metres)
-
-    assert way(one, 1, 0) == pytest.approx(way(one, 20, 0))
-    assert np.abs(way(one, 1, 0) - way(two, 1, 0)).max() > 0.1
-    assert np.abs(way(one, 1, 0) - way(one, 1, 1)).max() > 0.1
+    method = Believer({})
+    basin(dataset, method, tmp_path, [Size(1, 2), Size(20, 2)])
+    centre = dataset.queries[0].reference.centre().numpy()
+    near, far = (position - centre for position in priors(method)[:2])
+    assert far == pytest.approx(20 * near)
 
 
 def test_recall_falls_with_the_error(made_flight: Path, tmp_path: Path) -> None:
