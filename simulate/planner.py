@@ -123,7 +123,8 @@ def plan_session(
             reach = max(0.5 * config.area - flight.edge_m, 0.0)
 
             def is_clear(centres: Array) -> NDArray[np.bool_]:
-                return is_free(centres, world) & (np.abs(centres[:, :2]) <= reach).all(1)
+                inside: NDArray[np.bool_] = (np.abs(centres[:, :2]) <= reach).all(1)
+                return inside & is_free(centres, world)
 
             aims = plan_street(
                 _driven(world, flight, usual.backwards),

@@ -19,7 +19,7 @@ KERB_M = 0.13  # height
 _RAMP_M = 0.7  # length of the slope where a kerb is dropped
 _STEP_M = 0.5  # between the places where the ground is looked at
 _SHORTEST_M = 2.0
-_LOOK_M = (0.5, 1.0, 1.6)  # from the kerb
+_LOOK_M = (0.4, 0.8, 1.2)  # from the kerb
 _HUNG = ("pole", "wire")  # keep their heights, which belong together
 
 
@@ -43,13 +43,12 @@ def lay_kerbs(roads: Iterable[Road], ground: Ground) -> tuple[Kerb, ...]:
 def raised(objects: Sequence[WorldObject], kerbs: Sequence[Kerb]) -> tuple[WorldObject, ...]:
     """The objects, those that stand on raised pavements lifted to their height."""
     rises = Rises(kerbs)
-    lifted = []
-    for thing in objects:
+
+    def lifted(thing: WorldObject) -> WorldObject:
         rise = 0.0 if thing.class_name in _HUNG else rises.at(thing.centre[:2])
-        lifted.append(
-            replace(thing, centre=thing.centre + [0.0, 0.0, rise]) if rise > 0 else thing
-        )
-    return tuple(lifted)
+        return replace(thing, centre=thing.centre + np.array([0, 0, rise])) if rise else thing
+
+    return tuple(lifted(thing) for thing in objects)
 
 
 class Rises:

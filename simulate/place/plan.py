@@ -61,7 +61,7 @@ class Plan:
     `block_m` is the typical distance between streets and `verge` the ground class along them.
     The place is divided among `quarters`, one column of blocks after the other, so that the streets
     along its first axis lead from each to the next. `before` lines the roads before the blocks are
-    filled, `after` when they are.
+    filled, `after` when they are. `least_m` is the smallest side that has room for all quarters.
     """
 
     block_m: float
@@ -69,16 +69,17 @@ class Plan:
     after: tuple[Lining, ...]
     before: tuple[Lining, ...] = ()
     verge: str = "pavement"
+    least_m: float = MIN_AREA_M
 
     def build(self, seed: int, area_m: float) -> World:
         """A place of `area_m` metres a side; seed and area decide everything in it.
 
-        Raises InputError when `area_m` is outside 100..2000 m, the seed is negative, or the
+        Raises InputError when `area_m` is outside `least_m`..2000 m, the seed is negative, or the
         place needs more objects than can be told apart.
         """
-        if not MIN_AREA_M <= area_m <= MAX_AREA_M:
+        if not self.least_m <= area_m <= MAX_AREA_M:
             raise InputError(
-                f"area must be {MIN_AREA_M:.0f} to {MAX_AREA_M:.0f} m a side, got {area_m:g}"
+                f"area must be {self.least_m:.0f} to {MAX_AREA_M:.0f} m a side, got {area_m:g}"
             )
         if seed < 0:
             raise InputError(f"seed must not be negative, got {seed}")

@@ -11,7 +11,7 @@ from simulate.place.farms import farm, hayfield, pasture
 from simulate.place.greens import field, meadow, park, woods
 from simulate.place.plan import Plan, Quarter
 from simulate.place.power import power_lines
-from simulate.place.roadside import deliveries, street_furniture, street_lamps, traffic
+from simulate.place.roadside import avenues, deliveries, street_furniture, street_lamps, traffic
 from simulate.place.town import TOWN
 from simulate.place.trade import tank_farm, trade, works
 from simulate.place.urban import fronts, square
@@ -74,6 +74,7 @@ PLANS: dict[str, Plan] = {
     ),
     "street": Plan(
         block_m=62.0,
+        least_m=180.0,
         quarters=(
             Quarter(
                 name="urban",
@@ -97,7 +98,13 @@ PLANS: dict[str, Plan] = {
                 open_share=0.0,
             ),
         ),
-        after=(street_lamps, partial(traffic, parked=0.45), street_furniture, deliveries),
+        after=(
+            street_lamps,
+            partial(traffic, parked=0.45),
+            street_furniture,
+            deliveries,
+            avenues,
+        ),
     ),
 }
 

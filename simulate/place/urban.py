@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from simulate.place.parking import AISLE_M, BAY_M, car_park
@@ -18,7 +20,7 @@ _PASSAGE_M = 4.2  # the way into the court
 def fronts(site: Site, block: Block) -> None:
     """Buildings wall to wall along all four streets, a court with parked cars behind them."""
     length, depth = block.length, block.depth
-    site.paint("pavement", block.front(1).quad(-0.6, length + 0.6, -0.6, depth + 0.6), 0.6)
+    site.paint("pavement", block.front(1).quad(-1.2, length + 1.2, -1.2, depth + 1.2), 0.6)
     inner = _SETBACK_M + _DEPTH_M
     for side in (1, -1):
         # One passage, through the row along the first street.
@@ -30,9 +32,9 @@ def fronts(site: Site, block: Block) -> None:
     if court[0] > 3 * BAY_M[0] and court[1] > 2 * BAY_M[1] + AISLE_M:
         middle = 0.5 * (depth - 2 * BAY_M[1] - AISLE_M)
         car_park(site, block.front(1).shifted(inner + 1.0, middle), court[0], rows=1)
-    for _ in range(6):
-        a, b = site.rng.uniform(inner, length - inner), site.rng.uniform(inner, depth - inner)
-        tree(site, block.front(1).point(a, b), site.rng.uniform(1.2, 2.2))
+    for share in site.rng.uniform(0.2, 0.8, (6, 2)):
+        spot = block.front(1).point(*(share * (length, depth)))
+        tree(site, spot, site.rng.uniform(1.2, 2.2))
 
 
 def _row(
@@ -54,7 +56,7 @@ def _row(
     while end - corners[-1] > 15.0:
         corners.append(corners[-1] + float(site.rng.uniform(9.0, 15.0)))
     corners.append(end)
-    for first, last in zip(corners[:-1], corners[1:], strict=True):
+    for first, last in pairwise(corners):
         if way_in is not None and first <= way_in < last:
             lane = at.quad(first, first + _PASSAGE_M, -PAVEMENT_M - 0.8, _DEPTH_M + 3.0)
             site.paint("driveway", lane, float(site.rng.random()))
@@ -79,7 +81,7 @@ def square(site: Site, block: Block) -> None:
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth
-    site.paint("pavement", at.quad(-0.6, length + 0.6, -0.6, depth + 0.6), float(rng.random()))
+    site.paint("pavement", at.quad(-1.2, length + 1.2, -1.2, depth + 1.2), float(rng.random()))
     lawn = at.quad(0.3 * length, 0.7 * length, 0.3 * depth, 0.7 * depth)
     site.paint("grass", lawn, float(rng.random()))
     for a in np.arange(4.0, length - 3.0, 7.5):
