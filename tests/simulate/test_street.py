@@ -1,16 +1,26 @@
 """The street preset: its surroundings and its kerbs."""
 
+import json
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from PIL import Image
+from typer.testing import CliRunner
 
+from benchmark.cli import app
+from benchmark.datasets import open_datasets
+from simulate.config import SimulateConfig
+from simulate.flight.gimbal import camera_centres
 from simulate.look.conditions import condition
 from simulate.look.terrain import ground_mesh, kerbs_mesh
 from simulate.place.kerbs import KERB_M, Rises
 from simulate.place.presets import preset
 from simulate.place.world import CLASSES, MIRRORED_M, World
+from simulate.planner import plan_session
 
 AREA = 300.0
 
@@ -108,3 +118,85 @@ def test_country_goes_on_beyond_the_place(street: World) -> None:
 
 def test_a_place_without_parts_names_none() -> None:
     assert preset("town")(1, 120.0).surroundings == ()
+
+
+@pytest.fixture(scope="module")
+def usual() -> SimulateConfig:
+    return SimulateConfig.load(None, {"preset": "street", "seed": 1, "size": 256})
+
+
+def test_the_usual_sessions_are_drives_with_two_cameras(usual: SimulateConfig) -> None:
+    assert {session.flight.kind for session in usual.sessions} == {"street"}
+    left, right = (usual.photo_camera(session) for session in usual.sessions[:2])
+    assert {usual.photo_camera(session) for session in usual.sessions} == {left, right}
+    assert (left.model, right.model) == ("OPENCV", "OPENCV")
+    assert left.params != right.params
+    seasons = {s.condition.split("-")[0] for s in usual.sessions if s.role == "query"}
+    assert seasons == {"summer", "winter"}
+    assert SimulateConfig.model_validate_json(usual.model_dump_json()) == usual
+
+
+def test_what_is_said_wins_over_the_usual() -> None:
+    said = SimulateConfig.load(
+        None, {"preset": "street", "sessions": ["snow-noon:street"], "frames": 4, "area": 200}
+    )
+    assert [s.condition for s in said.sessions] == ["snow-noon"]
+    assert (said.frames, said.area, said.sessions[0].camera) == (4, 200, None)
+    assert SimulateConfig.load(None, {"preset": "town"}).sessions[0].flight.kind == "nadir"
+
+
+def test_drives_see_all_surroundings_from_tracks_of_their_own(
+    usual: SimulateConfig,
+) -> None:
+    world = preset("street")(usual.seed, usual.area)
+    rng = np.random.default_rng(0)
+    map_left, map_right, query_left, _, winter_left, _ = (
+        plan_session(session, usual, usual.photo_camera(session), world, rng)
+        for session in usual.sessions
+    )
+    assert_allclose(camera_centres(map_left), camera_centres(map_right))
+    looks = (map_left[:, 2, :3] * map_right[:, 2, :3]).sum(1)
+    assert_allclose(looks, 0, atol=1e-9)  # a right angle between the cameras
+    for poses in (map_left, query_left, winter_left):
+        at = camera_centres(poses)
+        seen = [within(part.outline, at[:, :2]).mean() for part in world.surroundings]
+        assert min(seen) > 0.12
+        assert np.abs(at[:, :2]).max() <= 0.5 * usual.area - 25
+        height = at[:, 2] - world.terrain.height(*at[:, :2].T)
+        assert 1.5 <= height.min() <= height.max() <= 2.5
+    # Each query has a map photograph that looks where it looks, in a track beside its own.
+    for poses in (query_left, winter_left):
+        apart = np.linalg.norm(
+            camera_centres(poses)[:, None, :2] - camera_centres(map_left)[:, :2], axis=-1
+        )
+        alike = poses[:, 2, :3] @ map_left[:, 2, :3].T > np.cos(np.radians(20))
+        assert np.where(alike, apart, np.inf).min(1).max() < 12
+        assert apart.min() > 0.3
+
+
+@pytest.mark.slow
+def test_a_tree_from_one_command_is_localized_in(tmp_path: Path) -> None:
+    scene, results = tmp_path / "street", tmp_path / "results"
+    made = CliRunner().invoke(
+        app,
+        [
+            "simulate", "--preset", "street", "--seed", "1", "--area", "180", "--frames", "36",
+            "--size", "320", "--spp", "1", "--out", str(scene), "--export", "cmu",
+        ],
+    )  # fmt: skip
+    assert made.exit_code == 0, made.output
+    tree = tmp_path / "street-cmu"
+    names = [dataset.name for dataset in open_datasets(tree)]
+    assert names == ["cmu-urban-slice2", "cmu-suburban-slice9", "cmu-park-slice18"]
+    photograph = next((tree / "slice2" / "query").iterdir())
+    with Image.open(photograph) as picture:
+        assert picture.size == (320, 240)
+    ran = CliRunner().invoke(
+        app, ["evaluate", str(tree), "--method", "sift", "--out", str(results)]
+    )
+    assert ran.exit_code == 0, ran.output
+    summer = [
+        json.loads((results / name / "sift.json").read_text())["by_condition"]["2025-07-02"]
+        for name in names
+    ]
+    assert max(part["recall"]["5m_10deg"]["value"] for part in summer) > 50
