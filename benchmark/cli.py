@@ -157,6 +157,32 @@ def evaluate(
 
 
 @app.command()
+def submit(
+    path: Annotated[
+        Path, typer.Argument(metavar="CMU", help="Extended CMU Seasons, or one slice of it.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for submission.txt.")],
+    method: Annotated[str, typer.Option(metavar="METHOD", help="Localizer to run.")] = "sift",
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Write the poses of all query images as visuallocalization.net takes them.
+
+    Run again, it goes on after the last finished slice.
+    """
+    from baselines.registry import create
+    from benchmark.submission import SUBMISSION
+    from benchmark.submission import submit as run
+
+    found, images = run(path, create(method, _settings(overrides or [])), out, cache)
+    if as_json:
+        _print_json({"submission": str(out / SUBMISSION), "images": images, "found": found})
+    else:
+        print(f"{out / SUBMISSION}: {found} of {images} images found")
+
+
+@app.command()
 def score(
     poses: Annotated[
         Path, typer.Argument(metavar="POSES", help="Lines: name qw qx qy qz tx ty tz, as hloc's.")

@@ -32,6 +32,7 @@ class SessionConfig(Config):
         frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
         change: what stands elsewhere, is gone or is new since the place was built.
         camera: of this session's photographs; None takes the scene's.
+        name: of its folder; None is condition-flight-role.
     """
 
     condition: str
@@ -40,6 +41,7 @@ class SessionConfig(Config):
     frames: int | None = Field(None, ge=1)
     change: Change = Change()
     camera: CameraConfig | None = None
+    name: str | None = Field(None, pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")
 
     @field_validator("condition")
     @classmethod
@@ -113,9 +115,10 @@ def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionCo
             ),
             role=role,
             frames=None if role == "map" else 15,
-            camera=CameraConfig(preset=camera),
+            camera=CameraConfig(preset=f"cmu-{camera}"),
+            name=f"{condition}-{role}-{camera}",
         )
-        for yaw, camera in ((-45.0, "cmu-c0"), (45.0, "cmu-c1"))
+        for yaw, camera in ((-45.0, "c0"), (45.0, "c1"))
     )
 
 
@@ -220,6 +223,13 @@ class SimulateConfig(Config):
         return self
 
     @model_validator(mode="after")
+    def _names_differ(self) -> SimulateConfig:
+        names = self.session_names()
+        if len(set(names)) < len(names):
+            raise ValueError(f"two sessions have one name: {', '.join(names)}")
+        return self
+
+    @model_validator(mode="after")
     def _sun_rises(self) -> SimulateConfig:
         for session in self.sessions:
             condition(session.condition, self.origin)
@@ -244,11 +254,11 @@ class SimulateConfig(Config):
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
 
     def session_names(self) -> tuple[str, ...]:
-        """Folder names: condition-flight-role, numbered from the second of the same name."""
+        """Folder names, numbered from the second of the same name."""
         seen: dict[str, int] = {}
         names = []
         for session in self.sessions:
-            base = f"{session.condition}-{session.flight.kind}-{session.role}"
+            base = session.name or f"{session.condition}-{session.flight.kind}-{session.role}"
             seen[base] = seen.get(base, 0) + 1
             names.append(base if seen[base] == 1 else f"{base}-{seen[base]}")
         return tuple(names)
