@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,26 +54,27 @@ class Rises:
     """How far raised pavements stand above the ground."""
 
     def __init__(self, kerbs: Sequence[Kerb]) -> None:
-        self._pieces: list[tuple[Array, Array, float, float]] = []
+        """Every stretch between two pairs of points, with its first front corner as origin."""
+        joined = [np.stack([k.front[:-1], k.front[1:], k.back[:-1], k.back[1:]], 1) for k in kerbs]
+        corners = np.concatenate([np.empty((0, 4, 2)), *joined])
+        ends = [np.stack([k.rise[:-1], k.rise[1:]], 1) for k in kerbs]
+        self._rise = np.concatenate([np.empty((0, 2)), *ends])
+        self._origin = corners[:, 0]
+        along, across = corners[:, 1] - self._origin, corners[:, 2] - self._origin
+        self._into = np.linalg.inv(np.stack([along, across], 2))
         self._circles = CircleGrid()
-        for kerb in kerbs:
-            for k, j in pairwise(range(len(kerb.rise))):
-                corners = np.stack([kerb.front[k], kerb.front[j], kerb.back[k], kerb.back[j]])
-                middle = corners.mean(0)
-                radius = float(np.linalg.norm(corners - middle, axis=1).max())
-                self._circles.add(middle, radius)
-                across = kerb.back[k] - kerb.front[k]
-                along = kerb.front[j] - kerb.front[k]
-                into = np.linalg.inv(np.stack([along, across], 1))
-                self._pieces.append((kerb.front[k], into, kerb.rise[k], kerb.rise[j]))
+        middles = corners.mean(1)
+        reach = np.linalg.norm(corners - middles[:, None], axis=2).max(1, initial=0.0)
+        for middle, radius in zip(middles, reach.tolist(), strict=True):
+            self._circles.add(middle, radius)
 
     def at(self, point: Array) -> float:
         """Metres above the ground at a point (2,); 0 where no pavement is raised."""
         rise = 0.0
         for k in self._circles.near(point, 0.1):
-            corner, into, first, last = self._pieces[k]
-            t, s = into @ (point - corner)
+            t, s = self._into[k] @ (point - self._origin[k])
             if 0 <= t <= 1 and 0 <= s <= 1:
+                first, last = self._rise[k]
                 rise = max(rise, float(first + t * (last - first)))
         return rise
 
