@@ -390,6 +390,16 @@ def regress(
         raise typer.Exit(_REGRESSION)
 
 
+class ExportFormat(StrEnum):
+    """Programs that scenes are exported to."""
+
+    COLMAP = "colmap"
+    NERFSTUDIO = "nerfstudio"
+    TUM = "tum"
+    HLOC = "hloc"
+    CMU = "cmu"
+
+
 @app.command()
 def simulate(
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
@@ -413,14 +423,24 @@ def simulate(
     size: Annotated[int | None, typer.Option(help="Side of a photograph, pixels.")] = None,
     spp: Annotated[int | None, typer.Option(help="Rendering samples per pixel.")] = None,
     jobs: Annotated[int, typer.Option(help="Rendering processes.", min=1)] = 1,
+    file_format: Annotated[
+        ExportFormat | None,
+        typer.Option(
+            "--export",
+            help="Also build the map and export the scene to the folder SCENE-FORMAT beside it.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Render a scene; run again, it goes on where it was interrupted.
 
     An option that is left out takes its value from the configuration file, else its default.
     """
+    from scene.exports import export as write
+    from scene.exports import require_empty
     from simulate.command import simulate as run
     from simulate.config import SimulateConfig
+    from simulate.mapping import build_map as build
 
     settings = {
         "preset": preset,
@@ -431,11 +451,22 @@ def simulate(
         "size": size,
         "spp": spp,
     }
-    scene = run(SimulateConfig.load(config, settings), out, jobs)
+    wanted = SimulateConfig.load(config, settings)
+    target = None if file_format is None else out.with_name(f"{out.name}-{file_format.value}")
+    if target is not None:
+        require_empty(target)
+    scene = run(wanted, out, jobs)
+    summary: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
+    if target is not None and file_format is not None:
+        if not scene.map_path.is_dir():
+            build(out)
+        summary["export"] = write(out, file_format.value, target)["out"]
     if as_json:
-        _print_json({"scene": str(scene.path), "sessions": list(scene.sessions)})
+        _print_json(summary)
     else:
         print(f"{scene.path}: {', '.join(scene.sessions)}")
+        if target is not None:
+            print(f"exported to {target}")
 
 
 @app.command()
@@ -496,15 +527,6 @@ def build_map(
         print(report.text())
 
 
-class ExportFormat(StrEnum):
-    """Programs that scenes are exported to."""
-
-    COLMAP = "colmap"
-    NERFSTUDIO = "nerfstudio"
-    TUM = "tum"
-    HLOC = "hloc"
-
-
 @app.command()
 def export(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to export.")],
@@ -514,7 +536,8 @@ def export(
             "--format",
             help="colmap: a model of all poses, with the map's points. nerfstudio: "
             "transforms.json. tum: a trajectory per session. hloc: query list with intrinsics, "
-            "and pair lists from the covisibility.",
+            "and pair lists from the covisibility. cmu: the tree of Extended CMU Seasons, with the "
+            "photographs; a slice each for the urban, suburban and park part of --preset street.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder.")],
