@@ -277,10 +277,12 @@ def simulate(
     session: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="CONDITION:FLIGHT[:ROLE]",
+            metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
             help="A flight under a condition, as winter-dusk:oblique; repeat for several. FLIGHT "
             "is nadir, grid, oblique, corridor, free, street or plan=FILE (QGroundControl's). ROLE "
-            "is map or query; left out, the first flight builds the map, the others are queries.",
+            "is map or query; left out, the first flight builds the map, the others are queries. "
+            "CHANGE is what is no longer as the place was built, as "
+            "cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Photographs per session.")] = None,
@@ -310,6 +312,37 @@ def simulate(
         _print_json({"scene": str(scene.path), "sessions": list(scene.sessions)})
     else:
         print(f"{scene.path}: {', '.join(scene.sessions)}")
+
+
+@app.command()
+def gallery(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for gallery.md and gallery/, its pictures.")
+    ],
+    preset: Annotated[
+        str | None, typer.Option(help="Kind of place to show under every condition.")
+    ] = None,
+    condition: Annotated[
+        str, typer.Option(metavar="SEASON-LIGHT[-WEATHER]", help="To show every kind of place in.")
+    ] = "summer-noon",
+    seed: Annotated[int | None, typer.Option(help="Of the places.")] = None,
+    area: Annotated[float | None, typer.Option(help="Side of the places, metres.")] = None,
+    size: Annotated[int, typer.Option(help="Side of a photograph, pixels.")] = 240,
+    spp: Annotated[int | None, typer.Option(help="Rendering samples per pixel.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Render a page of pictures: every kind of place, and one place in every season, light and
+    weather. Run again, it goes on where it was interrupted.
+    """
+    from simulate.config import SimulateConfig
+    from simulate.gallery import gallery as run
+
+    settings = {"preset": preset, "seed": seed, "area": area, "size": size, "spp": spp}
+    page = run(SimulateConfig.load(None, settings), out, condition)
+    if as_json:
+        _print_json({"page": str(page)})
+    else:
+        print(page)
 
 
 @app.command()

@@ -13,6 +13,7 @@ from scene.colmap import PosedImage
 from scene.manifest import SceneObject
 from scene.pose import Pose
 from scene.sparse_map import SparseMap
+from simulate.class_spread import KindShare
 
 # A point belongs to the object whose box, grown by this much, holds it: triangulation is not exact.
 _MARGIN_M = 0.25
@@ -42,6 +43,7 @@ class MapReport:
         rotation_rms_deg: of the rotations from the truth.
         rotation_max_deg: the worst.
         objects: by size class, of those seen in the map's photographs.
+        spread: over kinds of surfaces.
     """
 
     images: int
@@ -54,6 +56,7 @@ class MapReport:
     rotation_rms_deg: float
     rotation_max_deg: float
     objects: Mapping[str, ObjectCoverage]
+    spread: Mapping[str, KindShare]
 
     def as_dict(self) -> dict[str, Any]:
         """For a program."""
@@ -73,6 +76,11 @@ class MapReport:
             f"{name} objects: {c.with_points} of {c.seen} seen have a point, {c.points} points"
             for name, c in self.objects.items()
         ]
+        lines += [
+            f"{name}: {s.pixels:.1%} of pixels, {s.keypoints:.1%} of keypoints, "
+            f"{s.points:.1%} of points"
+            for name, s in self.spread.items()
+        ]
         return "\n".join(lines)
 
 
@@ -81,6 +89,7 @@ def report(
     truth: Sequence[PosedImage],
     objects: Sequence[SceneObject],
     seen: set[int],
+    spread: Mapping[str, KindShare],
 ) -> MapReport:
     """Measure a map.
 
@@ -89,6 +98,7 @@ def report(
         truth: every photograph given, with its exact pose.
         objects: of the scene.
         seen: identifiers of the objects in the photographs.
+        spread: see ``simulate.class_spread``.
     """
     mapped = [image for image in truth if image.name in sparse_map.images]
     estimated = np.stack([sparse_map.images[image.name].cam_from_world for image in mapped])
@@ -105,6 +115,7 @@ def report(
         rotation_rms_deg=_rms(degrees.numpy()),
         rotation_max_deg=float(degrees.max()),
         objects=_coverage(sparse_map.xyz, [item for item in objects if item.id in seen]),
+        spread=spread,
     )
 
 

@@ -14,6 +14,7 @@ from scene.errors import InputError
 from scene.features import write_features
 from scene.files import folder_written_whole
 from scene.progress import progress_bar
+from simulate.class_spread import class_spread
 from simulate.map_report import MapReport, report
 from simulate.pictures import draw_pictures
 
@@ -62,7 +63,8 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
         )
         write_features(folder / FEATURES, features)
     draw_pictures(finish(path, scene.manifest))
-    return report(sparse_map, images, scene.objects.objects, seen)
+    spread = class_spread(scene, sparse_map, features)
+    return report(sparse_map, images, scene.objects.objects, seen, spread)
 
 
 def choose_pairs(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from scene.errors import InputError
 from scene.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
 from simulate.flight.flights import plan_oblique
-from simulate.gallery import main
 from simulate.look import ground
 from simulate.look.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
 from simulate.look.sun import sun_position
@@ -124,16 +122,3 @@ def test_season_light_and_weather_move_nothing(tmp_path: Path) -> None:
     contrast = [np.abs(np.diff(c["rgb"].astype(float), axis=0, append=0)) for c in (summer, fog)]
     kept = [contrast[1][part].mean() / contrast[0][part].mean() for part in (near, far)]
     assert kept[1] < 0.8 * kept[0] < 0.8
-
-
-def test_gallery(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = tmp_path / "config.yaml"
-    config.write_text("{seed: 5, area: 120, size: 64, spp: 1}")
-    out = tmp_path / "pictures" / "conditions.png"
-    where = ["--config", str(config), "--out", str(out)]
-    assert main([*where, "summer-noon", "summer-moon"]) == 2
-    assert "choose one of morning" in capsys.readouterr().err
-    assert main([*where, "summer-noon", "winter-dusk"]) == 0
-    with Image.open(out) as picture:
-        assert picture.size[0] > picture.size[1] > 200
-        assert np.asarray(picture.convert("RGB")).std() > 30
