@@ -126,6 +126,7 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
         BenchmarkQuery(
             name=name,
             condition=condition(name),
+            group=f"{folder.name} {condition(name)}",
             camera=cameras[_matched(name).group(2)],
             image=folder / "query" / name,
             prior=None,
