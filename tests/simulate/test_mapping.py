@@ -12,6 +12,7 @@ from scene.bundle import Scene
 from scene.errors import InputError
 from scene.features import read_features
 from scene.manifest import SceneObject
+from simulate.class_spread import class_spread
 from simulate.map_report import points_inside
 from simulate.mapping import FEATURES, build_map, choose_pairs
 
@@ -98,6 +99,32 @@ def test_report_of_a_triangulated_map(rendered_copy: Path) -> None:
         assert coverage.with_points <= min(coverage.seen, coverage.points)
     assert report.objects["medium"].points > 20
     assert f"{report.points} points" in report.text()
+
+
+def test_keypoints_spread_over_surfaces_as_pixels_do(rendered: Scene) -> None:
+    features = read_features(rendered.map_path / FEATURES)
+    spread = class_spread(rendered, rendered.sparse_map(), features)
+    for share in ("pixels", "keypoints", "points"):
+        assert sum(getattr(s, share) for s in spread.values()) == pytest.approx(1)
+    for kind in ("ground", "buildings", "vegetation"):
+        assert 0.5 < spread[kind].keypoints / spread[kind].pixels < 2, (kind, spread[kind])
+    assert spread["buildings"].points > 0
+
+
+def test_shares_are_of_what_the_pixels_show(rendered: Scene) -> None:
+    """Buildings counted by instance instead of by label, keypoint by keypoint."""
+    features = read_features(rendered.map_path / FEATURES)
+    spread = class_spread(rendered, rendered.sparse_map(), features)
+    built = [o.id for o in rendered.objects.objects if o.class_name == "building"]
+    pixels, keypoints = [], []
+    session = "summer-noon-nadir-map"
+    with rendered.dense(session) as dense:
+        for k, name in enumerate(rendered.frames(session).names):
+            instance = dense.read("instance", k)
+            pixels.append(np.isin(instance, built).mean())
+            keypoints += [instance[int(y), int(x)] in built for x, y in features[name].xy]
+    assert spread["buildings"].pixels == pytest.approx(np.mean(pixels))
+    assert spread["buildings"].keypoints == pytest.approx(np.mean(keypoints))
 
 
 def test_points_inside_an_oriented_box() -> None:
