@@ -154,7 +154,9 @@ def _wear(rng: np.random.Generator, ground: Ground) -> NDArray[np.float32]:
             course = np.cumsum(np.radians(angle) + rng.normal(0, 0.5, 9))
             steps = 0.35 * size[0] * np.column_stack([np.cos(course), np.sin(course)])
             crack = [np.int32((np.cumsum(steps, 0) + at) * (1 << SHIFT))]
-            cv2.polylines(wear, crack, False, rng.uniform(0.55, 0.8), 1, cv2.LINE_AA, SHIFT)
+            # A line of one texel: fainter where texels are wider than cracks.
+            dark = rng.uniform(0.2, 0.45) * min(1.0, 0.1 / ground.texel_m)
+            cv2.polylines(wear, crack, False, 1 - dark, 1, cv2.LINE_AA, SHIFT)
         elif kind < 0.55:  # a patch of newer or older asphalt
             box = cv2.boxPoints((at, (float(size[0]), float(0.5 * size[1])), angle))
             cv2.fillPoly(wear, [box.astype(np.int32)], rng.uniform(0.72, 1.22))
