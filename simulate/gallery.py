@@ -29,8 +29,9 @@ from simulate.render.pool import RenderError, render
 
 PAGE, PICTURES = "gallery.md", "gallery"
 _RENDERED = ".gallery-rendered"
-# From the air, from above, and from the street: what differs between places shows in each.
-_VIEWS = (ObliqueFlight(), NadirFlight(), StreetFlight(yaws_deg=(20,)))
+# From an orbit, from above and from the street, each with the exposures one is chosen from.
+_VIEWS = ((ObliqueFlight(), 1), (NadirFlight(), 1), (StreetFlight(yaws_deg=(15,)), 40))
+_AHEAD_M = 40.0  # what lies there is in the middle of a picture from the street
 _INCH = 100  # pixels of a picture's inch
 _JPEG_QUALITY = 82
 
@@ -96,7 +97,7 @@ def _of_place(config: SimulateConfig, name: str, world: World, shown_in: str) ->
     config = config.model_copy(update={"preset": name})
     job = _job(config, shown_in, world, len(_VIEWS))
     shots = tuple((job, k) for k in range(len(_VIEWS)))
-    return _Picture(name, (name,), tuple(view.kind for view in _VIEWS), shots)
+    return _Picture(name, (name,), tuple(view.kind for view, _ in _VIEWS), shots)
 
 
 def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Picture]:
@@ -114,10 +115,13 @@ def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> Ren
     """The first views of a place under a condition."""
     camera = config.photo_camera()
     poses = []
-    for view in _VIEWS[:views]:
-        session = SessionConfig(condition=shown_in, flight=view, role="query", frames=1)
+    for view, frames in _VIEWS[:views]:
+        session = SessionConfig(condition=shown_in, flight=view, role="query", frames=frames)
         rng = np.random.default_rng(config.seed)
-        pose = plan_session(session, config, camera, world, rng)
+        planned = plan_session(session, config, camera, world, rng)
+        # The photograph of the place's middle, or what comes nearest to one.
+        middle = planned[:, :3, 3] - [0, 0, _AHEAD_M]  # as the camera sees it
+        pose = planned[[np.linalg.norm(middle, axis=1).argmin()]]
         check_flight(f"{config.preset} {view.kind}", pose, camera, world)
         poses.append(pose)
     return render_job(config, session, np.concatenate(poses))
