@@ -157,6 +157,32 @@ def evaluate(
 
 
 @app.command()
+def submit(
+    path: Annotated[
+        Path, typer.Argument(metavar="CMU", help="Extended CMU Seasons, or one slice of it.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for submission.txt.")],
+    method: Annotated[str, typer.Option(metavar="METHOD", help="Localizer to run.")] = "sift",
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Write the poses of all query images as visuallocalization.net takes them.
+
+    Run again, it goes on after the last finished slice.
+    """
+    from baselines.registry import create
+    from benchmark.submission import SUBMISSION
+    from benchmark.submission import submit as run
+
+    found, images = run(path, create(method, _settings(overrides or [])), out, cache)
+    if as_json:
+        _print_json({"submission": str(out / SUBMISSION), "images": images, "found": found})
+    else:
+        print(f"{out / SUBMISSION}: {found} of {images} images found")
+
+
+@app.command()
 def score(
     poses: Annotated[
         Path, typer.Argument(metavar="POSES", help="Lines: name qw qx qy qz tx ty tz, as hloc's.")
@@ -306,6 +332,16 @@ def regress(
         raise typer.Exit(_REGRESSION)
 
 
+class ExportFormat(StrEnum):
+    """Programs that scenes are exported to."""
+
+    COLMAP = "colmap"
+    NERFSTUDIO = "nerfstudio"
+    TUM = "tum"
+    HLOC = "hloc"
+    CMU = "cmu"
+
+
 @app.command()
 def simulate(
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
@@ -331,14 +367,24 @@ def simulate(
     size: Annotated[int | None, typer.Option(help="Side of a photograph, pixels.")] = None,
     spp: Annotated[int | None, typer.Option(help="Rendering samples per pixel.")] = None,
     jobs: Annotated[int, typer.Option(help="Rendering processes.", min=1)] = 1,
+    file_format: Annotated[
+        ExportFormat | None,
+        typer.Option(
+            "--export",
+            help="Also build the map and export the scene to the folder SCENE-FORMAT beside it.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Render a scene; run again, it goes on where it was interrupted.
 
     An option that is left out takes its value from the configuration file, else its default.
     """
+    from scene.exports import export as write
+    from scene.exports import require_empty
     from simulate.command import simulate as run
     from simulate.config import SimulateConfig
+    from simulate.mapping import build_map as build
 
     settings = {
         "preset": preset,
@@ -349,11 +395,22 @@ def simulate(
         "size": size,
         "spp": spp,
     }
-    scene = run(SimulateConfig.load(config, settings), out, jobs)
+    wanted = SimulateConfig.load(config, settings)
+    target = None if file_format is None else out.with_name(f"{out.name}-{file_format.value}")
+    if target is not None:
+        require_empty(target)
+    scene = run(wanted, out, jobs)
+    summary: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
+    if target is not None and file_format is not None:
+        if not scene.map_path.is_dir():
+            build(out)
+        summary["export"] = write(out, file_format.value, target)["out"]
     if as_json:
-        _print_json({"scene": str(scene.path), "sessions": list(scene.sessions)})
+        _print_json(summary)
     else:
         print(f"{scene.path}: {', '.join(scene.sessions)}")
+        if target is not None:
+            print(f"exported to {target}")
 
 
 @app.command()
@@ -445,15 +502,6 @@ def build_map(
         print(report.text())
 
 
-class ExportFormat(StrEnum):
-    """Programs that scenes are exported to."""
-
-    COLMAP = "colmap"
-    NERFSTUDIO = "nerfstudio"
-    TUM = "tum"
-    HLOC = "hloc"
-
-
 @app.command()
 def export(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to export.")],
@@ -463,7 +511,8 @@ def export(
             "--format",
             help="colmap: a model of all poses, with the map's points. nerfstudio: "
             "transforms.json. tum: a trajectory per session. hloc: query list with intrinsics, "
-            "and pair lists from the covisibility.",
+            "and pair lists from the covisibility. cmu: the tree of Extended CMU Seasons, with the "
+            "photographs; a slice each for the urban, suburban and park part of --preset street.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder.")],

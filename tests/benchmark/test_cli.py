@@ -343,6 +343,19 @@ def test_simulate_hands_over_what_was_given(
     ]
 
 
+def test_simulate_exports_only_where_there_is_room(tmp_path: Path) -> None:
+    """And says so before it renders anything."""
+    kept = tmp_path / "scene-cmu" / "mine.txt"
+    kept.parent.mkdir()
+    kept.write_text("mine")
+    words = ["--preset", "street", "--out", tmp_path / "scene", "--export", "cmu"]
+    result = invoke("simulate", *words)
+    assert result.exit_code == 2
+    assert "scene-cmu is not empty: choose another folder" in result.stderr
+    assert not (tmp_path / "scene").exists()
+    assert kept.read_text() == "mine"
+
+
 @pytest.mark.parametrize(
     "words", [["--preset", "moon"], ["--session", "summer-noon"], ["--session", "rain:nadir"]]
 )

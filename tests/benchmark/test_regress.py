@@ -68,6 +68,13 @@ def test_queries_that_vanished_are_losses(baseline: Path, tmp_path: Path) -> Non
     assert "10 lost and 0 won of 100" in answer.stdout
 
 
+def test_one_query_that_vanished_is_no_chance(baseline: Path, tmp_path: Path) -> None:
+    write(tmp_path / "new", {n: e for n, e in GOOD.items() if n != "s3"})
+    answer = regress(tmp_path / "new", baseline)
+    assert answer.exit_code == 1
+    assert "1 queries vanished" in answer.stdout
+
+
 def test_a_drop_in_one_condition_alone_is_caught(baseline: Path, tmp_path: Path) -> None:
     """Eight of fifty winter queries, and as many gained nowhere."""
     lost = {f"w{k}": 0.3 for k in range(8)}
