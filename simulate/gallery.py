@@ -54,8 +54,8 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     weather come in by themselves.
 
     Args:
-        config: seed, area, camera and samples of all pictures, and the place shown under every
-            condition; its sessions are not used.
+        config: seed, least area, camera and samples of all pictures, and the place shown under
+            every condition; its sessions are not used.
         out: folder of ``gallery.md`` and of ``gallery/``, its pictures.
         shown_in: condition of the pictures of every place.
 
@@ -68,9 +68,13 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     """
     shown_in = condition(shown_in, config.origin).name
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
-    places = {name: preset(name)(config.seed, config.area) for name in PLANS}
-    kinds = [_of_place(config, name, world, shown_in) for name, world in places.items()]
-    light, weather = _of_conditions(config, places[config.preset])
+    configs = {
+        name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
+        for name, plan in PLANS.items()
+    }
+    places = {name: preset(name)(config.seed, own.area) for name, own in configs.items()}
+    kinds = [_of_place(configs[name], world, shown_in) for name, world in places.items()]
+    light, weather = _of_conditions(configs[config.preset], places[config.preset])
     pictures = [*kinds, light, weather]
     rendered = out / _RENDERED
     jobs = {_folder(job): job for picture in pictures for job, _ in picture.shots}
@@ -92,9 +96,9 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     return out / PAGE
 
 
-def _of_place(config: SimulateConfig, name: str, world: World, shown_in: str) -> _Picture:
+def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
     """A place from every view."""
-    config = config.model_copy(update={"preset": name})
+    name = config.preset
     job = _job(config, shown_in, world, len(_VIEWS))
     shots = tuple((job, k) for k in range(len(_VIEWS)))
     return _Picture(name, (name,), tuple(view.kind for view, _ in _VIEWS), shots)
@@ -181,7 +185,8 @@ objconnect gallery --out {out} --preset {config.preset} --condition {shown_in} \
 
 ## Places in {shown_in}
 
-Seed {config.seed}, {config.area:g} m a side: from an orbit, from above and from the street.
+Seed {config.seed}, {config.area:g} m a side or the least a place needs: from an orbit, from above
+and from the street.
 {kinds}
 
 ## Conditions over {config.preset}

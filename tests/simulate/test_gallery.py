@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +25,29 @@ from tests.benchmark.test_cli import error_line, invoke
 SMALL = SimulateConfig(seed=5, area=120, size=64, spp=1)
 
 
-def keep(monkeypatch: pytest.MonkeyPatch, registry: dict[str, Any], *names: str) -> None:
+@pytest.fixture(autouse=True)
+def restored() -> Iterator[None]:
+    """The registries, whose order is part of messages, are afterwards what they were."""
+    registries: tuple[dict[str, Any], ...] = (PLANS, SEASONS, LIGHTS, WEATHER)
+    before = [dict(registry) for registry in registries]
+    yield
+    for registry, entries in zip(registries, before, strict=True):
+        registry.clear()
+        registry.update(entries)
+
+
+def keep(registry: dict[str, Any], *names: str) -> None:
     for name in registry.keys() - set(names):
-        monkeypatch.delitem(registry, name)
+        del registry[name]
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def few() -> None:
     """Registries of one place, two seasons, one light, two kinds of weather."""
-    keep(monkeypatch, PLANS, "town")
-    keep(monkeypatch, SEASONS, "summer", "snow")
-    keep(monkeypatch, LIGHTS, "noon")
-    keep(monkeypatch, WEATHER, "clear", "fog")
+    keep(PLANS, "town")
+    keep(SEASONS, "summer", "snow")
+    keep(LIGHTS, "noon")
+    keep(WEATHER, "clear", "fog")
 
 
 def shade(job: RenderJob) -> int:
@@ -70,11 +81,11 @@ def linked(page: Path) -> list[NDArray[np.uint8]]:
 
 
 def test_new_places_and_conditions_come_in_by_themselves(
-    few: None, rendered: list[RenderJob], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    few: None, rendered: list[RenderJob], tmp_path: Path
 ) -> None:
-    monkeypatch.setitem(PLANS, "hamlet", PLANS["town"])
-    monkeypatch.setitem(SEASONS, "monsoon", SEASONS["summer"])
-    monkeypatch.setitem(WEATHER, "smog", WEATHER["fog"])
+    PLANS["hamlet"] = PLANS["town"]
+    SEASONS["monsoon"] = SEASONS["summer"]
+    WEATHER["smog"] = WEATHER["fog"]
     page = gallery(SMALL, tmp_path)
     assert "### hamlet" in page.read_text()
     assert {job.preset for job in rendered} == {"town", "hamlet"}
