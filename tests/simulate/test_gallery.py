@@ -16,7 +16,7 @@ from scene.errors import InputError
 from scene.images import read_rgb
 from simulate.config import SimulateConfig
 from simulate.gallery import gallery
-from simulate.look.conditions import LIGHTS, SEASONS, WEATHER
+from simulate.look.conditions import LIGHTS, SEASONS, WEATHER, condition
 from simulate.place.presets import PLANS
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError
@@ -34,6 +34,7 @@ def restored() -> Iterator[None]:
     for registry, entries in zip(registries, before, strict=True):
         registry.clear()
         registry.update(entries)
+    condition.cache_clear()
 
 
 def keep(registry: dict[str, Any], *names: str) -> None:
