@@ -44,7 +44,7 @@ def keep(registry: dict[str, Any], *names: str) -> None:
 
 @pytest.fixture
 def few() -> None:
-    """Registries of one place, two seasons, lights and kinds of weather, which default sessions need."""
+    """Registries of one place and two seasons, lights and weathers: default sessions need them."""
     keep(PLANS, "town")
     keep(SEASONS, "summer", "winter")
     keep(LIGHTS, "noon", "dusk")
