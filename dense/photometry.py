@@ -125,12 +125,13 @@ class Photometry:
             columns = step * (along_x * (2 / size)) + (centre * (2 / size) - 1)
             rows = step * (along_y * (2 / size))
             torch.add(rows[:, None], columns[None], out=grid[..., axis])
+        # As a batch: torch spreads batches over the cores, single pictures it does not.
         grey = grid_sample(
-            self._sources[k],
-            grid.view(1, side * side, -1, 2),
+            self._sources[k].expand(side, -1, -1, -1),
+            grid,
             padding_mode="border",
             align_corners=False,
-        )[0, 0]
+        ).view(side * side, -1)
         weighted = window.weights * grey
         mean = weighted.sum(0)
         variance = weighted.mul_(grey).sum(0) - mean * mean

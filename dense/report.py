@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dense.workspace import Workspace
 from scene.bundle import Scene
 from scene.camera import Camera
+from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
 
 WITHIN = 0.005
@@ -37,7 +38,7 @@ class Truth:
 
     depth: NDArray[np.float32]
     instance: NDArray[np.uint16]
-    views: NDArray[np.int64]
+    views: NDArray[np.int16]
 
     @property
     def judged(self) -> NDArray[np.bool_]:
@@ -54,14 +55,14 @@ class Accuracy:
         complete: share of them with any depth.
         right: share of them with a depth within 0.5 % of the truth.
         right_of_complete: the same of those with a depth.
-        median_error: relative, of those with a depth.
+        median_error: relative, of those with a depth; None where there are none.
     """
 
     pixels: int
     complete: float
     right: float
     right_of_complete: float
-    median_error: float
+    median_error: float | None
 
 
 @dataclass(frozen=True)
@@ -97,10 +98,11 @@ class DenseReport:
         if self.accuracy:
             lines.append(f"of pixels seen by {_VIEWS} or more photographs:")
         for name, a in self.accuracy.items():
+            middle = "" if a.median_error is None else f"median {a.median_error:.2%}, "
             lines.append(
                 f"  {name:<7} {a.right:6.1%} within {WITHIN:.1%} of the true depth "
                 f"({a.right_of_complete:.1%} of the {a.complete:.1%} that have one), "
-                f"median {a.median_error:.2%}, {a.pixels} pixels"
+                f"{middle}{a.pixels} pixels"
             )
         return "\n".join(lines)
 
@@ -120,10 +122,13 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> dict[str, Truth]:
                     sampled[name] = depth[at], instance[at]
     images = [sparse_map.images[name] for name in sampled]
     depths = {name: depth for name, (depth, _) in sampled.items()}
-    return {
-        name: Truth(depth, instance, _views(sparse_map.images[name], images, depths))
-        for name, (depth, instance) in sampled.items()
-    }
+    truth = {}
+    with progress_bar("truth", len(sampled)) as advance:
+        for name, (depth, instance) in sampled.items():
+            views = _views(sparse_map.images[name], images, depths)
+            truth[name] = Truth(depth, instance, views)
+            advance(len(truth))
+    return truth
 
 
 def _nearest(camera: Camera, pinhole: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -135,11 +140,11 @@ def _nearest(camera: Camera, pinhole: Camera) -> tuple[NDArray[np.int64], NDArra
 
 def _views(
     image: MapImage, others: Sequence[MapImage], depths: Mapping[str, NDArray[np.float32]]
-) -> NDArray[np.int64]:
+) -> NDArray[np.int16]:
     depth = torch.from_numpy(depths[image.name]).double()
     rays, _ = image.camera.unproject(image.camera.pixel_grid())
     world = image.pose.inverse().transform((rays * depth[..., None]).reshape(-1, 3))
-    count = torch.zeros(len(world), dtype=torch.int64)
+    count = torch.zeros(len(world), dtype=torch.int16)
     for other in others:
         local = other.pose.transform(world)
         seen = other.camera.project(local)
@@ -214,5 +219,5 @@ def _accuracy(error: NDArray[np.float64]) -> Accuracy:
         complete=len(known) / len(error),
         right=right / len(error),
         right_of_complete=right / max(len(known), 1),
-        median_error=float(np.median(known)) if len(known) else 1.0,
+        median_error=float(np.median(known)) if len(known) else None,
     )
