@@ -6,10 +6,11 @@ Written for pycolmap 4.2.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pycolmap
@@ -20,6 +21,7 @@ from scene.camera import Camera
 from scene.colmap_files import read_model
 from scene.errors import InputError
 from scene.features import Features, unit_descriptors
+from scene.files import written_whole
 from scene.images import check_photographs
 from scene.matching import match
 from scene.pose import Pose, transform_jacobian
@@ -53,6 +55,7 @@ _LEAST_SIGMA = 1e-3
 pycolmap.logging.minloglevel = pycolmap.logging.ERROR
 
 Progress = Callable[[int], None]
+Mapper = Literal["incremental", "global"]
 
 
 def read_map(folder: Path) -> SparseMap:
@@ -306,17 +309,22 @@ def triangulate(
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
         database = Path(scratch) / "database.db"
         posed, features = _match_all(root, images, pairs, database, options, on_progress)
-        pipeline = _pipeline_options()
-        result = pycolmap.triangulate_points(
-            posed, database, root, out, clear_points=True, options=pipeline
+        return _triangulate(posed, database, root, out), features
+
+
+def _triangulate(
+    posed: pycolmap.Reconstruction, database: Path, root: Path, out: Path
+) -> SparseMap:
+    result = pycolmap.triangulate_points(
+        posed, database, root, out, clear_points=True, options=_pipeline_options()
+    )
+    if not result.num_points3D():
+        raise InputError(
+            f"no point could be triangulated from the {posed.num_images()} images of {root}: "
+            "they need overlap and texture"
         )
-        if not result.num_points3D():
-            raise InputError(
-                f"no point could be triangulated from the {len(images)} images of {root}: "
-                "they need overlap and texture"
-            )
-        result.write(out)
-    return read_map(out), features
+    result.write(out)
+    return read_map(out)
 
 
 def reconstruct(
@@ -379,6 +387,236 @@ def reconstruct(
     return read_map(out), features
 
 
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph whose pose nobody knows: what structure from motion of a flight starts from.
+
+    Attributes:
+        name: path relative to the folder of all images.
+        camera: its calibration, or a first guess of it.
+        lens: photographs of one lens share one camera, and it is refined from all of them.
+        calibrated: the camera is right, and stays as it is.
+        focal_known: the guess of the focal length was measured, as EXIF says it.
+    """
+
+    name: str
+    camera: Camera
+    lens: str
+    calibrated: bool = False
+    focal_known: bool = False
+
+
+def match_photographs(
+    root: Path,
+    photographs: Sequence[Photograph],
+    pairs: Sequence[tuple[str, str]],
+    database: Path,
+    options: SiftOptions,
+    on_progress: Progress | None = None,
+) -> None:
+    """Fill ``database`` with features and verified matches; goes on with what an interrupted call
+    of the same arguments left in it.
+
+    Args:
+        root: folder the names are relative to.
+        photographs: all of them, whole files of the size of their cameras.
+        pairs: names to match.
+        database: file, new or left by an interrupted call.
+        options: of the detector.
+        on_progress: called with the number of photographs and pairs done.
+
+    Raises:
+        InputError: a photograph is missing or damaged, or the file cannot be written.
+    """
+    ids = _photograph_ids(photographs)
+    if not database.is_file():
+        numbers = _lens_ids(photographs)
+        cameras = {p.lens: _native_camera(p.camera, numbers[p.lens]) for p in photographs}
+        for photograph in photographs:
+            cameras[photograph.lens].has_prior_focal_length = photograph.focal_known
+        model = _empty_model(cameras.values())
+        for name, photograph in zip(ids, photographs, strict=True):
+            native = pycolmap.Image(
+                name=name, camera_id=numbers[photograph.lens], image_id=ids[name]
+            )
+            model.add_image_with_trivial_frame(native)
+        _write_database(database, model)
+    _fill_database(database, root, ids, pairs, options, on_progress)
+
+
+def map_photographs(
+    root: Path,
+    photographs: Sequence[Photograph],
+    database: Path,
+    out: Path,
+    mapper: Mapper,
+    on_progress: Progress | None = None,
+) -> list[Path]:
+    """Structure from motion, poses and calibration unknown.
+
+    Args:
+        root: folder the names are relative to.
+        photographs: of ``database``.
+        database: filled by ``match_photographs``.
+        out: existing folder for the models.
+        mapper: "incremental" (one photograph after the other) or "global" (all at once).
+        on_progress: called with the number of photographs registered; never by the global mapper.
+
+    Returns:
+        Folders of the models, each in a frame and scale of its own, those of most photographs
+        first. Photographs that do not hang together are in several models, or in none.
+    """
+    numbers = _lens_ids(photographs)
+    fixed = {numbers[p.lens] for p in photographs if p.calibrated}
+    # A focal length refined early, from few photographs, may lead the whole model astray.
+    refine_focal = not all(p.focal_known for p in photographs)
+    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
+        if mapper == "global":
+            pipeline = _global_options()
+            adjustment = pipeline.mapper.bundle_adjustment
+            adjustment.refine_focal_length = refine_focal
+            adjustment.refine_extra_params = len(fixed) < len(numbers)
+            models = pycolmap.global_mapping(database, root, scratch, pipeline)
+        else:
+            pipeline = _pipeline_options()
+            pipeline.ba_refine_focal_length = refine_focal
+            pipeline.mapper.abs_pose_refine_focal_length = refine_focal
+            pipeline.ba_refine_extra_params = True
+            pipeline.constant_cameras = pipeline.mapper.constant_cameras = fixed
+            pipeline.min_model_size = _ALIGNABLE
+            models = _map_incrementally(database, root, Path(scratch), pipeline, on_progress)
+    ordered = sorted(models.values(), key=lambda m: -m.num_reg_images())
+    folders = [out / str(k) for k in range(len(ordered))]
+    for model, folder in zip(ordered, folders, strict=True):
+        folder.mkdir()
+        model.write(folder)
+    return folders
+
+
+def _map_incrementally(
+    database: Path,
+    root: Path,
+    scratch: Path,
+    pipeline: pycolmap.IncrementalPipelineOptions,
+    on_progress: Progress | None,
+) -> dict[int, pycolmap.Reconstruction]:
+    registered = 0
+
+    def on_image(number: int) -> None:
+        nonlocal registered
+        registered += number
+        if on_progress is not None:
+            on_progress(registered)
+
+    return dict(
+        pycolmap.incremental_mapping(
+            database,
+            root,
+            scratch,
+            pipeline,
+            initial_image_pair_callback=lambda: on_image(2),
+            next_image_callback=lambda: on_image(1),
+        )
+    )
+
+
+def _global_options() -> pycolmap.GlobalPipelineOptions:
+    pipeline = pycolmap.GlobalPipelineOptions()
+    pipeline.random_seed = pipeline.mapper.random_seed = _SEED
+    pipeline.mapper.rotation_averaging.random_seed = _SEED
+    pipeline.mapper.global_positioning.random_seed = _SEED
+    pipeline.mapper.retriangulation.random_seed = _SEED
+    pipeline.num_threads = pipeline.mapper.num_threads = 1
+    pipeline.mapper.global_positioning.use_gpu = False
+    pipeline.mapper.bundle_adjustment.ceres.use_gpu = False
+    return pipeline
+
+
+def adjust_to_positions(
+    model: Path,
+    photographs: Sequence[Photograph],
+    world_from_model: NDArray[np.float64],
+    positions: Mapping[str, NDArray[np.float64]],
+    sigma: NDArray[np.float64],
+    refine_focal: bool,
+    out: Path,
+) -> SparseMap:
+    """Move a model into the world, then adjust poses, points and lenses to the pixels and to
+    measured positions together, with a robust loss on the positions.
+
+    Args:
+        model: folder of ``map_photographs``.
+        photographs: of the model, and others.
+        world_from_model: (3, 4) similarity, scale times rotation and translation.
+        positions: (3,) measured camera centres by name, world metres.
+        sigma: (3,) their standard deviation per axis, metres.
+        refine_focal: whether focal lengths are adjusted too, of lenses that are not calibrated.
+        out: existing folder for the adjusted model.
+    """
+    native = pycolmap.Reconstruction(model)
+    native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in native.reg_image_ids():
+        config.add_image(image_id)
+    numbers = _lens_ids(photographs)
+    for number in sorted({numbers[p.lens] for p in photographs if p.calibrated}):
+        config.set_constant_cam_intrinsics(number)
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = refine_focal
+    options.ceres.solver_options.num_threads = 1
+    with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
+    with_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    with_priors.alignment_ransac.random_seed = _SEED
+    priors = [
+        pycolmap.PosePrior(
+            corr_data_id=image.data_id,
+            position=positions[image.name],
+            position_covariance=np.diag(sigma**2),
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+        )
+        for image in native.images.values()
+        if image.name in positions
+    ]
+    pycolmap.create_pose_prior_bundle_adjuster(options, with_priors, config, priors, native).solve()
+    native.update_point_3d_errors()
+    native.write(out)
+    return read_map(out)
+
+
+def triangulate_matched(
+    root: Path, images: Sequence[PosedImage], database: Path, out: Path
+) -> tuple[SparseMap, dict[str, Features]]:
+    """Triangulate some of the images of a filled database anew, with poses that stay as they are.
+
+    Args:
+        root: folder the names are relative to.
+        images: some of those of ``database``; matches with others are left out.
+        database: filled by ``match_photographs``.
+        out: existing folder for the model.
+
+    Returns:
+        The map as written, and the features it was built from by image name.
+
+    Raises:
+        InputError: no point could be triangulated.
+    """
+    features = _read_features(database, root)
+    wanted = {image.name: features[image.name] for image in images}
+    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
+        part = Path(scratch) / "database.db"
+        posed, ids = _posed_model(images, {name: item.xy for name, item in wanted.items()})
+        _write_database(part, posed)
+        with pycolmap.Database.open(database) as db, pycolmap.Database.open(part) as copy:
+            old = {image.name: image.image_id for image in db.read_all_images()}
+            for name, item in wanted.items():
+                copy.write_keypoints(ids[name], item.xy)
+            for a, b in combinations(wanted, 2):
+                if db.exists_two_view_geometry(old[a], old[b]):
+                    geometry = db.read_two_view_geometry(old[a], old[b])
+                    copy.write_two_view_geometry(ids[a], ids[b], geometry)
+        return _triangulate(posed, part, root, out), wanted
+
+
 def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out: Path) -> None:
     """Write images with their poses as a binary model.
 
@@ -405,6 +643,14 @@ def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out:
     model.write(out)
 
 
+def _photograph_ids(photographs: Sequence[Photograph]) -> dict[str, int]:
+    return {photograph.name: k for k, photograph in enumerate(photographs, 1)}
+
+
+def _lens_ids(photographs: Sequence[Photograph]) -> dict[str, int]:
+    return {lens: k for k, lens in enumerate(dict.fromkeys(p.lens for p in photographs), 1)}
+
+
 def _pipeline_options() -> pycolmap.IncrementalPipelineOptions:
     pipeline = pycolmap.IncrementalPipelineOptions()
     pipeline.random_seed = pipeline.triangulation.random_seed = _SEED
@@ -425,53 +671,84 @@ def _match_all(
 ) -> tuple[pycolmap.Reconstruction, dict[str, Features]]:
     """Fill a database with verified matches; the posed images as a model, and their features."""
     check_photographs(root, {image.name: image.camera for image in images})
-    features = extract_sift(root, [image.name for image in images], options, on_progress)
-    model, ids = _posed_model(images, {name: item.xy for name, item in features.items()})
-    _write_database(database, model, ids, features)
-    descriptors = {name: unit_descriptors(item) for name, item in features.items()}
+    model, ids = _posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
+    _write_database(database, model)
+    _fill_database(database, root, ids, pairs, options, on_progress)
+    features = _read_features(database, root)
+    return _posed_model(images, {name: item.xy for name, item in features.items()})[0], features
+
+
+def _fill_database(
+    database: Path,
+    root: Path,
+    ids: Mapping[str, int],
+    pairs: Sequence[tuple[str, str]],
+    options: SiftOptions,
+    on_progress: Progress | None,
+) -> None:
+    """Extract, match and verify what a database of images does not hold yet."""
+
+    def report(done: int) -> None:
+        if on_progress is not None:
+            on_progress(done)
+
+    names = list(ids)
     with pycolmap.Database.open(database) as db:
+        for start in range(0, len(names), _CHUNK):
+            chunk = names[start : start + _CHUNK]
+            left = [name for name in chunk if not db.exists_keypoints(ids[name])]
+            for name, item in extract_sift(root, left, options).items():
+                # Keypoints come last: where they are, descriptors are too.
+                if not db.exists_descriptors(ids[name]):
+                    sift = pycolmap.FeatureExtractorType.SIFT
+                    native = pycolmap.FeatureDescriptors(sift, item.descriptors)
+                    db.write_descriptors(ids[name], native)
+                shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
+                db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
+            report(start + len(chunk))
+        features = _read_features(database, root)
+        descriptors = {name: unit_descriptors(item) for name, item in features.items()}
         for done, (a, b) in enumerate(pairs, 1):
-            matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
-            db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
-            if on_progress is not None:
-                on_progress(len(images) + done)
+            if not db.exists_matches(ids[a], ids[b]):
+                matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
+                db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
+            report(len(names) + done)
     pair_list = database.with_name("pairs.txt")
     pair_list.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = _SEED
     pycolmap.verify_matches(database, pair_list, verification)
-    return model, features
 
 
 def _posed_model(
     images: Sequence[PosedImage], keypoints: Mapping[str, NDArray[Any]]
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
     """A model of keypoints (K, 2) and poses without points, and the identifier of each image."""
-    model = pycolmap.Reconstruction()
-    cameras = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
-    for camera, camera_id in cameras.items():
-        model.add_camera_with_trivial_rig(_native_camera(camera, camera_id))
-    ids = {image.name: k for k, image in enumerate(images, 1)}
+    numbers = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
+    cameras = [_native_camera(camera, number) for camera, number in numbers.items()]
+    model, ids = _empty_model(cameras), {image.name: k for k, image in enumerate(images, 1)}
     for image in images:
         native = pycolmap.Image(
             name=image.name,
             keypoints=keypoints[image.name].astype(np.float64),
-            camera_id=cameras[image.camera],
+            camera_id=numbers[image.camera],
             image_id=ids[image.name],
         )
         model.add_image_with_trivial_frame(native, _native_pose(image.cam_from_world))
     return model, ids
 
 
-def _write_database(
-    path: Path,
-    model: pycolmap.Reconstruction,
-    ids: Mapping[str, int],
-    features: Mapping[str, Features],
-) -> None:
+def _empty_model(cameras: Iterable[pycolmap.Camera]) -> pycolmap.Reconstruction:
+    model = pycolmap.Reconstruction()
+    for camera in cameras:
+        model.add_camera_with_trivial_rig(camera)
+    return model
+
+
+def _write_database(path: Path, model: pycolmap.Reconstruction) -> None:
     """A database of the model's own identifiers: COLMAP's extractor numbers images as it
     happens to finish them, and the numbers decide the order of everything after."""
-    with pycolmap.Database.open(path) as db:
+    with written_whole(path) as partial, pycolmap.Database.open(partial) as db:
         for camera in model.cameras.values():
             db.write_camera(camera, use_camera_id=True)
         for rig in model.rigs.values():
@@ -480,5 +757,3 @@ def _write_database(
             db.write_frame(frame, use_frame_id=True)
         for image in model.images.values():
             db.write_image(image, use_image_id=True)
-        for name, image_id in ids.items():
-            db.write_keypoints(image_id, features[name].xy)

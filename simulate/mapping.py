@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle import Scene, finish
+from scene.bundle import FEATURES, Scene, finish
 from scene.colmap import PosedImage, SiftOptions, reconstruct, triangulate
 from scene.errors import InputError
 from scene.features import write_features
@@ -17,7 +17,6 @@ from scene.progress import progress_bar
 from simulate.map_report import MapReport, report
 from simulate.pictures import draw_pictures
 
-FEATURES = "features.h5"
 Method = Literal["triangulate", "sfm"]
 
 # A pair is worth matching when this share of one picture is seen in the other, ...
@@ -61,7 +60,9 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
             scene.images_root, images, pairs, folder, SiftOptions(), advance
         )
         write_features(folder / FEATURES, features)
-    draw_pictures(finish(path, scene.manifest))
+    scene = finish(path, scene.manifest)
+    if scene.manifest.preset is not None:
+        draw_pictures(scene)
     return report(sparse_map, images, scene.objects.objects, seen)
 
 
@@ -86,7 +87,8 @@ def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
                 if name in wanted:
                     camera, pose = frames.cameras[k], frames.cam_from_world[k]
                     images.append(PosedImage(name, camera, pose))
-                    seen |= set(np.unique(dense.read("instance", k)).tolist())
+                    if dense.has("instance"):
+                        seen |= set(np.unique(dense.read("instance", k)).tolist())
     if not images:
         raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
     return images, seen

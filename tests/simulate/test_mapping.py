@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from scene.bundle import Scene
+from scene.bundle import FEATURES, Scene
 from scene.errors import InputError
 from scene.features import read_features
 from scene.manifest import SceneObject
 from simulate.map_report import points_inside
-from simulate.mapping import FEATURES, build_map, choose_pairs
+from simulate.mapping import build_map, choose_pairs
 
 
 def test_map_of_a_rendered_flight(rendered: Scene) -> None:
