@@ -248,8 +248,8 @@ def _georegister(
     taken: Sequence[Photograph],
     fixes: Mapping[str, NDArray[np.float64]],
     work: Path,
-) -> tuple[SparseMap, Georegistration, bool]:
-    """The model in the world, adjusted to pixels and GPS; whether focal lengths were refined."""
+) -> tuple[SparseMap, Georegistration, set[str]]:
+    """The model in the world, adjusted to pixels and GPS; the lenses whose focal length was."""
     raw = read_map(model_path)
     placed = georegister(raw, fixes)
     trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
@@ -259,12 +259,13 @@ def _georegister(
             height = placed.apply(raw.images[name].centre[None])[0, 2]
             trusted[name] = np.array([*trusted[name][:2], height])
         sigma[2] = _NO_ALTITUDE
-    refine = _relief(raw) > _RELIEF or not all(photograph.focal_known for photograph in taken)
+    tell = _relief(raw) > _RELIEF
+    refined = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
     with folder_written_whole(work / "adjusted") as folder:
         model = adjust_to_positions(
-            model_path, taken, placed.world_from_model, trusted, sigma, refine, folder
+            model_path, taken, placed.world_from_model, trusted, sigma, refined, folder
         )
-    return model, placed, refine
+    return model, placed, refined
 
 
 def _relief(model: SparseMap) -> float:

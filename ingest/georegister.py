@@ -18,16 +18,18 @@ Array = NDArray[np.float64]
 _Fit = Callable[[Array, Array], Array]
 
 _SAMPLES = 500
-# A fix further from its camera than this many standard deviations of the others is a blunder.
+# A fix further from its camera than this many standard deviations of the others is a blunder, ...
 _BLUNDER = 5.0
+# ... but not within the metres that receivers without corrections are off on a good day.
+_USUAL_M = 5.0
 # Squared standard deviations per axis from the median of squared distances, in 2 and 3 axes.
 _CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 # No receiver of a drone is better than this, metres.
 _LEAST_SIGMA = 0.02
 # Cameras on a line do not tell how the model is turned about it: width over length.
 _LINE = 0.05
-# Altitudes that make the horizontal fit this much worse are not altitudes.
-_WORSE = 1.25
+# Ground and cameras that agree with each other and are this far from GPS's vertical, contradict it.
+_TILT_DEG = 8.0
 # Points further from the ground's plane than this many deviations are no ground.
 _OFF_GROUND = 2.5
 
@@ -58,8 +60,10 @@ def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration
     """Find the similarity from camera centres to GPS by least median of squares.
 
     It holds with up to half of the fixes wrong, and needs no threshold that only one receiver fits.
-    Altitudes take part unless they make the horizontal fit worse: a barometer that drifts would
-    tilt the world. Then the ground, the plane most points lie near, is level.
+    Altitudes take part unless both the ground (the plane most points lie near) and the cameras'
+    mean direction say that they tilt the world, as those of a barometer that drifts do. Then, and
+    where the cameras stand on one line, the ground is level. A hillside is not mistaken for a tilt:
+    there the cameras look down plumb.
 
     Args:
         model: in a frame of its own.
@@ -79,19 +83,16 @@ def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration
     if np.linalg.norm(measured - np.median(measured, 0), axis=1).max() < _LEAST_SIGMA:
         raise InputError("all GPS positions are one: they do not tell scale and direction")
 
-    level, level_good = _fit_level(model, centres, measured)
-    similarity, good, chosen = level, level_good, "ground"
-    if _width_over_length(centres) > _LINE:
-        full, full_good = _robust(_similarity, centres, measured, 3)
-        both = full_good & level_good
-        if _horizontal(full, centres, measured, both) <= _WORSE * _horizontal(
-            level, centres, measured, both
-        ):
-            similarity, good, chosen = full, full_good, "gps"
+    upright = _upright(model)
+    similarity, good = _robust(_similarity, centres, measured, 3)
+    level = "gps"
+    if _width_over_length(centres) < _LINE or _tilts(similarity, model, upright[2]):
+        similarity, good = _fit_level(upright, centres, measured)
+        level = "ground"
     off = (_apply(similarity, centres) - measured)[good]
     return Georegistration(
         world_from_model=similarity,
-        level=chosen,
+        level=level,
         blunders=tuple(name for name, ok in zip(names, good, strict=True) if not ok),
         sigma=np.maximum(np.sqrt((off**2).mean(0)), _LEAST_SIGMA),
     )
@@ -101,9 +102,24 @@ def _apply(similarity: Array, points: Array) -> Array:
     return np.asarray(points @ similarity[:, :3].T + similarity[:, 3])
 
 
-def _horizontal(similarity: Array, source: Array, target: Array, rows: NDArray[np.bool_]) -> float:
-    off = (_apply(similarity, source) - target)[rows, :2]
-    return float(np.sqrt((off**2).sum(1).mean()) + _LEAST_SIGMA)
+def _tilts(similarity: Array, model: SparseMap, ground: Array) -> bool:
+    """Whether ground and cameras contradict the vertical of a similarity together.
+
+    Args:
+        similarity: from GPS with its altitudes.
+        model: in its own frame.
+        ground: (3,) upward normal of the ground, in that frame.
+    """
+    vertical = similarity[2, :3]
+    backwards = -np.sum([model.images[name].cam_from_world[2, :3] for name in model.names], axis=0)
+    apart = _degrees(ground, backwards)
+    off = min(_degrees(vertical, ground), _degrees(vertical, backwards))
+    return off > max(_TILT_DEG, apart)
+
+
+def _degrees(a: Array, b: Array) -> float:
+    cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def _width_over_length(centres: Array) -> float:
@@ -111,11 +127,8 @@ def _width_over_length(centres: Array) -> float:
     return float(singular[1] / max(singular[0], 1e-12))
 
 
-def _fit_level(
-    model: SparseMap, centres: Array, measured: Array
-) -> tuple[Array, NDArray[np.bool_]]:
+def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
     """With the ground level, and heights of the model's own scale."""
-    upright = _upright(model)
     turned = centres @ upright.T
     horizontal, good = _robust(_level_similarity, turned, measured, 2)
     similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
@@ -136,7 +149,7 @@ def _robust(fit: _Fit, source: Array, target: Array, axes: int) -> tuple[Array, 
     for _ in range(5):
         sigma = np.sqrt(_median_square(best, source, target, axes) / _CHI2_MEDIAN[axes])
         off = np.linalg.norm((_apply(best, source) - target)[:, :axes], axis=1)
-        good = off <= _BLUNDER * max(float(sigma), _LEAST_SIGMA)
+        good = off <= max(_BLUNDER * float(sigma), _USUAL_M)
         best = fit(source[good], target[good])
     return best, good
 

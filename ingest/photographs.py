@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -90,7 +90,7 @@ def read_roll(folder: Path) -> Roll:
                 except InputError as error:
                     left_out[file] = str(error)
             advance(done)
-    ordered = sorted(shots.values(), key=_order)
+    ordered = _in_order(shots.values())
     named: dict[str, str] = {}
     for shot in ordered:
         if shot.name in named:
@@ -110,9 +110,13 @@ def _look_at(folder: Path, file: str, digest: str) -> Shot:
     return Shot(file, name, digest, exif, size)
 
 
-def _order(shot: Shot) -> tuple[float, str]:
-    time = shot.exif.time
-    return (time.timestamp() if time is not None else 0.0, shot.file)
+def _in_order(shots: Iterable[Shot]) -> list[Shot]:
+    """By time where every photograph tells one, else by name."""
+    by_name = sorted(shots, key=lambda shot: shot.file)
+    times = {shot.file: shot.exif.time for shot in by_name if shot.exif.time is not None}
+    if len(times) < len(by_name):
+        return by_name
+    return sorted(by_name, key=lambda shot: times[shot.file])
 
 
 def photographs_of(

@@ -49,12 +49,16 @@ def draw(
         above.scatter(*centres[rows, :2].T, marker=marker, s=30, label=label, zorder=3)
     drawn = [k for k, name in enumerate(order) if name in fixes and name not in blunders]
     off = residuals(model, fixes, [order[k] for k in drawn])
+    times = _magnification(centres, off)
     above.quiver(
-        *centres[drawn, :2].T, *off[:, :2].T, color="C3", label="to GPS", zorder=4,
+        *centres[drawn, :2].T, *times * off[:, :2].T, color="C3", zorder=4,
         angles="xy", scale_units="xy", scale=1, width=0.003,
+        label="to GPS" if times == 1 else f"to GPS, {times} times as long",
     )  # fmt: skip
     # A few points far away must not make the flight small; arrows are part of it.
-    ends = np.concatenate([centres[:, :2], centres[drawn, :2] + off[:, :2], _middle(model.xyz)])
+    ends = np.concatenate(
+        [centres[:, :2], centres[drawn, :2] + times * off[:, :2], _middle(model.xyz)]
+    )
     low, high = ends.min(0), ends.max(0)
     margin = 0.05 * float((high - low).max())
     above.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
@@ -67,6 +71,13 @@ def draw(
     along.legend(fontsize=8)
     with written_whole(path) as partial:
         figure.savefig(partial, format="png", dpi=110)
+
+
+def _magnification(centres: NDArray[np.float64], off: NDArray[np.float64]) -> int:
+    """Power of ten that makes the longest arrow visible, at most a quarter of the flight."""
+    extent = float(np.ptp(centres[:, :2], axis=0).max())
+    longest = max(float(np.linalg.norm(off[:, :2], axis=1).max(initial=0)), 1e-3)
+    return int(10 ** max(np.floor(np.log10(max(0.25 * extent / longest, 1))), 0))
 
 
 def _middle(xyz: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -124,7 +124,7 @@ def summary(off: NDArray[np.float64]) -> Residuals:
 
 
 def lenses_of(
-    photographs: Sequence[Photograph], model: SparseMap, focal_refined: bool
+    photographs: Sequence[Photograph], model: SparseMap, refined: Collection[str]
 ) -> tuple[Lens, ...]:
     """Cameras of a model by lens, in the order of the photographs."""
     found: dict[str, list[Photograph]] = {}
@@ -136,7 +136,7 @@ def lenses_of(
             name=lens,
             photographs=len(taken),
             camera=str(model.images[taken[0].name].camera),
-            origin=_origin(taken[0], model.images[taken[0].name].camera.focal[0], focal_refined),
+            origin=_origin(taken[0], model.images[taken[0].name].camera.focal[0], lens in refined),
         )
         for lens, taken in found.items()
     )
@@ -163,7 +163,7 @@ def make_report(
     model: SparseMap,
     fixes: Mapping[str, NDArray[np.float64]],
     placed: Georegistration,
-    focal_refined: bool,
+    refined: Collection[str],
     sparse_map: SparseMap,
 ) -> IngestReport:
     """Figures of a finished flight.
@@ -175,7 +175,7 @@ def make_report(
         model: of all photographs, in world metres.
         fixes: measured positions by name, world metres.
         placed: how the model was placed.
-        focal_refined: whether focal lengths of EXIF were.
+        refined: lenses whose focal length was adjusted.
         sparse_map: of the map's photographs.
     """
     used = [n for n in model.names if n in fixes and n not in placed.blunders]
@@ -187,7 +187,7 @@ def make_report(
         points=len(model.xyz),
         track_length=float(model.track_length.mean()),
         reprojection_error_px=model.reprojection_error(),
-        lenses=lenses_of(photographs, model, focal_refined),
+        lenses=lenses_of(photographs, model, refined),
         level=placed.level,
         fixes=len(used),
         blunders={

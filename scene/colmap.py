@@ -6,7 +6,7 @@ Written for pycolmap 4.2.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -467,9 +467,11 @@ def map_photographs(
         first. Photographs that do not hang together are in several models, or in none.
     """
     numbers = _lens_ids(photographs)
-    fixed = {numbers[p.lens] for p in photographs if p.calibrated}
     # A focal length refined early, from few photographs, may lead the whole model astray.
     refine_focal = not all(p.focal_known for p in photographs)
+    fixed = {
+        numbers[p.lens] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
+    }
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
         if mapper == "global":
             pipeline = _global_options()
@@ -538,7 +540,7 @@ def adjust_to_positions(
     world_from_model: NDArray[np.float64],
     positions: Mapping[str, NDArray[np.float64]],
     sigma: NDArray[np.float64],
-    refine_focal: bool,
+    refined: Collection[str],
     out: Path,
 ) -> SparseMap:
     """Move a model into the world, then adjust poses, points and lenses to the pixels and to
@@ -550,7 +552,8 @@ def adjust_to_positions(
         world_from_model: (3, 4) similarity, scale times rotation and translation.
         positions: (3,) measured camera centres by name, world metres.
         sigma: (3,) their standard deviation per axis, metres.
-        refine_focal: whether focal lengths are adjusted too, of lenses that are not calibrated.
+        refined: lenses whose focal length is adjusted too; with none, only the distortion of those
+            that are not calibrated.
         out: existing folder for the adjusted model.
     """
     native = pycolmap.Reconstruction(model)
@@ -559,10 +562,11 @@ def adjust_to_positions(
     for image_id in native.reg_image_ids():
         config.add_image(image_id)
     numbers = _lens_ids(photographs)
-    for number in sorted({numbers[p.lens] for p in photographs if p.calibrated}):
-        config.set_constant_cam_intrinsics(number)
+    for photograph in photographs:
+        if photograph.calibrated or (refined and photograph.lens not in refined):
+            config.set_constant_cam_intrinsics(numbers[photograph.lens])
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-    options.refine_focal_length = refine_focal
+    options.refine_focal_length = bool(refined)
     options.ceres.solver_options.num_threads = 1
     with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
     with_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
