@@ -53,6 +53,9 @@ _RELIEF = 0.25
 _SAMPLED = 200
 # Standard deviation of an altitude that is not one, metres.
 _NO_ALTITUDE = 1e4
+# A gimbal is off by a few degrees, its compass by more; a picture turned over by the camera is not
+# what its gimbal says.
+_WRONG_ATTITUDE_DEG = 30.0
 _LEAST_SIGMA, _LEAST_SIGMA_DEG = 0.02, 0.1
 
 
@@ -127,10 +130,12 @@ def ingest(
     model, placed, refined = _georegister(model_path, taken, fixes, work)
 
     shots = roll.shots
-    _write_frames(out, model, shots, fixes, queries, placed)
+    wrong_attitudes = _write_frames(out, model, shots, fixes, queries, placed)
     sparse_map = _triangulate(out, model, queries)
     _write_lists(out, model, shots, queries)
-    report = make_report(taken, files, roll.left_out, model, fixes, placed, refined, sparse_map)
+    report = make_report(
+        taken, files, roll.left_out, model, fixes, placed, refined, sparse_map, wrong_attitudes
+    )
     write_json(out / REPORT, report)
     draw(
         out / "pictures" / "ingest.png",
@@ -287,8 +292,11 @@ def _write_frames(
     fixes: Mapping[str, NDArray[np.float64]],
     queries: set[str],
     placed: Georegistration,
-) -> None:
-    """Poses of the model, and what was measured with it; sigmas are those of the map's frames."""
+) -> dict[str, float]:
+    """Poses of the model, and what was measured with it; sigmas are those of the map's frames.
+
+    Returns by file the degrees that attitudes are off which were not used.
+    """
     names = tuple(shot.name for shot in shots)
     poses = np.stack([model.images[name].cam_from_world for name in names])
     measured = [name for name in names if name in fixes and name not in placed.blunders]
@@ -296,7 +304,7 @@ def _write_frames(
     off = residuals(model, fixes, mapped)
     sigma = np.maximum(np.sqrt((off**2).mean(0)), _LEAST_SIGMA)
     nothing = np.full(3, np.nan)
-    attitude, attitude_sigma = _attitudes(shots, poses, queries)
+    attitude, attitude_sigma, wrong = _attitudes(shots, poses, queries)
     times = [shot.exif.time.timestamp() if shot.exif.time else np.nan for shot in shots]
     frames = Frames(
         names=names,
@@ -309,12 +317,14 @@ def _write_frames(
         attitude_sigma_deg=attitude_sigma,
     )
     write_frames(out / "sessions" / SESSION / "frames.h5", frames, (), iter([{}] * len(names)))
+    return wrong
 
 
 def _attitudes(
     shots: Sequence[Shot], poses: NDArray[np.float64], queries: set[str]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Quaternions (N, 4) of the gimbal and their sigma (N,), degrees per axis; NaN without one."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, float]]:
+    """Quaternions (N, 4) of the gimbal and their sigma (N,), degrees per axis, NaN without one; and
+    by file how far (degrees) those are off that contradict their photograph."""
     quaternions = np.full((len(shots), 4), np.nan)
     errors = np.full(len(shots), np.nan)
     for k, shot in enumerate(shots):
@@ -323,12 +333,15 @@ def _attitudes(
             quaternions[k] = pose.quaternion().numpy()
             there = Pose(Pose.from_matrix(poses[k]).rotation, pose.translation)
             errors[k] = float(pose.error_to(there)[1])
+    wrong = errors > _WRONG_ATTITUDE_DEG
+    blunders = {shots[k].file: float(errors[k]) for k in np.flatnonzero(wrong)}
+    quaternions[wrong] = errors[wrong] = np.nan
     known = np.isfinite(errors)
     mapped = known & np.array([shot.name not in queries for shot in shots])
     if not mapped.any():
         mapped = known
     sigma = np.sqrt((errors[mapped] ** 2).mean() / 3) if known.any() else np.nan
-    return quaternions, np.where(known, np.maximum(sigma, _LEAST_SIGMA_DEG), np.nan)
+    return quaternions, np.where(known, np.maximum(sigma, _LEAST_SIGMA_DEG), np.nan), blunders
 
 
 def gimbal_pose(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Pose:

@@ -52,6 +52,7 @@ class IngestReport(BaseModel):
         level: what says which way is up: "gps" or the "ground".
         fixes: photographs in the scene whose GPS position was used.
         blunders: by file, metres from the camera of fixes that were not.
+        wrong_attitudes: by file, degrees from the camera of gimbal attitudes that were not used.
         gps: residuals of the fixes that were.
         map_images: photographs of the map.
         map_points: points of the map, triangulated from its photographs alone.
@@ -70,6 +71,7 @@ class IngestReport(BaseModel):
     level: str
     fixes: int
     blunders: dict[str, float]
+    wrong_attitudes: dict[str, float]
     gps: Residuals
     map_images: int
     map_points: int
@@ -93,6 +95,9 @@ class IngestReport(BaseModel):
             f"{self.queries} queries",
             *(f"lens {x.name}: {x.photographs} photographs, {x.origin}" for x in self.lenses),
             *_listed("wrong GPS", {k: f"{v:.0f} m off" for k, v in self.blunders.items()}),
+            *_listed(
+                "wrong attitude", {k: f"{v:.0f}° off" for k, v in self.wrong_attitudes.items()}
+            ),
             *_listed("left out", self.left_out),
         ]
         return "\n".join(lines)
@@ -165,6 +170,7 @@ def make_report(
     placed: Georegistration,
     refined: Collection[str],
     sparse_map: SparseMap,
+    wrong_attitudes: Mapping[str, float],
 ) -> IngestReport:
     """Figures of a finished flight.
 
@@ -177,6 +183,7 @@ def make_report(
         placed: how the model was placed.
         refined: lenses whose focal length was adjusted.
         sparse_map: of the map's photographs.
+        wrong_attitudes: by file, degrees.
     """
     used = [n for n in model.names if n in fixes and n not in placed.blunders]
     wrong = residuals(model, fixes, placed.blunders)
@@ -194,6 +201,7 @@ def make_report(
             files[name]: float(np.linalg.norm(off))
             for name, off in zip(placed.blunders, wrong, strict=True)
         },
+        wrong_attitudes=dict(wrong_attitudes),
         gps=summary(residuals(model, fixes, used)),
         map_images=len(sparse_map.images),
         map_points=len(sparse_map.xyz),
