@@ -100,7 +100,10 @@ def ingest(
         InputError: fewer than three photographs, or positions, or photographs that hang together;
             ``out`` holds something else or cannot be written.
     """
+    if photographs.resolve() in (out.resolve(), *out.resolve().parents):
+        raise InputError(f"{out} lies in the folder of photographs: choose one outside it")
     roll = read_roll(photographs)
+    _require(roll, photographs)
     plan = _Plan(
         size=size,
         mapper=mapper,
@@ -110,31 +113,54 @@ def ingest(
         photographs={shot.file: shot.sha256 for shot in roll.shots},
     )
     origin, fixes = _positions(roll.shots)
-    _require(roll, photographs)
     queries = queries_of([shot.name for shot in roll.shots], fixes, split, every)
     taken = photographs_of(roll.shots, size, camera)
     if _finished(out, plan):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
-    work = out / _WORK
-    write_json(work / _PLAN, plan)
+    write_json(out / _WORK / _PLAN, plan)
     remove_partial(out)
+    try:
+        roll = _place(roll, photographs, out, size)
+        _require(roll, photographs)
+        report = _build(out, roll, taken, fixes, queries, mapper)
+    except InputError:
+        # These photographs make no scene: nothing is left to go on with.
+        shutil.rmtree(out, ignore_errors=True)
+        raise
+    finish(out, _manifest(plan, origin))
+    shutil.rmtree(out / _WORK)
+    return report
 
-    roll = _place(roll, photographs, out, size)
-    _require(roll, photographs)
-    there = {shot.name for shot in roll.shots}
-    taken = [photograph for photograph in taken if photograph.name in there]
+
+def _build(
+    out: Path,
+    roll: Roll,
+    taken: Sequence[Photograph],
+    fixes: Mapping[str, NDArray[np.float64]],
+    queries: set[str],
+    mapper: Mapper,
+) -> IngestReport:
+    """Everything of the scene but its manifest."""
+    files = {shot.name: shot.file for shot in roll.shots}
+    taken = [photograph for photograph in taken if photograph.name in files]
     _match(taken, fixes, out)
     model_path, elsewhere = _map(taken, out, mapper)
-    files = {shot.name: shot.file for shot in roll.shots}
     roll = roll.without({files[name]: reason for name, reason in elsewhere.items()})
-    model, placed, refined = _georegister(model_path, taken, fixes, work)
-
+    model, placed, refined = _georegister(model_path, taken, fixes, out / _WORK)
     shots = roll.shots
     wrong_attitudes = _write_frames(out, model, shots, fixes, queries, placed)
     sparse_map = _triangulate(out, model, queries)
     _write_lists(out, model, shots, queries)
     report = make_report(
-        taken, files, roll.left_out, model, fixes, placed, refined, sparse_map, wrong_attitudes
+        taken,
+        files,
+        roll.left_out,
+        model,
+        fixes,
+        placed,
+        refined,
+        sparse_map,
+        wrong_attitudes,
     )
     write_json(out / REPORT, report)
     draw(
@@ -148,12 +174,11 @@ def ingest(
     )
     for name in files.keys() - model.images.keys():
         (out / "sessions" / name).unlink(missing_ok=True)
-    finish(out, _manifest(plan, origin))
-    shutil.rmtree(work)
     return report
 
 
 def _require(roll: Roll, folder: Path) -> None:
+    """Refuse a roll too short for a scene."""
     if len(roll.shots) < _FEWEST:
         reasons = "".join(f"; {file}: {why}" for file, why in list(roll.left_out.items())[:3])
         raise InputError(

@@ -70,10 +70,13 @@ def read_roll(folder: Path) -> Roll:
     """
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
+    found = (path.relative_to(folder) for path in folder.rglob("*"))
     files = sorted(
-        path.relative_to(folder).as_posix()
-        for path in folder.rglob("*")
-        if path.suffix.lower() in _ENDINGS and path.is_file() and not path.name.startswith(".")
+        path.as_posix()
+        for path in found
+        if path.suffix.lower() in _ENDINGS
+        and (folder / path).is_file()
+        and not any(part.startswith(".") for part in path.parts)
     )
     if not files:
         raise InputError(f"{folder} holds no photograph ({', '.join(_ENDINGS)})")
@@ -81,14 +84,16 @@ def read_roll(folder: Path) -> Roll:
     left_out = {}
     with progress_bar("read photographs", len(files)) as advance:
         for done, file in enumerate(files, 1):
-            digest = sha256_of(folder / file)
-            if digest in shots:
-                left_out[file] = f"the same file as {shots[digest].file}"
-            else:
-                try:
+            try:
+                digest = sha256_of(folder / file)
+                if digest in shots:
+                    left_out[file] = f"the same file as {shots[digest].file}"
+                else:
                     shots[digest] = _look_at(folder, file, digest)
-                except InputError as error:
-                    left_out[file] = str(error)
+            except InputError as error:
+                left_out[file] = str(error)
+            except OSError as error:
+                left_out[file] = f"cannot be read: {error.strerror}"
             advance(done)
     ordered = _in_order(shots.values())
     named: dict[str, str] = {}

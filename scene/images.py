@@ -175,7 +175,7 @@ def read_exif(path: Path) -> Exif:
             tags, size, xmp = image.getexif(), image.size, image.info.get("xmp", b"")
     except FileNotFoundError:
         raise InputError(f"image {path} does not exist") from None
-    except (OSError, SyntaxError) as error:
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"{path} is not an image this program can read: {error}") from None
     detail = tags.get_ifd(ExifTags.IFD.Exif)
     stamp = detail.get(ExifTags.Base.DateTimeOriginal)

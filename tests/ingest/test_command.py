@@ -93,9 +93,11 @@ def test_the_scene_does_what_scenes_do(ingested: Ingested, tmp_path: Path) -> No
     assert dataset.track == TRACK
     localizer = create("sift", {})
     localizer.prepare(dataset.load_map(), dataset.images, None)
-    query = dataset.queries[1]
+    query, turned, *_ = dataset.queries
     assert query.prior is not None
     assert query.prior.cam_from_world_rotation is not None
+    assert turned.prior is not None
+    assert turned.prior.cam_from_world_rotation is None
     estimate = localizer.localize(query.load())
     assert estimate.status is Status.OK
     assert estimate.cam_from_world is not None
@@ -246,13 +248,16 @@ def test_the_global_mapper_and_lines_and_a_calibration(photographs: Path, tmp_pa
 
 def test_too_few_photographs(photographs: Path, tmp_path: Path) -> None:
     folder = few(photographs, tmp_path / "photos", 2)
-    with pytest.raises(InputError, match="2 of 2 photographs have a GPS position"):
+    with pytest.raises(InputError, match="has 2 usable photographs, 3 are the fewest"):
         run(folder, tmp_path / "scene")
     shutil.copy(sorted(folder.iterdir())[0], folder / "again.jpg")
     whole = sorted(photographs.iterdir())[0].read_bytes()
     (folder / "cut.jpg").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="2 usable photographs, 3 are the fewest.*the same file"):
         run(folder, tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+    with pytest.raises(InputError, match="lies in the folder of photographs"):
+        run(folder, folder / "scene")
 
 
 def test_no_gps_no_scene(photographs: Path, tmp_path: Path) -> None:
@@ -272,6 +277,7 @@ def test_photographs_that_do_not_hang_together(
         shutil.copy(flights / "caliterra" / "photos" / name, folder / name)
     with pytest.raises(InputError, match="no 3 of the 3 photographs hang together"):
         run(folder, tmp_path / "scene", size=300)
+    assert not (tmp_path / "scene").exists()
 
 
 def test_an_occupied_folder_is_left_alone(photographs: Path, tmp_path: Path) -> None:
