@@ -726,6 +726,9 @@ def _pipeline_options() -> pycolmap.IncrementalPipelineOptions:
     pipeline.num_threads = 1  # sums over threads round differently from run to run
     pipeline.ba_refine_focal_length = False
     pipeline.ba_refine_extra_params = False
+    # The first image of every camera would otherwise bend it to itself.
+    pipeline.mapper.abs_pose_refine_focal_length = False
+    pipeline.mapper.abs_pose_refine_extra_params = False
     return pipeline
 
 

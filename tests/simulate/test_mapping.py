@@ -104,6 +104,8 @@ def test_structure_from_motion_finds_the_poses(rendered_copy: Path) -> None:
     assert 0 < report.rotation_deg.mean <= report.rotation_deg.rms < 0.5
     scene = Scene.open(rendered_copy)
     assert scene.changed_files() == []
+    cameras = set(scene.frames("summer-noon-nadir-map").cameras)
+    assert {image.camera for image in scene.sparse_map().images.values()} == cameras
     assert scene.sparse_map().reprojection_error() == report.reprojection_error_px
 
 
