@@ -144,7 +144,8 @@ def photographs_of(
         focal = shot.exif.focal_35mm
         if calibration is None:
             pixels = (focal / 36 if focal else _GUESS) * max(width, height)
-            camera = Camera("RADIAL", width, height, (pixels, width / 2, height / 2, 0.0, 0.0))
+            # One coefficient: more of them bend flat ground into a dome.
+            camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
         else:
             camera = _fitted(calibration, width, height, shot)
         photographs.append(
