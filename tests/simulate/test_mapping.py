@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from scene.bundle import Scene
+from scene.bundle import FEATURES, Scene
 from scene.camera import Camera
 from scene.errors import InputError
 from scene.features import read_features
@@ -22,7 +22,7 @@ from scene.files import sha256_of
 from scene.sparse_map import MapImage
 from simulate.class_spread import class_spread
 from simulate.map_report import objects_of_points
-from simulate.mapping import FEATURES, build_map, choose_pairs
+from simulate.mapping import build_map, choose_pairs
 
 
 def test_map_of_a_rendered_flight(rendered: Scene) -> None:
