@@ -413,10 +413,12 @@ def simulate(
     session: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="CONDITION:FLIGHT[:ROLE]",
+            metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
             help="A flight under a condition, as winter-dusk:oblique; repeat for several. FLIGHT "
             "is nadir, grid, oblique, corridor, free, street or plan=FILE (QGroundControl's). ROLE "
-            "is map or query; left out, the first flight builds the map, the others are queries.",
+            "is map or query; left out, the first flight builds the map, the others are queries. "
+            "CHANGE is what is no longer as the place was built, as "
+            "cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Photographs per session.")] = None,
@@ -467,6 +469,37 @@ def simulate(
         print(f"{scene.path}: {', '.join(scene.sessions)}")
         if target is not None:
             print(f"exported to {target}")
+
+
+@app.command()
+def gallery(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for gallery.md and gallery/, its pictures.")
+    ],
+    preset: Annotated[
+        str | None, typer.Option(help="Kind of place to show under every condition.")
+    ] = None,
+    condition: Annotated[
+        str, typer.Option(metavar="SEASON-LIGHT[-WEATHER]", help="To show every kind of place in.")
+    ] = "summer-noon",
+    seed: Annotated[int | None, typer.Option(help="Of the places.")] = None,
+    area: Annotated[float | None, typer.Option(help="Side of the places, metres.")] = None,
+    size: Annotated[int, typer.Option(help="Side of a photograph, pixels.")] = 240,
+    spp: Annotated[int | None, typer.Option(help="Rendering samples per pixel.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Render a page of pictures: every kind of place, and one place in every season, light and
+    weather. Run again, it goes on where it was interrupted.
+    """
+    from simulate.config import SimulateConfig
+    from simulate.gallery import gallery as run
+
+    settings = {"preset": preset, "seed": seed, "area": area, "size": size, "spp": spp}
+    page = run(SimulateConfig.load(None, settings), out, condition)
+    if as_json:
+        _print_json({"page": str(page)})
+    else:
+        print(page)
 
 
 @app.command()
@@ -521,6 +554,41 @@ def build_map(
     from simulate.mapping import build_map as run
 
     report = run(scene, method.value)
+    if as_json:
+        _print_json(report.as_dict())
+    else:
+        print(report.text())
+
+
+class Stereo(StrEnum):
+    """Who matches the photographs."""
+
+    OWN = "own"
+    COLMAP = "colmap"
+
+
+@app.command(name="dense")
+def make_dense(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene with its map.")],
+    size: Annotated[
+        int, typer.Option(help="Longest side of a depth map, pixels; never enlarged.", min=64)
+    ] = 1024,
+    sources: Annotated[
+        int, typer.Option(help="Photographs to match each photograph with, at most.", min=2)
+    ] = 6,
+    stereo: Annotated[
+        Stereo, typer.Option(help="Our own PatchMatch, or COLMAP's where pycolmap has CUDA.")
+    ] = Stereo.OWN,
+    seed: Annotated[int, typer.Option(help="The same seed makes the same maps.", min=0)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Estimate depth maps of the map's photographs, fuse them to a cloud, and measure them.
+
+    Writes SCENE/dense as a COLMAP workspace. Run again, it goes on where it was interrupted.
+    """
+    from dense.command import dense as run
+
+    report = run(scene, size=size, sources=sources, stereo=stereo.value, seed=seed)
     if as_json:
         _print_json(report.as_dict())
     else:

@@ -13,6 +13,7 @@ from scene.colmap import PosedImage
 from scene.manifest import SceneObject
 from scene.pose import Pose
 from scene.sparse_map import MapImage, SparseMap
+from simulate.class_spread import KindShare
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class MapReport:
         rotation_deg: of the rotations from the truth.
         objects: by size class, of those seen in the map's photographs.
         small_objects: the small ones by their class.
+        kinds: shares of each kind of surface.
     """
 
     images: int
@@ -76,6 +78,7 @@ class MapReport:
     rotation_deg: Spread
     objects: Mapping[str, ObjectCoverage]
     small_objects: Mapping[str, ObjectCoverage]
+    kinds: Mapping[str, KindShare]
 
     def as_dict(self) -> dict[str, Any]:
         """For a program."""
@@ -94,6 +97,11 @@ class MapReport:
         ]
         lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
         lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
+        lines += [
+            f"{name}: {s.pixels:.1%} of pixels, {s.keypoints:.1%} of keypoints, "
+            f"{s.points:.1%} of points"
+            for name, s in self.kinds.items()
+        ]
         return "\n".join(lines)
 
 
@@ -104,6 +112,7 @@ def report(
     seen: set[int],
     owners: NDArray[np.int64],
     pairs: int,
+    kinds: Mapping[str, KindShare],
 ) -> MapReport:
     """Measure a map.
 
@@ -114,6 +123,7 @@ def report(
         seen: identifiers of the objects in the photographs.
         owners: identifier of the object that each point lies on, (M,).
         pairs: of photographs that were matched.
+        kinds: see ``simulate.class_spread``.
     """
     mapped = [image for image in truth if image.name in sparse_map.images]
     estimated = np.stack([sparse_map.images[image.name].cam_from_world for image in mapped])
@@ -132,6 +142,7 @@ def report(
         rotation_deg=Spread.of(degrees.numpy()),
         objects=_coverage(owners, in_view, lambda item: item.size_class),
         small_objects=_coverage(owners, small, lambda item: item.class_name),
+        kinds=kinds,
     )
 
 

@@ -17,6 +17,7 @@ from scene.features import write_features
 from scene.files import folder_written_whole, kept_while_working, remove_partial, sha256_of
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
+from simulate.class_spread import class_spread
 from simulate.map_report import MapReport, objects_of_points, report
 from simulate.pictures import draw_pictures
 
@@ -76,7 +77,8 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
             write_features(folder / FEATURES, features)
         draw_pictures(finish(path, scene.manifest))
     owners = objects_of_points(len(sparse_map.xyz), _instances(scene, sparse_map))
-    return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs))
+    kinds = class_spread(scene, sparse_map, features)
+    return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs), kinds)
 
 
 def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str, str]]) -> str:

@@ -20,6 +20,7 @@ from scene.errors import InputError
 from scene.features import read_features
 from scene.files import sha256_of
 from scene.sparse_map import MapImage
+from simulate.class_spread import class_spread
 from simulate.map_report import objects_of_points
 from simulate.mapping import FEATURES, build_map, choose_pairs
 
@@ -216,6 +217,32 @@ def test_what_an_interrupted_run_kept_may_be_damaged_or_of_other_photographs(
     build_map(rendered_copy, "sfm")
     assert digests_of(rendered_copy) == finished
     assert not list(rendered_copy.glob(".*"))
+
+
+def test_keypoints_spread_over_surfaces_as_pixels_do(rendered: Scene) -> None:
+    features = read_features(rendered.map_path / FEATURES)
+    spread = class_spread(rendered, rendered.sparse_map(), features)
+    for share in ("pixels", "keypoints", "points"):
+        assert sum(getattr(s, share) for s in spread.values()) == pytest.approx(1)
+    for kind in ("ground", "buildings", "vegetation"):
+        assert 0.5 < spread[kind].keypoints / spread[kind].pixels < 2, (kind, spread[kind])
+    assert spread["buildings"].points > 0
+
+
+def test_shares_are_of_what_the_pixels_show(rendered: Scene) -> None:
+    """Buildings counted by instance instead of by label, keypoint by keypoint."""
+    features = read_features(rendered.map_path / FEATURES)
+    spread = class_spread(rendered, rendered.sparse_map(), features)
+    built = [o.id for o in rendered.objects.objects if o.class_name == "building"]
+    pixels, keypoints = [], []
+    session = "summer-noon-nadir-map"
+    with rendered.dense(session) as dense:
+        for k, name in enumerate(rendered.frames(session).names):
+            instance = dense.read("instance", k)
+            pixels.append(np.isin(instance, built).mean())
+            keypoints += [instance[int(y), int(x)] in built for x, y in features[name].xy]
+    assert spread["buildings"].pixels == pytest.approx(np.mean(pixels))
+    assert spread["buildings"].keypoints == pytest.approx(np.mean(keypoints))
 
 
 def test_a_point_lies_on_what_most_photographs_see_there() -> None:
