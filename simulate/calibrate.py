@@ -237,7 +237,8 @@ def refine_corners(
     xy = _project(camera, cam_from_board[None], plane.reshape(-1, 3)).reshape(*x.shape, 2)
     height, width = picture.shape[:2]
     padded = np.pad(picture, [(_PAD_PX, _PAD_PX)] * 2 + [(0, 0)], "edge")
-    front = resample_colour(padded, np.clip(xy, 0, [width, height]) + _PAD_PX)
+    within: Array = np.clip(xy, 0, np.array([width, height], float)) + _PAD_PX
+    front = resample_colour(padded, within)
     grey = cv2.GaussianBlur(cv2.cvtColor(front, cv2.COLOR_RGB2GRAY), (0, 0), _FRONT_BLUR_PX)
     expected = (board_points(board)[:, :2] / board.square_m + 1) * square_px - 0.5
     window = max(2, int(_FRONT_WINDOW * square_px))
@@ -245,7 +246,8 @@ def refine_corners(
         grey, expected[:, None].astype(np.float32), (window, window), (-1, -1), _STOP
     )
     at = board.square_m * ((corners[:, 0].astype(np.float64) + 0.5) / square_px - 1)
-    return _project(camera, cam_from_board[None], np.insert(at, 2, 0.0, axis=1))[0]
+    found: Array = _project(camera, cam_from_board[None], np.insert(at, 2, 0.0, axis=1))[0]
+    return found
 
 
 def _photographs(camera: Camera, poses: Array, seed: int) -> dict[str, NDArray[np.uint8]]:
