@@ -9,6 +9,8 @@ says; the reference is of April 21, 2011, as its timestamps show.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
@@ -60,6 +62,55 @@ def open_cmu(path: Path) -> list[Dataset]:
         InputError: a file is missing or wrong, a name is not of this data set, or no slice has a
             public query pose.
     """
+    folders, cameras = _find(path)
+    datasets = [d for folder in folders if (d := _open_slice(folder, cameras)) is not None]
+    if not datasets:
+        raise InputError(f"{path} has no public query pose in any camera-poses folder")
+    return datasets
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A slice as a task: its query images, whether their poses are public or hidden.
+
+    Attributes:
+        folder: of the slice.
+        queries: file names in its ``query`` folder, sorted.
+        cameras: c0 and c1.
+    """
+
+    folder: Path
+    queries: tuple[str, ...]
+    cameras: Mapping[str, Camera]
+
+    def camera(self, name: str) -> Camera:
+        """The camera that took an image, which its name tells."""
+        return self.cameras[_matched(name).group(2)]
+
+
+def open_slices(path: Path) -> list[Slice]:
+    """Every slice with query images, or one slice.
+
+    Raises:
+        InputError: not this data set, a name that is not of it, or no query image anywhere.
+    """
+    if not is_cmu(path):
+        raise InputError(f"{path} is not Extended CMU Seasons, nor a slice of it")
+    folders, cameras = _find(path)
+    found = []
+    for folder in folders:
+        names = tuple(sorted(image.name for image in (folder / "query").glob("*.jpg")))
+        for name in names:
+            _matched(name)
+        if names:
+            found.append(Slice(folder, names, cameras))
+    if not found:
+        raise InputError(f"{path} holds no query image")
+    return found
+
+
+def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:
+    """Folders of the slices meant, and the two cameras."""
     root = path.resolve()
     chosen = _slices(root)
     if _SLICE.fullmatch(root.name):
@@ -67,10 +118,7 @@ def open_cmu(path: Path) -> list[Dataset]:
     cameras = read_cameras(root / _INTRINSICS)
     if set(cameras) != {"c0", "c1"}:
         raise InputError(f"{root / _INTRINSICS}: expected cameras c0 and c1, got {sorted(cameras)}")
-    datasets = [d for folder in chosen if (d := _open_slice(folder, cameras)) is not None]
-    if not datasets:
-        raise InputError(f"{path} has no public query pose in any camera-poses folder")
-    return datasets
+    return chosen, cameras
 
 
 def surroundings(number: int) -> str:
@@ -126,6 +174,7 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
         BenchmarkQuery(
             name=name,
             condition=condition(name),
+            group=f"{folder.name} {condition(name)}",
             camera=cameras[_matched(name).group(2)],
             image=folder / "query" / name,
             prior=None,

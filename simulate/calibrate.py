@@ -237,7 +237,7 @@ def refine_corners(
     xy = _project(camera, cam_from_board[None], plane.reshape(-1, 3)).reshape(*x.shape, 2)
     height, width = picture.shape[:2]
     padded = np.pad(picture, [(_PAD_PX, _PAD_PX)] * 2 + [(0, 0)], "edge")
-    within: Array = np.clip(xy, 0, np.array([width, height], float)) + _PAD_PX
+    within = np.clip(xy, 0, [width, height]).astype(np.float64) + _PAD_PX
     front = resample_colour(padded, within)
     grey = cv2.GaussianBlur(cv2.cvtColor(front, cv2.COLOR_RGB2GRAY), (0, 0), _FRONT_BLUR_PX)
     expected = (board_points(board)[:, :2] / board.square_m + 1) * square_px - 0.5

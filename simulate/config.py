@@ -32,6 +32,7 @@ class SessionConfig(Config):
         role: its frames build the map, or are queries.
         frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
         change: what stands elsewhere, is gone or is new since the place was built.
+        name: of its folder; None is condition-flight-role.
     """
 
     condition: str
@@ -39,6 +40,7 @@ class SessionConfig(Config):
     role: Role
     frames: int | None = Field(None, ge=1)
     change: Change = Change()
+    name: str | None = Field(None, pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")
 
     @field_validator("condition")
     @classmethod
@@ -189,6 +191,13 @@ class SimulateConfig(Config):
         return self
 
     @model_validator(mode="after")
+    def _names_differ(self) -> SimulateConfig:
+        names = self.session_names()
+        if len(set(names)) < len(names):
+            raise ValueError(f"two sessions have one name: {', '.join(names)}")
+        return self
+
+    @model_validator(mode="after")
     def _sun_rises(self) -> SimulateConfig:
         for session in self.sessions:
             condition(session.condition, self.origin)
@@ -212,11 +221,11 @@ class SimulateConfig(Config):
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
 
     def session_names(self) -> tuple[str, ...]:
-        """Folder names: condition-flight-role, numbered from the second of the same name."""
+        """Folder names, numbered from the second of the same name."""
         seen: dict[str, int] = {}
         names = []
         for session in self.sessions:
-            base = f"{session.condition}-{session.flight.kind}-{session.role}"
+            base = session.name or f"{session.condition}-{session.flight.kind}-{session.role}"
             seen[base] = seen.get(base, 0) + 1
             names.append(base if seen[base] == 1 else f"{base}-{seen[base]}")
         return tuple(names)
