@@ -38,9 +38,12 @@ Array = NDArray[np.float64]
 
 BOARD = Board(columns=7, rows=5, square_m=0.1)
 
-_SAMPLES = 32  # per pixel: edges are where corners are found
+_SAMPLES = 64  # per pixel: edges are where corners are found
 _TRIES = 400  # of a pose at which the whole board is seen
 _BORDER_PX = 4.0
+# Boards seen straight from the front say nothing of the focal length. In 20 views of 320 x 240 with
+# noise as measured, it is found within 0.044 % (one sigma), with 10 to 40 degrees within 0.059 %.
+_TILT_DEG = (20.0, 50.0)
 # Half sides of the windows corners are refined in, over their spacing: in a picture a window sees
 # no other corner; from the front all are symmetrical, and a wider one averages more noise.
 _WINDOW, _FRONT_WINDOW = 0.35, 0.6
@@ -170,7 +173,7 @@ def board_points(board: Board) -> Array:
 
 
 def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
-    """A random `cam_from_board` (4, 4): anywhere in the picture, whole, tilted up to 40 degrees.
+    """A random `cam_from_board` (4, 4): anywhere in the picture, whole, tilted 20 to 50 degrees.
 
     Raises:
         InputError: the camera never sees the whole board.
@@ -183,7 +186,7 @@ def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
     size = np.array([camera.width, camera.height])
     for _ in range(_TRIES):
         axis = rng.uniform(0, 2 * np.pi)
-        tilt = np.radians(rng.uniform(10, 40)) * np.array([np.cos(axis), np.sin(axis), 0.0])
+        tilt = np.radians(rng.uniform(*_TILT_DEG)) * np.array([np.cos(axis), np.sin(axis), 0.0])
         roll = np.array([0.0, 0.0, np.radians(rng.uniform(-15, 15))])
         rotation = cv2.Rodrigues(tilt)[0] @ cv2.Rodrigues(roll)[0]
         ray, valid = camera.unproject(torch.from_numpy(rng.uniform(0.1, 0.9, 2) * size)[None])

@@ -20,7 +20,7 @@ FISHEYE = Camera("OPENCV_FISHEYE", 320, 240, (165, 164, 162, 118, 0.03, -0.008, 
     "camera",
     [
         CAMERA,
-        FISHEYE,
+        pytest.param(FISHEYE, marks=pytest.mark.slow),
         pytest.param(Camera("PINHOLE", 320, 240, (290, 290, 158, 121)), marks=pytest.mark.slow),
         pytest.param(Camera("PINHOLE", 512, 512, (443, 443, 256, 256)), marks=pytest.mark.slow),
     ],
@@ -28,9 +28,9 @@ FISHEYE = Camera("OPENCV_FISHEYE", 320, 240, (165, 164, 162, 118, 0.03, -0.008, 
 )
 def test_opencv_recovers_the_camera(camera: Camera, tmp_path: Path) -> None:
     """The targets of the project, on cameras that nothing was tuned on."""
-    result = calibrate(camera, tmp_path, views=10, seed=3)
+    result = calibrate(camera, tmp_path, views=20, seed=3)
     print(result.text())
-    assert len(result.views) >= 9
+    assert len(result.views) >= 18
     assert result.rms_px < 0.1
     # Corners lie where the true camera sees them: nothing is half a pixel off.
     assert result.truth_rms_px < 0.1
@@ -39,7 +39,7 @@ def test_opencv_recovers_the_camera(camera: Camera, tmp_path: Path) -> None:
     assert abs(result.found.distortion[0] - camera.distortion[0]) < 0.02
     assert result.rotation_deg.max() < 0.3
     assert (result.translation_m < 0.005 * result.distance_m).all()
-    assert len(list((tmp_path / "views").glob("*.png"))) == 10
+    assert len(list((tmp_path / "views").glob("*.png"))) == 20
     assert (tmp_path / "corners.png").stat().st_size > 20_000
     table = result.text()
     assert "RMS" in table
@@ -57,7 +57,7 @@ def test_boards_are_seen_whole() -> None:
             xy = camera.project(torch.from_numpy(local)).xy.numpy()
             assert xy.min() > 0
             assert (xy < [camera.width, camera.height]).all()
-            assert pose[2, 2] > 0.7  # its face towards the camera
+            assert pose[2, 2] > 0.6  # its face towards the camera
 
 
 def test_a_camera_too_small_is_one_line(tmp_path: Path) -> None:
