@@ -11,25 +11,23 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
 from benchmark.datasets import BenchmarkQuery, Dataset, digest
 from benchmark.textfiles import read_cameras, read_poses
 from scene.camera import Camera
+from scene.cmu import CAMERAS, SIMULATED, ImageName, surroundings
 from scene.colmap import read_map
 from scene.errors import InputError
-from scene.files import sha256_of
+from scene.files import read_text, sha256_of
 from scene.pose import Pose
 
 TRACK: Final = "cmu"
+SIMULATED_TRACK: Final = "cmu-sim"
 
 _INTRINSICS: Final = "intrinsics.txt"
 _SLICE: Final = re.compile(r"slice(\d+)")
-_IMAGE: Final = re.compile(r"img_(\d+)_(c[01])_(\d+)us\.jpg")
-# Pittsburgh: a day there is no day of UTC.
-_LOCAL: Final = timedelta(hours=-5)
 
 # What the data set's README says of each day; other days go by their date alone.
 _DAYS: Final = {
@@ -85,7 +83,7 @@ class Slice:
 
     def camera(self, name: str) -> Camera:
         """The camera that took an image, which its name tells."""
-        return self.cameras[_matched(name).group(2)]
+        return self.cameras[ImageName.parse(name).camera]
 
 
 def open_slices(path: Path) -> list[Slice]:
@@ -101,7 +99,7 @@ def open_slices(path: Path) -> list[Slice]:
     for folder in folders:
         names = tuple(sorted(image.name for image in (folder / "query").glob("*.jpg")))
         for name in names:
-            _matched(name)
+            ImageName.parse(name)
         if names:
             found.append(Slice(folder, names, cameras))
     if not found:
@@ -116,16 +114,9 @@ def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:
     if _SLICE.fullmatch(root.name):
         chosen, root = [root], root.parent
     cameras = read_cameras(root / _INTRINSICS)
-    if set(cameras) != {"c0", "c1"}:
+    if set(cameras) != set(CAMERAS):
         raise InputError(f"{root / _INTRINSICS}: expected cameras c0 and c1, got {sorted(cameras)}")
     return chosen, cameras
-
-
-def surroundings(number: int) -> str:
-    """Urban, suburban or park, by the number of the slice."""
-    if number <= 8:
-        return "urban"
-    return "suburban" if number <= 17 else "park"
 
 
 def condition(name: str) -> str:
@@ -134,16 +125,8 @@ def condition(name: str) -> str:
     Raises:
         InputError: the name is not of this data set.
     """
-    microseconds = int(_matched(name).group(3))
-    day = (datetime.fromtimestamp(microseconds / 1e6, UTC) + _LOCAL).strftime("%Y-%m-%d")
+    day = ImageName.parse(name).day.isoformat()
     return f"{day} {_DAYS[day]}" if day in _DAYS else day
-
-
-def _matched(name: str) -> re.Match[str]:
-    found = _IMAGE.fullmatch(name)
-    if found is None:
-        raise InputError(f"image {name!r} is not named like img_00119_c0_1303398474779439us.jpg")
-    return found
 
 
 def _slices(root: Path) -> list[Path]:
@@ -175,7 +158,7 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
             name=name,
             condition=condition(name),
             group=f"{folder.name} {condition(name)}",
-            camera=cameras[_matched(name).group(2)],
+            camera=cameras[ImageName.parse(name).camera],
             image=folder / "query" / name,
             prior=None,
             reference=pose,
@@ -185,10 +168,16 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
     number = int(folder.name.removeprefix("slice"))
     return Dataset(
         name=f"cmu-{surroundings(number)}-slice{number}",
-        track=TRACK,
+        track=_track(folder.parent),
         sha256=digest(sparse_map, queries, [sha256_of(query.image) for query in queries]),
         map_conditions=tuple(sorted({condition(name) for name in sparse_map.images})),
         load_map=lambda: sparse_map,
         images=folder / "database",
         queries=queries,
     )
+
+
+def _track(root: Path) -> str:
+    """Whether the photographs are the data set's own."""
+    simulated = read_text(root / _INTRINSICS, "cameras").startswith(SIMULATED)
+    return SIMULATED_TRACK if simulated else TRACK

@@ -14,7 +14,7 @@ from scene.config import Config, load_config
 from scene.geodesy import Geodetic
 from simulate.camera.lens import CameraConfig, rendered_through
 from simulate.camera.sensor import SensorConfig
-from simulate.flight.config import Flight, NadirFlight
+from simulate.flight.config import Flight, NadirFlight, StreetFlight
 from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import preset
@@ -32,6 +32,7 @@ class SessionConfig(Config):
         role: its frames build the map, or are queries.
         frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
         change: what stands elsewhere, is gone or is new since the place was built.
+        camera: of this session's photographs; None takes the scene's.
         name: of its folder; None is condition-flight-role.
     """
 
@@ -40,6 +41,7 @@ class SessionConfig(Config):
     role: Role
     frames: int | None = Field(None, ge=1)
     change: Change = Change()
+    camera: CameraConfig | None = None
     name: str | None = Field(None, pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")
 
     @field_validator("condition")
@@ -99,8 +101,46 @@ QUERY_PLAN = FlightPlan(
 )
 
 
+def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionConfig, ...]:
+    """A car's drive along the longest road with a camera to either side: two sessions, as each
+    has its own lens. Maps are driven there and back, queries back in another track."""
+    return tuple(
+        SessionConfig(
+            condition=condition,
+            flight=StreetFlight(
+                roads=1,
+                way="both" if role == "map" else "back",
+                offset_m=offset_m,
+                edge_m=25.0,
+                yaws_deg=(yaw,),
+            ),
+            role=role,
+            frames=None if role == "map" else 15,
+            camera=CameraConfig(preset=f"cmu-{camera}"),
+            name=f"{condition}-{role}-{camera}",
+        )
+        for yaw, camera in ((-45.0, "c0"), (45.0, "c1"))
+    )
+
+
+# What is usual in a kind of place where it is not what is usual elsewhere.
+_USUAL: dict[str, dict[str, Any]] = {
+    "street": {
+        "area": 300.0,
+        "frames": 60,
+        "sessions": (
+            *_drive("summer-noon", "map"),
+            *_drive("summer-noon", "query", -0.5),
+            *_drive("winter-dusk", "query", 0.4),
+        ),
+    },
+}
+
+
 class SimulateConfig(Config):
     """A scene: a place, a camera, and flights over it.
+
+    The place called street has its own usual area, frames and sessions: drives with two cameras.
 
     Attributes:
         preset: kind of place.
@@ -108,11 +148,12 @@ class SimulateConfig(Config):
         area: side of the place, metres.
         size: long side of the photographs, pixels, unless ``camera`` has its own.
         fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
-        camera: of every photograph; None is a square pinhole of ``size`` and ``fov_deg``.
+        camera: of every photograph of sessions without their own; None is a square pinhole of
+            ``size`` and ``fov_deg``.
         spp: paths per pixel, denoised.
         frames: photographs of a session that does not say.
-        sessions: flights; on the command line "condition:flight[:role]", where the first is the
-            map's and the others are queries unless they say.
+        sessions: flights; on the command line "condition:flight[:role][:change]", where the first
+            is the map's and the others are queries unless they say.
         map_plan: how map flights are flown.
         query_plan: how query flights are flown.
         position_jitter_m: wind, standard deviation per axis.
@@ -159,6 +200,13 @@ class SimulateConfig(Config):
     jpeg_quality: int = Field(95, ge=1, le=100)
     origin: Geodetic = PLACE
 
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_values(cls, values: object) -> object:
+        if not isinstance(values, dict) or not isinstance(values.get("preset"), str):
+            return values
+        return _USUAL.get(values["preset"], {}) | values
+
     @field_validator("preset")
     @classmethod
     def _known_preset(cls, name: str) -> str:
@@ -168,7 +216,7 @@ class SimulateConfig(Config):
     @field_validator("sessions", mode="before")
     @classmethod
     def _from_words(cls, sessions: object) -> object:
-        """The command line's "condition:flight[:role]"."""
+        """The command line's "condition:flight[:role][:change]"."""
         if not isinstance(sessions, list | tuple):
             return sessions
         return tuple(
@@ -184,7 +232,8 @@ class SimulateConfig(Config):
 
     @model_validator(mode="after")
     def _rows_are_rendered(self) -> SimulateConfig:
-        if self.sensor.readout_s and rendered_through(self.photo_camera())[1] is not None:
+        cameras = (self.photo_camera(session) for session in self.sessions)
+        if self.sensor.readout_s and any(rendered_through(c)[1] is not None for c in cameras):
             raise ValueError(
                 "sensor.readout_s needs a camera without distortion and with one focal length"
             )
@@ -212,10 +261,11 @@ class SimulateConfig(Config):
         """
         return load_config(SimulateConfig, path, overrides)
 
-    def photo_camera(self) -> Camera:
-        """The camera of every photograph."""
-        if self.camera is not None:
-            return self.camera.build(self.size)
+    def photo_camera(self, session: SessionConfig | None = None) -> Camera:
+        """The camera of a session's photographs, or of those of sessions without their own."""
+        camera = (session.camera if session is not None else None) or self.camera
+        if camera is not None:
+            return camera.build(self.size)
         focal = 0.5 * self.size / np.tan(np.radians(0.5 * self.fov_deg))
         centre = 0.5 * self.size
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
@@ -231,13 +281,26 @@ class SimulateConfig(Config):
         return tuple(names)
 
 
-def _session_from_words(text: str, first: bool) -> dict[str, str]:
+def _session_from_words(text: str, first: bool) -> dict[str, object]:
     name, colon, flight = text.partition(":")
     if not colon:
-        raise ValueError(f"a session is written condition:flight[:role], got {text!r}")
-    role = "map" if first else "query"
+        raise ValueError(f"a session is written condition:flight[:role][:change], got {text!r}")
+    session: dict[str, object] = {"condition": name, "role": "map" if first else "query"}
     # The name of a plan's file may hold colons of its own.
-    head, colon, last = flight.rpartition(":")
-    if colon and (last in get_args(Role) or not flight.startswith("plan=")):
-        flight, role = head, last
-    return {"condition": name, "flight": flight, "role": role}
+    plan = flight.startswith("plan=")
+    head, _, last = flight.rpartition(":")
+    if head and (last.partition("=")[0] in Change.model_fields if plan else "=" in last):
+        session["change"] = dict(_setting(word) for word in last.split(","))
+        flight = head
+    head, _, last = flight.rpartition(":")
+    if head and (last in get_args(Role) or not plan):
+        session["role"] = last
+        flight = head
+    return session | {"flight": flight}
+
+
+def _setting(word: str) -> tuple[str, str]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise ValueError(f"a change is written share=value[,...], got {word!r}")
+    return key, value

@@ -28,9 +28,11 @@ PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
     "phantom-3": (4000, 3000, 94.0, ()),
     "phantom-4-pro": (5472, 3648, 84.0, ()),
     "phantom-4-rtk-raw": (5472, 3648, 84.0, (-0.27, 0.11, 0.0, 0.0)),
+    "cmu-c0": (1024, 768, 72.85, (-0.399, 0.189, 0.0002, 0.0006)),
+    "cmu-c1": (1024, 768, 72.37, (-0.397, 0.182, 0.0002, -0.0006)),
 }
 """Full resolution width and height (px), diagonal field of view (deg), k1 k2 p1 p2; principal point
-in the middle. Nominal: a drone at hand has to be calibrated.
+in the middle unless `_PRINCIPAL` says. Nominal: a drone at hand has to be calibrated.
 
 Held against published figures: all sizes (the DroneModels table of calibrated drone cameras has
 FC7303, L2D-20C, FC300 and FC6310 with these). 84 degrees of the Phantom 4 Pro and RTK is what
@@ -39,11 +41,15 @@ degrees of the Phantom 3 is the diagonal that its owners quote. Not found again:
 Mini 2. Not of a maker: "mini-2-wide" is the middle of the "mini-2", and the coefficients of
 "phantom-4-rtk-raw", the survey drone with the correction of its JPEGs switched off, have the size
 of published ones but are of no camera. The others are taken to correct their distortion fully.
+"cmu-c0" and "cmu-c1" are like the two cameras on the car of CMU Seasons: wide lenses bent inwards,
+neither like the other nor centred.
 """
+# Principal points that are not in the middle, as shares of width and height.
+_PRINCIPAL = {"cmu-c0": (0.514, 0.547), "cmu-c1": (0.517, 0.517)}
 
 
 class CameraConfig(Config):
-    """The camera of the photographs: COLMAP's parameters, or the name of a drone's camera.
+    """The camera of the photographs: COLMAP's parameters, or the name of a known one.
 
     Attributes:
         model: COLMAP camera model.
@@ -86,7 +92,8 @@ class CameraConfig(Config):
         scale = (self.size or size) / width
         focal = 0.5 * scale * math.hypot(width, height) / math.tan(math.radians(0.5 * fov_deg))
         width, height = round(width * scale), round(height * scale)
-        params = (focal, focal, 0.5 * width, 0.5 * height, *distortion)
+        right, down = _PRINCIPAL.get(self.preset, (0.5, 0.5))
+        params = (focal, focal, right * width, down * height, *distortion)
         return Camera("OPENCV" if distortion else "PINHOLE", width, height, params)
 
 
