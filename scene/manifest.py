@@ -50,12 +50,17 @@ class Session(_File):
         role: whether its frames build the map, are localized in it, or some do one and some the
             other.
         change: how its world differs from that of the scene's seed.
+        readout_s: between the readouts of the top and the bottom of its photographs. Where it is
+            not zero (a rolling shutter), poses are those of the middle row, cameras move in between
+            with the central difference of their positions, and depth and the other layers are of
+            each row's own pose.
     """
 
     condition: str
     flight: str
     role: Literal["map", "query", "both"]
     change: DeclaredChange = DeclaredChange()
+    readout_s: FiniteFloat = 0.0
 
 
 class Manifest(_File):

@@ -45,8 +45,8 @@ def main(job_path: str, out: str) -> None:
             pose = np.array(job.poses[int(number)])
             start = time.process_time()
             if ours:
-                arrays = _render(pose, Path(scratch))
-                arrays["semantic"] = _semantic(world, rays, pose, arrays)
+                arrays = _render(pose, np.zeros(3), Path(scratch))
+                arrays["semantic"] = _semantic(world, rays, pose, np.zeros((len(rays), 3)), arrays)
                 _save(frame_path(Path(out), int(number)), arrays)
             else:
                 _render_picture(pose, Path(scratch))
