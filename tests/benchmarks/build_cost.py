@@ -21,8 +21,8 @@ _PLACES = (
 
 def main(places: list[str]) -> None:
     """Print a table with one line per place."""
-    columns = ("place (side in m, seed)", "objects", "plan, cpu-s", "scene, cpu-s")
-    columns += ("first frame, cpu-s", "together, s", "peak memory, GB")
+    columns = ["place (side in m, seed)", "objects", "plan, cpu-s", "scene, cpu-s"]
+    columns += ["first frame, cpu-s", "together, s", "peak memory, GB"]
     print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|", flush=True)
     for place in places:
         subprocess.run(
