@@ -45,7 +45,7 @@ lint: install
 clean:
 	rm -rf $(VENV) runs build *.egg-info
 
-# Everything about speed and memory, in one run: about half an hour on two cores.
+# Everything about speed and memory, in one run; tens of minutes.
 bench: libraries
 	$(BIN)/python -m pytest tests/benchmarks -m '' -s --benchmark-enable --benchmark-columns=median,iqr,rounds
 	$(BIN)/python -m tests.benchmarks.frame_cost
