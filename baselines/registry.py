@@ -3,27 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final, cast
 
 from scene.config import load_config
 from scene.errors import InputError
 from scene.localizer import Localizer
 
 METHODS: Final = ("sift",)
+_PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
+ENTRY_POINTS: Final = "objconnect.localizers"
+
+
+def known() -> list[str]:
+    """Names of our methods, then of those that installed packages bring."""
+    return [*METHODS, *sorted({found.name for found in entry_points(group=ENTRY_POINTS)})]
 
 
 def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
     """Build a localizer.
 
+    A package brings its own by an entry point of the group ``objconnect.localizers``: a callable
+    that takes the overrides and returns a ``scene.localizer.Localizer``.
+
     Args:
-        name: one of ``METHODS``.
+        name: one of ``known()``.
         overrides: configuration values that differ from the defaults.
 
     Raises:
-        InputError: unknown name, unknown key or bad value.
+        InputError: unknown name, unknown key or bad value, or a package that cannot be loaded.
     """
     if name == "sift":
         from baselines.sift import SiftConfig, SiftLocalizer
 
         return SiftLocalizer(load_config(SiftConfig, None, overrides))
-    raise InputError(f"unknown method {name!r}; known: {', '.join(METHODS)}")
+    for found in entry_points(group=ENTRY_POINTS, name=name):
+        return _brought(found, overrides)
+    raise InputError(f"unknown method {name!r}; known: {', '.join(known())}")
+
+
+def _brought(found: EntryPoint, overrides: Mapping[str, Any]) -> Localizer:
+    """A localizer of another package, whose faults are its own but must not be tracebacks."""
+    try:
+        localizer = found.load()(dict(overrides))
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"method {found.name!r} ({found.value}) cannot be made: {type(error).__name__}: {error}"
+        ) from error
+    lacking = [part for part in _PROTOCOL if not hasattr(localizer, part)]
+    if lacking:
+        raise InputError(
+            f"method {found.name!r} ({found.value}) is no localizer: it lacks {', '.join(lacking)}"
+        )
+    return cast("Localizer", localizer)

@@ -66,9 +66,10 @@ class SiftLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Extract the features of the map's photographs and tie them to its points."""
-        features = _map_features(sparse_map, images, self._options, cache)
+        features = map_features(sparse_map, images, self._options, cache)
         self._map = sparse_map
         self._centres = sparse_map.centres
+        self._row = {name: row for row, name in enumerate(sparse_map.names)}
         descriptors = [unit_descriptors(features[name]) for name in sparse_map.names]
         # Only keypoints with a 3D point can vote for a pose.
         self._lifted: list[tuple[NDArray[np.int64], torch.Tensor]] = []
@@ -120,6 +121,8 @@ class SiftLocalizer:
         )
 
     def _references(self, query: Query, descriptors: torch.Tensor) -> NDArray[np.int64]:
+        if query.references is not None:
+            return np.array([self._row[name] for name in query.references], np.int64)
         if query.prior is not None:
             return nearest_by_position(self._centres, query.prior.position, self.config.references)
         return self._index.rank(descriptors.numpy(), self.config.references)
@@ -151,10 +154,14 @@ def _points_of_keypoints(features: Features, image: MapImage) -> NDArray[np.int6
     return rows
 
 
-def _map_features(
+def map_features(
     sparse_map: SparseMap, images: Path, options: SiftOptions, cache: Path | None
 ) -> dict[str, Features]:
-    """Features of the map's photographs, read from the cache when it holds them."""
+    """Features of the map's photographs, read from the cache when it holds them.
+
+    Raises:
+        InputError: a photograph is missing, broken, or not of its camera's size.
+    """
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     path = None
     if cache is not None:

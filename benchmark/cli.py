@@ -53,13 +53,6 @@ app = typer.Typer(
 )
 
 
-class Start(StrEnum):
-    """What queries are handed besides the image."""
-
-    PRIOR = "prior"
-    NONE = "none"
-
-
 Json = Annotated[
     bool, typer.Option("--json", help="Print a machine-readable summary on standard output.")
 ]
@@ -120,32 +113,107 @@ def evaluate(
     ],
     overrides: Settings = None,
     start: Annotated[
-        Start, typer.Option(help="Hand each query's own prior to the method, or nothing.")
-    ] = Start.PRIOR,
+        str,
+        typer.Option(
+            metavar="START",
+            help="What the method is told about a query: prior (the data set's own), none, "
+            "retrieval[=K] (the K map photographs most like it), pairs=FILE (hloc's pair list), or "
+            "error=3m,5deg (the reference pose, moved and turned by so much).",
+        ),
+    ] = "prior",
     cache: Cache = None,
+    jobs: Annotated[int, typer.Option(help="Queries at a time.", min=1)] = 1,
     as_json: Json = False,
 ) -> None:
     """Localize the queries of data sets and score the poses.
 
     Writes RESULTS/<dataset>/<method>.json and a picture of the query of median error, each when its
-    last query is done. An older file of the same name is replaced.
+    last query is done; run again, an interrupted evaluation goes on where it was. An older file of
+    the same name is replaced.
     """
     from baselines.registry import create
     from benchmark.datasets import open_datasets
     from benchmark.evaluate import evaluate as run
     from benchmark.evaluate import results_path
     from benchmark.leaderboard import markdown, tables
+    from benchmark.starts import parse_start
 
     # Everything that can be wrong is looked at before the first minute is spent.
     settings = _settings(overrides or [])
     localizers = {name: create(name, settings) for name in method}
+    told = parse_start(start)
     opened = [dataset for path in datasets for dataset in open_datasets(path)]
     _require_distinct_names(opened)
     written = []
     for dataset in opened:
         for localizer in localizers.values():
-            run(dataset, localizer, out, start is Start.PRIOR, cache)
+            run(dataset, localizer, out, told, cache, jobs)
             written.append(results_path(out, dataset, localizer))
+    boards = tables(written)
+    if as_json:
+        _print_json({"results": [str(path) for path in written], "tables": boards})
+    else:
+        print(markdown(boards), end="")
+
+
+@app.command()
+def submit(
+    path: Annotated[
+        Path, typer.Argument(metavar="CMU", help="Extended CMU Seasons, or one slice of it.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for submission.txt.")],
+    method: Annotated[str, typer.Option(metavar="METHOD", help="Localizer to run.")] = "sift",
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Write the poses of all query images as visuallocalization.net takes them.
+
+    Run again, it goes on after the last finished slice.
+    """
+    from baselines.registry import create
+    from benchmark.submission import SUBMISSION
+    from benchmark.submission import submit as run
+
+    found, images = run(path, create(method, _settings(overrides or [])), out, cache)
+    if as_json:
+        _print_json({"submission": str(out / SUBMISSION), "images": images, "found": found})
+    else:
+        print(f"{out / SUBMISSION}: {found} of {images} images found")
+
+
+@app.command()
+def score(
+    poses: Annotated[
+        Path, typer.Argument(metavar="POSES", help="Lines: name qw qx qy qz tx ty tz, as hloc's.")
+    ],
+    reference: Annotated[
+        list[Path],
+        typer.Option(metavar="DATASET", help="What the poses are of, as for evaluate; repeatable."),
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="RESULTS", help="Folder for <dataset>/<method>.json.")
+    ],
+    method: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name to go by; else that of the file.")
+    ] = None,
+    start: Annotated[
+        str, typer.Option(metavar="START", help="What the method was told, as for evaluate.")
+    ] = "none",
+    as_json: Json = False,
+) -> None:
+    """Score poses that another program found; a query without a line has failed."""
+    from benchmark.datasets import open_datasets
+    from benchmark.elsewhere import score as run
+    from benchmark.leaderboard import markdown, tables
+
+    opened = [dataset for path in reference for dataset in open_datasets(path)]
+    _require_distinct_names(opened)
+    name = method or poses.stem
+    written = []
+    for results in run(poses, opened, name, start):
+        written.append(out / results.dataset.name / f"{name}.json")
+        results.write(written[-1])
     boards = tables(written)
     if as_json:
         _print_json({"results": [str(path) for path in written], "tables": boards})
@@ -264,6 +332,16 @@ def regress(
         raise typer.Exit(_REGRESSION)
 
 
+class ExportFormat(StrEnum):
+    """Programs that scenes are exported to."""
+
+    COLMAP = "colmap"
+    NERFSTUDIO = "nerfstudio"
+    TUM = "tum"
+    HLOC = "hloc"
+    CMU = "cmu"
+
+
 @app.command()
 def simulate(
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
@@ -287,14 +365,24 @@ def simulate(
     size: Annotated[int | None, typer.Option(help="Side of a photograph, pixels.")] = None,
     spp: Annotated[int | None, typer.Option(help="Rendering samples per pixel.")] = None,
     jobs: Annotated[int, typer.Option(help="Rendering processes.", min=1)] = 1,
+    file_format: Annotated[
+        ExportFormat | None,
+        typer.Option(
+            "--export",
+            help="Also build the map and export the scene to the folder SCENE-FORMAT beside it.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Render a scene; run again, it goes on where it was interrupted.
 
     An option that is left out takes its value from the configuration file, else its default.
     """
+    from scene.exports import export as write
+    from scene.exports import require_empty
     from simulate.command import simulate as run
     from simulate.config import SimulateConfig
+    from simulate.mapping import build_map as build
 
     settings = {
         "preset": preset,
@@ -305,11 +393,22 @@ def simulate(
         "size": size,
         "spp": spp,
     }
-    scene = run(SimulateConfig.load(config, settings), out, jobs)
+    wanted = SimulateConfig.load(config, settings)
+    target = None if file_format is None else out.with_name(f"{out.name}-{file_format.value}")
+    if target is not None:
+        require_empty(target)
+    scene = run(wanted, out, jobs)
+    summary: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
+    if target is not None and file_format is not None:
+        if not scene.map_path.is_dir():
+            build(out)
+        summary["export"] = write(out, file_format.value, target)["out"]
     if as_json:
-        _print_json({"scene": str(scene.path), "sessions": list(scene.sessions)})
+        _print_json(summary)
     else:
         print(f"{scene.path}: {', '.join(scene.sessions)}")
+        if target is not None:
+            print(f"exported to {target}")
 
 
 @app.command()
@@ -370,15 +469,6 @@ def build_map(
         print(report.text())
 
 
-class ExportFormat(StrEnum):
-    """Programs that scenes are exported to."""
-
-    COLMAP = "colmap"
-    NERFSTUDIO = "nerfstudio"
-    TUM = "tum"
-    HLOC = "hloc"
-
-
 @app.command()
 def export(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to export.")],
@@ -388,7 +478,8 @@ def export(
             "--format",
             help="colmap: a model of all poses, with the map's points. nerfstudio: "
             "transforms.json. tum: a trajectory per session. hloc: query list with intrinsics, "
-            "and pair lists from the covisibility.",
+            "and pair lists from the covisibility. cmu: the tree of Extended CMU Seasons, with the "
+            "photographs; a slice each for the urban, suburban and park part of --preset street.",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder.")],

@@ -9,13 +9,15 @@ says; the reference is of April 21, 2011, as its timestamps show.
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime, timedelta
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from benchmark.datasets import BenchmarkQuery, Dataset, digest
 from benchmark.textfiles import read_cameras, read_poses
 from scene.camera import Camera
+from scene.cmu import CAMERAS, ImageName, surroundings
 from scene.colmap import read_map
 from scene.errors import InputError
 from scene.files import sha256_of
@@ -25,9 +27,6 @@ TRACK: Final = "cmu"
 
 _INTRINSICS: Final = "intrinsics.txt"
 _SLICE: Final = re.compile(r"slice(\d+)")
-_IMAGE: Final = re.compile(r"img_(\d+)_(c[01])_(\d+)us\.jpg")
-# Pittsburgh: a day there is no day of UTC.
-_LOCAL: Final = timedelta(hours=-5)
 
 # What the data set's README says of each day; other days go by their date alone.
 _DAYS: Final = {
@@ -60,24 +59,63 @@ def open_cmu(path: Path) -> list[Dataset]:
         InputError: a file is missing or wrong, a name is not of this data set, or no slice has a
             public query pose.
     """
-    root = path.resolve()
-    chosen = _slices(root)
-    if _SLICE.fullmatch(root.name):
-        chosen, root = [root], root.parent
-    cameras = read_cameras(root / _INTRINSICS)
-    if set(cameras) != {"c0", "c1"}:
-        raise InputError(f"{root / _INTRINSICS}: expected cameras c0 and c1, got {sorted(cameras)}")
-    datasets = [d for folder in chosen if (d := _open_slice(folder, cameras)) is not None]
+    folders, cameras = _find(path)
+    datasets = [d for folder in folders if (d := _open_slice(folder, cameras)) is not None]
     if not datasets:
         raise InputError(f"{path} has no public query pose in any camera-poses folder")
     return datasets
 
 
-def surroundings(number: int) -> str:
-    """Urban, suburban or park, by the number of the slice."""
-    if number <= 8:
-        return "urban"
-    return "suburban" if number <= 17 else "park"
+@dataclass(frozen=True)
+class Slice:
+    """A slice as a task: its query images, whether their poses are public or hidden.
+
+    Attributes:
+        folder: of the slice.
+        queries: file names in its ``query`` folder, sorted.
+        cameras: c0 and c1.
+    """
+
+    folder: Path
+    queries: tuple[str, ...]
+    cameras: Mapping[str, Camera]
+
+    def camera(self, name: str) -> Camera:
+        """The camera that took an image, which its name tells."""
+        return self.cameras[ImageName.parse(name).camera]
+
+
+def open_slices(path: Path) -> list[Slice]:
+    """Every slice with query images, or one slice.
+
+    Raises:
+        InputError: not this data set, a name that is not of it, or no query image anywhere.
+    """
+    if not is_cmu(path):
+        raise InputError(f"{path} is not Extended CMU Seasons, nor a slice of it")
+    folders, cameras = _find(path)
+    found = []
+    for folder in folders:
+        names = tuple(sorted(image.name for image in (folder / "query").glob("*.jpg")))
+        for name in names:
+            ImageName.parse(name)
+        if names:
+            found.append(Slice(folder, names, cameras))
+    if not found:
+        raise InputError(f"{path} holds no query image")
+    return found
+
+
+def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:
+    """Folders of the slices meant, and the two cameras."""
+    root = path.resolve()
+    chosen = _slices(root)
+    if _SLICE.fullmatch(root.name):
+        chosen, root = [root], root.parent
+    cameras = read_cameras(root / _INTRINSICS)
+    if set(cameras) != set(CAMERAS):
+        raise InputError(f"{root / _INTRINSICS}: expected cameras c0 and c1, got {sorted(cameras)}")
+    return chosen, cameras
 
 
 def condition(name: str) -> str:
@@ -86,16 +124,8 @@ def condition(name: str) -> str:
     Raises:
         InputError: the name is not of this data set.
     """
-    microseconds = int(_matched(name).group(3))
-    day = (datetime.fromtimestamp(microseconds / 1e6, UTC) + _LOCAL).strftime("%Y-%m-%d")
+    day = ImageName.parse(name).day.isoformat()
     return f"{day} {_DAYS[day]}" if day in _DAYS else day
-
-
-def _matched(name: str) -> re.Match[str]:
-    found = _IMAGE.fullmatch(name)
-    if found is None:
-        raise InputError(f"image {name!r} is not named like img_00119_c0_1303398474779439us.jpg")
-    return found
 
 
 def _slices(root: Path) -> list[Path]:
@@ -126,7 +156,8 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
         BenchmarkQuery(
             name=name,
             condition=condition(name),
-            camera=cameras[_matched(name).group(2)],
+            group=f"{folder.name} {condition(name)}",
+            camera=cameras[ImageName.parse(name).camera],
             image=folder / "query" / name,
             prior=None,
             reference=pose,

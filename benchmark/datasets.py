@@ -22,6 +22,7 @@ class BenchmarkQuery:
     Attributes:
         name: unique within the data set.
         condition: season and light, or whatever the data set is divided by.
+        group: the flight or drive it belongs to: errors within one go together.
         camera: calibrated.
         image: file of the photograph.
         prior: starting information, or None where the data set has none for this query.
@@ -30,19 +31,20 @@ class BenchmarkQuery:
 
     name: str
     condition: str
+    group: str
     camera: Camera
     image: Path
     prior: Prior | None
     reference: Pose
 
-    def load(self, use_prior: bool = True) -> Query:
-        """Read the photograph.
+    def load(self, prior: Prior | None = None, references: tuple[str, ...] | None = None) -> Query:
+        """Read the photograph; the method is told no more than the arguments.
 
         Raises:
             InputError: it is missing, damaged, or not of the camera's size.
         """
-        prior = self.prior if use_prior else None
-        return Query(self.name, read_rgb(self.image, self.camera), self.camera, prior)
+        image = read_rgb(self.image, self.camera)
+        return Query(self.name, image, self.camera, prior, references)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from time import perf_counter
 
@@ -10,6 +12,7 @@ import numpy as np
 import torch
 
 from benchmark.datasets import BenchmarkQuery, Dataset
+from benchmark.journal import Journal
 from benchmark.memory import peak_megabytes, reset_peak
 from benchmark.pictures import median_query, query_overlay
 from benchmark.results import (
@@ -20,9 +23,9 @@ from benchmark.results import (
     PoseNumbers,
     QueryResult,
     Results,
-    summarize,
-    summarize_by_condition,
 )
+from benchmark.starts import NONE, PRIOR, Start
+from benchmark.uncertainty import normalised_error
 from scene.errors import InputError
 from scene.localizer import Estimate, Localizer, Query, Status
 from scene.pose import Pose
@@ -36,68 +39,66 @@ def evaluate(
     dataset: Dataset,
     localizer: Localizer,
     out: Path,
-    use_prior: bool = True,
+    start: Start = PRIOR,
     cache: Path | None = None,
+    jobs: int = 1,
 ) -> Results:
     """Localize every query, score it, and write ``OUT/<dataset>/<method>.json`` at the end.
 
-    Beside it goes ``<method>-query.png``, the map drawn into the query of median error. Nothing is
-    written before the last query is done. A method that raises an exception on a query has failed
-    on that query, and the run goes on.
+    Beside it goes ``<method>-query.png``, the map drawn into the query of median error. A method
+    that raises an exception on a query has failed on that query, and the run goes on. Finished
+    queries are kept in ``<method>.partial`` until then: the same run, interrupted, goes on there.
 
     Args:
         dataset: what to run on.
         localizer: what to run.
         out: folder of the results.
-        use_prior: hand each query's prior to the method.
+        start: what the method is told about each query besides its image.
         cache: folder for the method's per-map state, or None to keep none.
+        jobs: queries at a time, in threads. Seconds per query are those of one of so many.
 
     Raises:
         InputError: the map or a photograph is missing or broken, or ``out`` cannot be written.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"cannot write results to {out}: it is not a folder")
-    given = sum(query.prior is not None for query in dataset.queries) if use_prior else 0
-    if use_prior and 0 < given < len(dataset.queries):
-        missing = len(dataset.queries) - given
-        log.warning("%s: %d queries have no prior", dataset.name, missing)
-
-    reset_peak()
-    sparse_map = dataset.load_map()
-    start = perf_counter()
-    localizer.prepare(sparse_map, dataset.images, cache)
-    prepare = perf_counter() - start
-
-    queries = []
-    with progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance:
-        for query in dataset.queries:
-            loaded = query.load(use_prior)
-            start = perf_counter()
-            estimate = _attempt(localizer, loaded)
-            queries.append(_scored(query, estimate, perf_counter() - start))
-            advance(len(queries))
-
-    run = prepare, peak_megabytes()
-    results = Results(
-        method=Method(
-            name=localizer.name,
-            config=localizer.config.model_dump(mode="json"),
-            weights_sha256=localizer.weights_sha256,
-        ),
-        dataset=DatasetId(
-            name=dataset.name,
-            track=dataset.track,
-            sha256=dataset.sha256,
-            map_conditions=dataset.map_conditions,
-        ),
-        start="prior" if given else "none",
-        environment=Environment.current(),
-        summary=summarize(queries, *run),
-        by_condition=summarize_by_condition(queries, *run),
-        queries=tuple(queries),
+    start = _given(start, dataset)
+    method = Method(
+        name=localizer.name,
+        config=localizer.config.model_dump(mode="json"),
+        weights_sha256=localizer.weights_sha256,
     )
     target = results_path(out, dataset, localizer)
-    results.write(target)
+    with Journal(target.with_suffix(".partial"), _key(method, dataset, start)) as journal:
+        reset_peak()
+        sparse_map = dataset.load_map()
+        began = perf_counter()
+        localizer.prepare(sparse_map, dataset.images, cache)
+        prepare = perf_counter() - began
+        ask = start.asker(dataset, sparse_map, cache)
+
+        def finish(query: BenchmarkQuery) -> QueryResult:
+            loaded = ask(query)
+            began = perf_counter()
+            estimate = _attempt(localizer, loaded)
+            return scored(query, estimate, sparse_map, perf_counter() - began)
+
+        left = [query for query in dataset.queries if query.name not in journal.done]
+        bar = progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries))
+        with bar as advance, ThreadPoolExecutor(jobs) as pool:
+            advance(len(journal.done))
+            try:
+                for done in as_completed([pool.submit(finish, query) for query in left]):
+                    journal.add(done.result())
+                    advance(len(journal.done))
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+        queries = [journal.done[query.name] for query in dataset.queries]
+        results = Results.of(
+            method, identity(dataset), start.name, queries, prepare, peak_megabytes()
+        )
+        results.write(target)
     _draw_median(dataset, sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
     return results
 
@@ -105,6 +106,34 @@ def evaluate(
 def results_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
     """Where the results of a method on a data set lie."""
     return out / dataset.name / f"{localizer.name}.json"
+
+
+def _given(start: Start, dataset: Dataset) -> Start:
+    """The start as it is: a data set without priors has none to give."""
+    if start.kind != "prior":
+        return start
+    given = sum(query.prior is not None for query in dataset.queries)
+    if 0 < given < len(dataset.queries):
+        missing = len(dataset.queries) - given
+        log.warning("%s: %d queries have no prior", dataset.name, missing)
+    return PRIOR if given else NONE
+
+
+def _key(method: Method, dataset: Dataset, start: Start) -> str:
+    """Digest of everything that decides the results of a run."""
+    parts = [method.model_dump_json(), dataset.sha256, start.name]
+    parts.append(Environment.current().model_dump_json())
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def identity(dataset: Dataset) -> DatasetId:
+    """What results say of their data set."""
+    return DatasetId(
+        name=dataset.name,
+        track=dataset.track,
+        sha256=dataset.sha256,
+        map_conditions=dataset.map_conditions,
+    )
 
 
 def _attempt(localizer: Localizer, query: Query) -> Estimate:
@@ -126,28 +155,35 @@ def _attempt(localizer: Localizer, query: Query) -> Estimate:
     return estimate
 
 
-def _scored(query: BenchmarkQuery, estimate: Estimate, seconds: float) -> QueryResult:
+def scored(
+    query: BenchmarkQuery, estimate: Estimate, sparse_map: SparseMap, seconds: float | None
+) -> QueryResult:
+    """An estimate held against the reference pose of its query; seconds where they are known."""
     pose = estimate.cam_from_world if estimate.status is not Status.FAILED else None
-    numbers = t_err = r_err = None
+    numbers = t_err = r_err = nees = None
     if pose is not None:
         pose = pose.to(dtype=torch.float64, device=torch.device("cpu"))
         numbers = (*pose.quaternion().tolist(), *pose.translation.tolist())
         # What is scored is what is written.
         metres, degrees = _pose(numbers).error_to(query.reference)
         t_err, r_err = float(metres), float(degrees)
+        nees = normalised_error(_pose(numbers), query.reference, estimate.covariance)
     sigma = estimate.sigma_position()
     return QueryResult(
         name=query.name,
         condition=query.condition,
+        group=query.group,
+        altitude_m=sparse_map.height_above(query.reference.centre().numpy()),
         status=estimate.status,
         reason=estimate.reason,
         t_err_m=t_err,
         r_err_deg=r_err,
         cam_from_world=numbers,
         sigma_t_m=sigma if sigma is not None and np.isfinite(sigma) else None,
+        nees=nees,
         iterations=estimate.iterations,
         inliers=estimate.inliers,
-        seconds=estimate.seconds | {TOTAL: seconds},
+        seconds=estimate.seconds | ({} if seconds is None else {TOTAL: seconds}),
     )
 
 

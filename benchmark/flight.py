@@ -78,7 +78,7 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
     priors = _priors(path, sparse_map)
     queries = tuple(
         BenchmarkQuery(
-            query, _CONDITION, camera, images / query, priors.get(query), references[query]
+            query, _CONDITION, name, camera, images / query, priors.get(query), references[query]
         )
         for query, camera in cameras.items()
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.results import TOTAL, Recall, Results, Start, Summary, load
+from benchmark.results import TOTAL, Recall, Results, Summary, load
 from benchmark.score import THRESHOLDS
 from scene.errors import InputError
 from scene.files import write_text
@@ -17,7 +17,13 @@ _BAR: Final = "sift"
 _SATURATED: Final = 99.0
 
 _ALL: Final = "all"
-_START: Final = {"prior": "each query's own prior", "none": "no prior"}
+_STARTS: Final = {
+    "prior": "each query's own prior",
+    "none": "no prior",
+    "retrieval": "the {} map photographs most like it, by VLAD of SIFT",
+    "pairs": "map photographs of the pair list {}",
+    "error": "a prior wrong by {}",
+}
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,7 @@ class Table:
     track: str
     dataset: str
     sha256: str
-    start: Start
+    start: str
     map_conditions: tuple[str, ...]
     rows: tuple[Row, ...]
 
@@ -67,7 +73,7 @@ def tables(results: Sequence[Path]) -> list[Table]:
     Raises:
         InputError: as ``leaderboard``.
     """
-    groups: dict[tuple[str, str, str, Start], list[Results]] = {}
+    groups: dict[tuple[str, str, str, str], list[Results]] = {}
     for path in dict.fromkeys(file for given in results for file in _files(given)):
         run = load(path)
         key = (run.dataset.track, run.dataset.name, run.dataset.sha256, run.start)
@@ -127,7 +133,7 @@ def markdown(boards: Sequence[Table]) -> str:
     for board in boards:
         lines += ["", f"## {board.track}: {board.dataset}", ""]
         lines += [
-            f"Start: {_START[board.start]}. Map: {', '.join(board.map_conditions)}. "
+            f"Start: {_start(board.start)}. Map: {', '.join(board.map_conditions)}. "
             f"Data set {board.sha256[:12]}.",
             "",
             *_table(board),
@@ -161,6 +167,12 @@ def saturation(board: Table) -> str | None:
                 "keep up there."
             )
     return "\n".join(notes) or None
+
+
+def _start(name: str) -> str:
+    """The starting information in words."""
+    kind, _, value = name.partition("=")
+    return _STARTS.get(kind, name).format(value)
 
 
 def _table(board: Table) -> Iterator[str]:

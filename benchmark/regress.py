@@ -29,7 +29,8 @@ class Comparison:
         condition: of the queries, or "all".
         threshold: as "0.5m_5deg".
         change: of recall, paired by query.
-        dropped: recall fell by more than chance.
+        vanished: queries of the baseline that the results lack; they count as wrong.
+        dropped: recall fell by more than chance, or a query vanished, which is not chance at all.
     """
 
     method: str
@@ -38,6 +39,7 @@ class Comparison:
     condition: str
     threshold: str
     change: PairedChange
+    vanished: int
     dropped: bool
 
     def text(self) -> str:
@@ -48,6 +50,7 @@ class Comparison:
             f"{verdict} {self.method} on {self.dataset} ({self.track}), {self.condition}, "
             f"{self.threshold}: {c.change:+.1f} points [{c.low:+.1f}, {c.high:+.1f}], "
             f"{c.lost} lost and {c.won} won of {c.queries}, p = {c.p_drop:.2g}"
+            + (f"; {self.vanished} queries vanished" if self.vanished else "")
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -112,7 +115,7 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
         queries = [q for q in before.queries if scope in ("all", q.condition)]
         for threshold in THRESHOLDS:
             was = [is_correct(query, threshold) for query in queries]
-            found = (by_name.get(query.name) for query in queries)
+            found = [by_name.get(query.name) for query in queries]
             now = [query is not None and is_correct(query, threshold) for query in found]
             change = compare(was, now)
             yield Comparison(
@@ -122,5 +125,6 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
                 condition=scope,
                 threshold=threshold.key,
                 change=change,
-                dropped=change.p_drop < level,
+                vanished=found.count(None),
+                dropped=change.p_drop < level or None in found,
             )

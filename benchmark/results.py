@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.score import THRESHOLDS, median_errors, recall
+from benchmark.uncertainty import consistency
 from scene.errors import InputError
 from scene.files import write_text
 from scene.localizer import Status
 from scene.manifest import read_json
 
-Start = Literal["prior", "none"]
 PoseNumbers = tuple[float, float, float, float, float, float, float]
 
 # The stage that holds the whole time of a query, measured from outside the method.
@@ -25,6 +26,8 @@ TOTAL = "total"
 
 # Stored and recomputed figures agree to this relative difference, or the file was changed.
 _TOLERANCE = 1e-9
+# Width of a band of altitude.
+_BAND_M = 30
 
 
 class _File(BaseModel):
@@ -92,6 +95,15 @@ class Seconds(_File):
     per_query: dict[str, float]
 
 
+class Uncertainty(_File):
+    """How errors compare with predicted covariances: ``benchmark.uncertainty.Consistency``."""
+
+    queries: int
+    nees_mean: float
+    nees_median: float
+    within_95: Recall
+
+
 class Summary(_File):
     """Figures of a set of queries.
 
@@ -101,6 +113,7 @@ class Summary(_File):
         median_t_m: over queries with a pose, metres; None when there is none.
         median_r_deg: likewise, degrees.
         failed: without a pose.
+        uncertainty: of the localized queries with a covariance; None when there is none.
         fallback: with a pose that is only the prior's or a reference's; counted as wrong.
         seconds: ``prepare`` is of the whole run, also when the queries are only a part of it.
         peak_memory_mb: of the process during the whole run (1e6 bytes); None where the system does
@@ -113,6 +126,7 @@ class Summary(_File):
     median_r_deg: float | None
     failed: int
     fallback: int
+    uncertainty: Uncertainty | None
     seconds: Seconds
     peak_memory_mb: float | None
 
@@ -123,12 +137,15 @@ class QueryResult(_File):
     Attributes:
         name: of the photograph.
         condition: it was taken under.
+        group: flight or drive it belongs to.
+        altitude_m: height of the reference position above the map's points.
         status: how it ended.
         reason: in words, when not ``ok``.
         t_err_m: distance of the camera centres, metres; None without a pose.
         r_err_deg: angle between the rotations, degrees; None without a pose.
         cam_from_world: qw qx qy qz tx ty tz, the estimate; None without a pose.
         sigma_t_m: predicted standard deviation of the camera centre, metres; None when unknown.
+        nees: normalised estimation error squared, 6 degrees of freedom; None without covariance.
         iterations: of the method.
         inliers: of the method.
         seconds: by stage.
@@ -136,12 +153,15 @@ class QueryResult(_File):
 
     name: str
     condition: str
+    group: str
+    altitude_m: float
     status: Status
     reason: str
     t_err_m: float | None = Field(ge=0)
     r_err_deg: float | None = Field(ge=0)
     cam_from_world: PoseNumbers | None
     sigma_t_m: float | None
+    nees: float | None = Field(ge=0)
     iterations: int
     inliers: int
     seconds: dict[str, float]
@@ -151,18 +171,44 @@ class Results(_File):
     """One method on one data set.
 
     Attributes:
-        start: whether queries came with starting information: "prior" when at least one did.
+        start: name of the starting information, see ``benchmark.starts``; "prior" when at least
+            one query came with one.
         by_condition: the same figures for the queries of each condition.
+        by_group: of each flight or drive.
+        by_altitude: of each band of height above the map's points.
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     method: Method
     dataset: DatasetId
-    start: Start
+    start: str = Field(pattern=r"^(prior|none|(retrieval|pairs|error)=[\w.,]+)$")
     environment: Environment
     summary: Summary
     by_condition: dict[str, Summary]
+    by_group: dict[str, Summary]
+    by_altitude: dict[str, Summary]
     queries: tuple[QueryResult, ...] = Field(min_length=1)
+
+    @staticmethod
+    def of(
+        method: Method,
+        dataset: DatasetId,
+        start: str,
+        queries: Sequence[QueryResult],
+        prepare: float = 0.0,
+        peak_memory_mb: float | None = None,
+    ) -> Results:
+        """Results with every figure computed from the list of queries."""
+        run = prepare, peak_memory_mb
+        return Results(
+            method=method,
+            dataset=dataset,
+            start=start,
+            environment=Environment.current(),
+            summary=summarize(queries, *run),
+            **{f"by_{part}": found for part, found in summarize_parts(queries, *run).items()},
+            queries=tuple(queries),
+        )
 
     def write(self, path: Path) -> None:
         """Write atomically.
@@ -189,6 +235,7 @@ def summarize(
         median_r_deg=median_r,
         failed=sum(query.status is Status.FAILED for query in queries),
         fallback=sum(query.status is Status.FALLBACK for query in queries),
+        uncertainty=_uncertainty(queries),
         seconds=Seconds(
             prepare=prepare,
             per_query={
@@ -200,16 +247,49 @@ def summarize(
     )
 
 
-def summarize_by_condition(
+def summarize_parts(
     queries: Sequence[QueryResult], prepare: float, peak_memory_mb: float | None
-) -> dict[str, Summary]:
-    """The same for the queries of each condition, by name."""
-    return {
-        condition: summarize(
-            [query for query in queries if query.condition == condition], prepare, peak_memory_mb
-        )
-        for condition in sorted({query.condition for query in queries})
-    }
+) -> dict[str, dict[str, Summary]]:
+    """The same by condition, group and altitude: each a summary by name."""
+    parts: dict[str, dict[str, Summary]] = {}
+    for part, name_of in _PARTS.items():
+        names = sorted({name_of(query) for query in queries}, key=_natural)
+        parts[part] = {
+            name: summarize(
+                [query for query in queries if name_of(query) == name], prepare, peak_memory_mb
+            )
+            for name in names
+        }
+    return parts
+
+
+def _band(query: QueryResult) -> str:
+    """The query's band of altitude, as "60-90 m"."""
+    low = _BAND_M * math.floor(query.altitude_m / _BAND_M)
+    return f"{low}-{low + _BAND_M} m"
+
+
+def _natural(name: str) -> tuple[int, str]:
+    """Bands of altitude by height, other names by themselves."""
+    found = re.match(r"(-?[0-9]+)-", name) if name.endswith(" m") else None
+    return int(found.group(1)) if found else 0, name
+
+
+_PARTS: Final[dict[str, Callable[[QueryResult], str]]] = {
+    "condition": lambda query: query.condition,
+    "group": lambda query: query.group,
+    "altitude": _band,
+}
+
+
+def _uncertainty(queries: Sequence[QueryResult]) -> Uncertainty | None:
+    found = consistency(queries)
+    if found is None:
+        return None
+    inside = Recall(**found.within_95._asdict())
+    return Uncertainty(
+        queries=found.queries, nees_mean=found.mean, nees_median=found.median, within_95=inside
+    )
 
 
 def rescore(results: Results) -> Results:
@@ -218,8 +298,8 @@ def rescore(results: Results) -> Results:
     return results.model_copy(
         update={
             "summary": summarize(results.queries, *run),
-            "by_condition": summarize_by_condition(results.queries, *run),
         }
+        | {f"by_{part}": found for part, found in summarize_parts(results.queries, *run).items()}
     )
 
 
@@ -243,7 +323,7 @@ def load(path: Path) -> Results:
                 "errors say otherwise"
             )
     recomputed = rescore(results)
-    for part in ("summary", "by_condition"):
+    for part in ("summary", *(f"by_{part}" for part in _PARTS)):
         stored, computed = results.model_dump()[part], recomputed.model_dump()[part]
         if (where := _difference(stored, computed, part)) is not None:
             raise InputError(

@@ -59,6 +59,7 @@ def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
         yield BenchmarkQuery(
             name=name,
             condition=scene.sessions[session].condition,
+            group=session,
             camera=frames.cameras[row],
             image=scene.images_root / name,
             prior=Prior(

@@ -61,7 +61,7 @@ def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap, cache: Path 
     chosen = np.linspace(0, len(dataset.queries) - 1, min(_PROBES, len(dataset.queries)))
     found, written = [], []
     for query in (dataset.queries[int(k)] for k in chosen):
-        pose = localizer.localize(query.load(use_prior=False)).cam_from_world
+        pose = localizer.localize(query.load()).cam_from_world
         if pose is not None:
             found.append(pose)
             written.append(query.reference.matrix().numpy())

@@ -12,13 +12,14 @@ import numpy as np
 
 from scene.bundle import Scene
 from scene.camera import Camera
+from scene.cmu import write_cmu
 from scene.colmap import PosedImage, write_posed
 from scene.covisibility import COVISIBLE
 from scene.errors import InputError
 from scene.files import folder_written_whole
 from scene.frames import Frames
 
-Format = Literal["colmap", "nerfstudio", "tum", "hloc"]
+Format = Literal["colmap", "nerfstudio", "tum", "hloc", "cmu"]
 
 # Retrieval of hloc hands over so many photographs of the map for each query.
 _PAIRS_PER_QUERY = 20
@@ -42,6 +43,9 @@ def export(
     of the map's covisible frames, and ``pairs-query.txt`` of each query with up to 20 map frames
     that see most of it: perfect retrieval, an upper bound.
 
+    cmu: photographs, poses and map in the tree of Extended CMU Seasons, a slice for each
+    surroundings; see ``scene.cmu``.
+
     Args:
         path: of a finished scene.
         file_format: one of the above.
@@ -61,17 +65,22 @@ def export(
         )
     scene = Scene.open(path)
     chosen = {name: scene.frames(name) for name in dict.fromkeys(sessions or scene.sessions)}
+    require_empty(out)
+    write = _WRITERS[file_format]
+    with folder_written_whole(out) as folder:
+        write(scene, chosen, folder, out)
+    frames = sum(len(frames) for frames in chosen.values())
+    return {"out": str(out), "format": file_format, "frames": frames, "sessions": list(chosen)}
+
+
+def require_empty(out: Path) -> None:
+    """InputError unless an export can be written to a folder: it is new or empty."""
     try:
         occupied = out.exists() and any(out.iterdir())
     except OSError as error:
         raise InputError(f"cannot use {out} for an export: {error.strerror}") from None
     if occupied:
         raise InputError(f"{out} is not empty: choose another folder or remove it")
-    write = _WRITERS[file_format]
-    with folder_written_whole(out) as folder:
-        write(scene, chosen, folder, out)
-    frames = sum(len(frames) for frames in chosen.values())
-    return {"out": str(out), "format": file_format, "frames": frames, "sessions": list(chosen)}
 
 
 def _write_colmap(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
@@ -176,4 +185,5 @@ _WRITERS: dict[Format, Callable[[Scene, Mapping[str, Frames], Path, Path], None]
     "nerfstudio": _write_nerfstudio,
     "tum": _write_tum,
     "hloc": _write_hloc,
+    "cmu": lambda scene, sessions, folder, final: write_cmu(scene, sessions, folder),
 }

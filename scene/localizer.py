@@ -48,12 +48,15 @@ class Query:
         image: (H, W, 3) uint8 RGB, the size of ``camera``.
         camera: calibrated.
         prior: starting information, or None.
+        references: photographs of the map to look at, most similar first, where retrieval is not
+            left to the method; else None.
     """
 
     name: str
     image: NDArray[np.uint8]
     camera: Camera
     prior: Prior | None = None
+    references: tuple[str, ...] | None = None
 
 
 class Status(StrEnum):

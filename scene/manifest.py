@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from scene.config import describe
@@ -101,11 +103,41 @@ class SceneObject(_File):
     size_class: SizeClass
 
 
+class Surroundings(_File):
+    """A named part of the place, as "urban": its outline seen from above, east and north metres."""
+
+    name: str
+    outline: tuple[tuple[FiniteFloat, FiniteFloat], ...]
+
+    def hold(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the points (N, 2 or more) lie inside, counting crossings to the east."""
+        start = np.array(self.outline)
+        end = np.roll(start, -1, axis=0)
+        step = end - start
+        east, north = points[:, :1], points[:, 1:2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = start[:, 0] + (north - start[:, 1]) / step[:, 1] * step[:, 0]
+        crosses = (start[:, 1] > north) != (end[:, 1] > north)
+        return np.asarray((crosses & (at > east)).sum(1) % 2 == 1)
+
+
 class Objects(_File):
-    """``objects.json``: classes of the semantic images, and every object."""
+    """``objects.json``: classes of the semantic images, every object, and the place's parts.
+
+    Parts do not overlap and cover the place, or there are none.
+    """
 
     classes: dict[str, int]
     objects: tuple[SceneObject, ...]
+    surroundings: tuple[Surroundings, ...] = ()
+
+    def surroundings_at(self, points: NDArray[np.float64]) -> list[str | None]:
+        """The name of the part each of the points (N, 2 or more; metres) lies in, None in none."""
+        names: list[str | None] = [None] * len(points)
+        for part in self.surroundings:
+            for k in np.flatnonzero(part.hold(points)).tolist():
+                names[k] = part.name
+        return names
 
 
 class Splits(_File):

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from scene.camera import Camera
 from scene.pose import Pose
 
+# So many points say how high the ground is.
+_AROUND = 50
+
 
 @dataclass(frozen=True)
 class MapImage:
@@ -70,6 +73,15 @@ class SparseMap:
     def centres(self) -> NDArray[np.float64]:
         """Camera centres in the order of ``names``, (N, 3) world metres."""
         return np.array([self.images[n].centre for n in self.names]).reshape(-1, 3)
+
+    def height_above(self, position: NDArray[np.float64]) -> float:
+        """Height (m) of a position (3,) over the points around the foot of its plumb line.
+
+        Their median: points on roofs and walls are outnumbered, unless one stands among them.
+        """
+        distance = np.square(self.xyz[:, :2] - position[:2]).sum(1)
+        nearest = np.argsort(distance, kind="stable")[:_AROUND]
+        return float(position[2] - np.median(self.xyz[nearest, 2]))
 
     @cached_property
     def sha256(self) -> str:

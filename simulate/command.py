@@ -27,6 +27,7 @@ from scene.manifest import (
     SceneObject,
     Session,
     Splits,
+    Surroundings,
     read_json,
     size_class,
     write_json,
@@ -42,7 +43,7 @@ from simulate.look.conditions import condition
 from simulate.pictures import draw_pictures
 from simulate.place.change import ChangedWorld, changed_worlds, every_object
 from simulate.place.presets import preset
-from simulate.place.world import CLASSES, WorldObject
+from simulate.place.world import CLASSES, World, WorldObject
 from simulate.planner import plan_session
 from simulate.render.disk import bytes_needed, require_space
 from simulate.render.job import RenderJob, frame_path
@@ -77,14 +78,14 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
         _plan(name, index, session, config, worlds[index])
         for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
     ]
-    camera = config.photo_camera()
-    pixels_per_frame = camera.width * camera.height
+    cameras = [config.photo_camera(session) for session in config.sessions]
+    pixels_per_frame = max(camera.width * camera.height for camera in cameras)
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
     write_text(out / _CONFIG, config.model_dump_json())
     remove_partial(out)
     for name, session, flight in zip(names, config.sessions, planned, strict=True):
         _make_session(out / "sessions", name, session, config, flight, jobs)
-    write_json(out / "objects.json", _objects(every_object(base, worlds)))
+    write_json(out / "objects.json", _objects(base, every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
     scene = Scene(out, _manifest(config, worlds))
     write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
@@ -163,7 +164,7 @@ def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifes
     )
 
 
-def _objects(things: Sequence[WorldObject]) -> Objects:
+def _objects(place: World, things: Sequence[WorldObject]) -> Objects:
     def describe(item: WorldObject) -> SceneObject:
         size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
         return SceneObject(
@@ -175,7 +176,14 @@ def _objects(things: Sequence[WorldObject]) -> Objects:
             size_class=size_class(size),
         )
 
-    return Objects(classes=CLASSES, objects=tuple(describe(item) for item in things))
+    return Objects(
+        classes=CLASSES,
+        objects=tuple(describe(item) for item in things),
+        surroundings=tuple(
+            Surroundings(name=part.name, outline=tuple((x, y) for x, y in part.outline.tolist()))
+            for part in place.surroundings
+        ),
+    )
 
 
 def _splits(out: Path, config: SimulateConfig) -> Splits:
@@ -200,7 +208,7 @@ def render_job(
 
     `first_new_id` is that of the session's changed world.
     """
-    pinhole, lens = rendered_through(config.photo_camera())
+    pinhole, lens = rendered_through(config.photo_camera(session))
     return RenderJob(
         preset=config.preset,
         seed=config.seed,
@@ -247,7 +255,7 @@ def _make_session(
             raise InputError(str(error)) from error
         except OSError as error:
             raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
-    frames = _frames(name, poses, config.photo_camera(), session, config, planned.rng)
+    frames = _frames(name, poses, config.photo_camera(session), session, config, planned.rng)
     write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, config))
     shutil.rmtree(rendered)
 
@@ -267,7 +275,7 @@ def _plan(
     """Plan one session; InputError when it cannot be flown."""
     # One generator per session: adding a session changes no other.
     rng = np.random.default_rng([config.seed, index])
-    camera = config.photo_camera()
+    camera = config.photo_camera(session)
     poses = plan_session(session, config, camera, changed.world, rng)
     check_flight(name, poses, camera, changed.world)
     return _Planned(poses, changed.first_new_id, rng)

@@ -14,7 +14,7 @@ from scene.config import Config, load_config
 from scene.geodesy import Geodetic
 from simulate.camera.lens import CameraConfig
 from simulate.camera.sensor import SensorConfig
-from simulate.flight.config import Flight, NadirFlight
+from simulate.flight.config import Flight, NadirFlight, StreetFlight
 from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import preset
@@ -31,6 +31,8 @@ class SessionConfig(Config):
         role: its frames build the map, or are queries.
         frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
         change: what stands elsewhere, is gone or is new since the place was built.
+        camera: of this session's photographs; None takes the scene's.
+        name: of its folder; None is condition-flight-role.
     """
 
     condition: str
@@ -38,6 +40,8 @@ class SessionConfig(Config):
     role: Role
     frames: int | None = Field(None, ge=1)
     change: Change = Change()
+    camera: CameraConfig | None = None
+    name: str | None = Field(None, pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")
 
     @field_validator("condition")
     @classmethod
@@ -96,8 +100,46 @@ QUERY_PLAN = FlightPlan(
 )
 
 
+def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionConfig, ...]:
+    """A car's drive along the longest road with a camera to either side: two sessions, as each
+    has its own lens. Maps are driven there and back, queries back in another track."""
+    return tuple(
+        SessionConfig(
+            condition=condition,
+            flight=StreetFlight(
+                roads=1,
+                way="both" if role == "map" else "back",
+                offset_m=offset_m,
+                edge_m=25.0,
+                yaws_deg=(yaw,),
+            ),
+            role=role,
+            frames=None if role == "map" else 15,
+            camera=CameraConfig(preset=f"cmu-{camera}"),
+            name=f"{condition}-{role}-{camera}",
+        )
+        for yaw, camera in ((-45.0, "c0"), (45.0, "c1"))
+    )
+
+
+# What is usual in a kind of place where it is not what is usual elsewhere.
+_USUAL: dict[str, dict[str, Any]] = {
+    "street": {
+        "area": 300.0,
+        "frames": 60,
+        "sessions": (
+            *_drive("summer-noon", "map"),
+            *_drive("summer-noon", "query", -0.5),
+            *_drive("winter-dusk", "query", 0.4),
+        ),
+    },
+}
+
+
 class SimulateConfig(Config):
     """A scene: a place, a camera, and flights over it.
+
+    The place called street has its own usual area, frames and sessions: drives with two cameras.
 
     Attributes:
         preset: kind of place.
@@ -105,7 +147,8 @@ class SimulateConfig(Config):
         area: side of the place, metres.
         size: long side of the photographs, pixels, unless ``camera`` has its own.
         fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
-        camera: of every photograph; None is a square pinhole of ``size`` and ``fov_deg``.
+        camera: of every photograph of sessions without their own; None is a square pinhole of
+            ``size`` and ``fov_deg``.
         spp: paths per pixel, denoised.
         frames: photographs of a session that does not say.
         sessions: flights; on the command line "condition:flight[:role]", where the first is the
@@ -149,6 +192,13 @@ class SimulateConfig(Config):
     jpeg_quality: int = Field(95, ge=1, le=100)
     origin: Geodetic = PLACE
 
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_values(cls, values: object) -> object:
+        if not isinstance(values, dict) or not isinstance(values.get("preset"), str):
+            return values
+        return _USUAL.get(values["preset"], {}) | values
+
     @field_validator("preset")
     @classmethod
     def _known_preset(cls, name: str) -> str:
@@ -173,6 +223,13 @@ class SimulateConfig(Config):
         return self
 
     @model_validator(mode="after")
+    def _names_differ(self) -> SimulateConfig:
+        names = self.session_names()
+        if len(set(names)) < len(names):
+            raise ValueError(f"two sessions have one name: {', '.join(names)}")
+        return self
+
+    @model_validator(mode="after")
     def _sun_rises(self) -> SimulateConfig:
         for session in self.sessions:
             condition(session.condition, self.origin)
@@ -187,20 +244,21 @@ class SimulateConfig(Config):
         """
         return load_config(SimulateConfig, path, overrides)
 
-    def photo_camera(self) -> Camera:
-        """The camera of every photograph."""
-        if self.camera is not None:
-            return self.camera.build(self.size)
+    def photo_camera(self, session: SessionConfig | None = None) -> Camera:
+        """The camera of a session's photographs, or of those of sessions without their own."""
+        camera = (session.camera if session is not None else None) or self.camera
+        if camera is not None:
+            return camera.build(self.size)
         focal = 0.5 * self.size / np.tan(np.radians(0.5 * self.fov_deg))
         centre = 0.5 * self.size
         return Camera("PINHOLE", self.size, self.size, (float(focal), float(focal), centre, centre))
 
     def session_names(self) -> tuple[str, ...]:
-        """Folder names: condition-flight-role, numbered from the second of the same name."""
+        """Folder names, numbered from the second of the same name."""
         seen: dict[str, int] = {}
         names = []
         for session in self.sessions:
-            base = f"{session.condition}-{session.flight.kind}-{session.role}"
+            base = session.name or f"{session.condition}-{session.flight.kind}-{session.role}"
             seen[base] = seen.get(base, 0) + 1
             names.append(base if seen[base] == 1 else f"{base}-{seen[base]}")
         return tuple(names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import assert_never
 
 import numpy as np
@@ -25,7 +26,7 @@ from simulate.flight.flights import plan_grid, plan_nadir, plan_oblique
 from simulate.flight.gimbal import Aims, expose
 from simulate.flight.qgroundcontrol import read_plan
 from simulate.flight.routes import plan_corridor, plan_free, plan_street
-from simulate.place.world import World, polyline_length, polyline_points
+from simulate.place.world import Road, World, polyline_length, polyline_points
 
 Array = NDArray[np.float64]
 
@@ -119,15 +120,21 @@ def plan_session(
                 rng=rng,
             )
         case StreetFlight():
-            step = -1 if usual.backwards else 1
+            reach = max(0.5 * config.area - flight.edge_m, 0.0)
+
+            def is_clear(centres: Array) -> NDArray[np.bool_]:
+                inside: NDArray[np.bool_] = (np.abs(centres[:, :2]) <= reach).all(1)
+                return inside & is_free(centres, world)
+
             aims = plan_street(
-                [(road.line[::step], road.width_m) for road in world.roads],
+                _driven(world, flight, usual.backwards),
                 ground,
-                lambda centres: is_free(centres, world),
+                is_clear,
                 height_m=flight.height_m,
                 yaws_deg=flight.yaws_deg,
                 pitch_deg=flight.pitch_deg,
                 frames=frames,
+                offset_m=flight.offset_m,
             )
             return expose(aims, 0.0, 0.0, rng)
         case PlanFlight():
@@ -139,14 +146,26 @@ def plan_session(
     return expose(aims, config.position_jitter_m, config.attitude_jitter_deg, rng)
 
 
+def _driven(world: World, flight: StreetFlight, backwards: bool) -> list[tuple[Array, float]]:
+    """Centre lines in the direction they are driven, and the widths of their roads."""
+    roads: Sequence[Road] = world.roads
+    if flight.roads is not None:
+        roads = sorted(roads, key=lambda road: -len(_inside(road, world)))[: flight.roads]
+    way = flight.way or ("back" if backwards else "there")
+    steps = {"there": (1,), "back": (-1,), "both": (1, -1)}[way]
+    return [(road.line[::step], road.width_m) for road in roads for step in steps]
+
+
 def _longest_road(world: World) -> Array:
     """The road with most of its length in the place, from where it enters to where it leaves."""
-    best = np.empty((0, 2))
-    for road in world.roads:
-        points, _ = polyline_points(road.line, np.arange(0.0, polyline_length(road.line), 5.0))
-        inside = np.flatnonzero((np.abs(points) <= 0.5 * world.area_m).all(1))
-        if len(inside) > len(best):
-            best = points[inside[0] : inside[-1] + 1]
+    best = max((_inside(road, world) for road in world.roads), key=len, default=np.empty((0, 2)))
     if len(best) < 2:
         raise InputError("this place has no road for a corridor to follow: give the flight a line")
     return best
+
+
+def _inside(road: Road, world: World) -> Array:
+    """Points (N, 2) of a road, metres apart, from where it enters the place to where it leaves."""
+    points, _ = polyline_points(road.line, np.arange(0.0, polyline_length(road.line), 5.0))
+    inside = np.flatnonzero((np.abs(points) <= 0.5 * world.area_m).all(1))
+    return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]

@@ -25,7 +25,8 @@ _COARSE = 16  # pixels between the positions where the scale of the picture is l
 # size and field of view as the makers state them, principal point in the middle. These cameras
 # correct their distortion before they write a JPEG, except "phantom-4-rtk-raw", the survey drone
 # with that correction switched off, whose coefficients are typical of published calibrations.
-# "mini-2-wide" is the middle of the "mini-2".
+# "mini-2-wide" is the middle of the "mini-2". "cmu-c0" and "cmu-c1" are like the two cameras on the
+# car of CMU Seasons: wide lenses bent inwards, neither like the other nor centred.
 PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
     "mini-2": (4000, 3000, 83.0, ()),
     "mini-2-wide": (4000, 2250, 78.16, ()),
@@ -33,11 +34,15 @@ PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
     "phantom-3": (4000, 3000, 94.0, ()),
     "phantom-4-pro": (5472, 3648, 84.0, ()),
     "phantom-4-rtk-raw": (5472, 3648, 84.0, (-0.27, 0.11, 0.0, 0.0)),
+    "cmu-c0": (1024, 768, 72.85, (-0.399, 0.189, 0.0002, 0.0006)),
+    "cmu-c1": (1024, 768, 72.37, (-0.397, 0.182, 0.0002, -0.0006)),
 }
+# Principal points that are not in the middle, as shares of width and height.
+_PRINCIPAL = {"cmu-c0": (0.514, 0.547), "cmu-c1": (0.517, 0.517)}
 
 
 class CameraConfig(Config):
-    """The camera of the photographs: COLMAP's parameters, or the name of a drone's camera.
+    """The camera of the photographs: COLMAP's parameters, or the name of a known one.
 
     Attributes:
         model: COLMAP camera model.
@@ -80,7 +85,8 @@ class CameraConfig(Config):
         scale = (self.size or size) / width
         focal = 0.5 * scale * math.hypot(width, height) / math.tan(math.radians(0.5 * fov_deg))
         width, height = round(width * scale), round(height * scale)
-        params = (focal, focal, 0.5 * width, 0.5 * height, *distortion)
+        right, down = _PRINCIPAL.get(self.preset, (0.5, 0.5))
+        params = (focal, focal, right * width, down * height, *distortion)
         return Camera("OPENCV" if distortion else "PINHOLE", width, height, params)
 
 

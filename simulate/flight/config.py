@@ -164,12 +164,21 @@ class StreetFlight(_Flight):
     """A vehicle on the right-hand lanes of the roads, photographing to both sides. No wind.
 
     Attributes:
+        roads: how many of the roads, the longest first; None is all.
+        way: along them from their start, back from their end, or both; None is there for map
+            flights and back for queries (`backwards` of the plan).
+        offset_m: to the right of the middle of the lane.
+        edge_m: kept between the cameras and the edge of the place, which is open country.
         height_m: of the cameras above the road.
         yaws_deg: of the cameras, clockwise from the direction of travel.
         pitch_deg: of the cameras.
     """
 
     kind: Literal["street"] = "street"
+    roads: Annotated[int, Field(ge=1)] | None = None
+    way: Literal["there", "back", "both"] | None = None
+    offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    edge_m: Annotated[float, Field(ge=0)] = 0.0
     height_m: Positive = 1.7
     yaws_deg: Annotated[tuple[float, ...], Field(min_length=1)] = (-45, 45)
     pitch_deg: Pitch = 0

@@ -132,6 +132,7 @@ def plan_street(
     yaws_deg: tuple[float, ...],
     pitch_deg: float,
     frames: int,
+    offset_m: float = 0.0,
 ) -> Aims:
     """A vehicle on the right-hand lane of every road, with a camera for each of `yaws_deg`.
 
@@ -144,6 +145,7 @@ def plan_street(
         height_m: of the camera above the ground.
         yaws_deg: of the cameras, clockwise from the direction of travel.
         frames: photographs of all cameras together; stops are spread evenly over all roads.
+        offset_m: to the right of the middle of the lane.
 
     Raises:
         InputError: the roads have fewer free places than the flight needs.
@@ -152,7 +154,8 @@ def plan_street(
     found = [np.empty((0, 4))]
     for line, width_m in roads:
         length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-        xy, heading = beside(line, np.arange(0.0, length, _STREET_STEP_M), 0.25 * width_m)
+        right_m = 0.25 * width_m + offset_m
+        xy, heading = beside(line, np.arange(0.0, length, _STREET_STEP_M), right_m)
         z = ground_height(xy[:, 0], xy[:, 1]) + height_m
         found.append(np.column_stack([xy, z, heading]))
     places = np.concatenate(found)

@@ -189,7 +189,7 @@ def _roof_plant(
         return
     area = (x1 - x0) * (y1 - y0)
     if top - deck > 1.0:  # the highest thing up there reaches the top of the box
-        size = (2.2, 2.2) if shape == "hall" else (4.0, 3.0)
+        size = (2.2, 2.2) if shape == "hall" else (min(4.0, x1 - x0), min(3.0, y1 - y0))
         x = rng.uniform(x0, x1 - size[0])
         y = rng.uniform(y0, max(y0 + 0.1, y1 - size[1]))
         out.box((x, y, deck - 0.4), (x + size[0], y + size[1], top), "plain", (0.34, 0.33, 0.32))

@@ -18,8 +18,8 @@ Float = NDArray[np.float32]
 BAY_M, FLOOR_M = 3.0, 2.8  # a window's share of a facade
 BAYS, FLOORS = 12, 6  # in one facade image
 ROOF_TILE_M = 12.8  # side of one roof image
-FACADES = 8
-"""Facade styles: 0-3 houses, 4-5 slabs, 6 halls, 7 sheds."""
+FACADES = 11
+"""Facade styles: 0-3 houses, 4-5 slabs, 6 halls, 7 sheds, 8-10 fronts with shops below."""
 ROOFINGS = ("tile", "slate", "metal", "flat")
 
 _TEXEL_M = 0.05
@@ -35,6 +35,9 @@ def facade(style: int) -> Image:
         return canvas.image()
     if style == 6:
         _cladding(canvas, rng)
+        return canvas.image()
+    if style >= 8:
+        _fronts(canvas, style - 8, rng)
         return canvas.image()
     slab = style >= 4
     frame = [(0.85, 0.85, 0.83), (0.30, 0.20, 0.13), (0.20, 0.21, 0.22), (0.80, 0.78, 0.72)][
@@ -199,6 +202,43 @@ def _balcony(
     panel = [(0.5, 0.5, 0.5), (0.30, 0.33, 0.36), (0.45, 0.30, 0.2)][int(rng.integers(3))]
     canvas.rect(x + 0.1, z + 0.1, x + BAY_M - 0.1, z + 1.05, panel)
     canvas.rect(x + 0.1, z + 0.98, x + BAY_M - 0.1, z + 1.05, (0.75, 0.75, 0.75))
+
+
+def _fronts(canvas: _Canvas, style: int, rng: np.random.Generator) -> None:
+    """A town house: shop windows, doors and signs below, a high window in every bay above."""
+    width = BAYS * BAY_M
+    frame = [(0.82, 0.81, 0.78), (0.25, 0.17, 0.11), (0.16, 0.17, 0.18)][style]
+    stone = [(0.42, 0.40, 0.36), (0.24, 0.20, 0.18), (0.52, 0.50, 0.46)][style]
+    canvas.rect(0, 0, width, FLOOR_M, stone, tinted=0.35)
+    for bay in range(BAYS):
+        x = bay * BAY_M
+        if bay % 4 == 1:
+            _door(canvas, x, rng)
+        else:
+            colour = tuple(rng.uniform(0.05, 0.45, 3).tolist())
+            canvas.rect(x + 0.15, 0.45, x + BAY_M - 0.15, 2.2, frame)
+            for left in (x + 0.22, x + 0.5 * BAY_M + 0.03):
+                pane = 0.5 * BAY_M - 0.25
+                canvas.rect(left, 0.52, left + pane, 2.12, _glass(float(rng.uniform(0.4, 1.2))))
+                for _ in range(3):  # what is on show
+                    a, h = rng.uniform(0, pane - 0.3), rng.uniform(0.2, 0.9)
+                    goods = tuple(rng.uniform(0.05, 0.5, 3).tolist())
+                    canvas.rect(left + a, 0.52, left + a + 0.3, 0.52 + h, goods)
+            canvas.rect(x + 0.1, 2.25, x + BAY_M - 0.1, 2.65, colour)
+            for k in range(int(rng.integers(3, 8))):  # the sign's letters
+                at = x + 0.4 + 0.27 * k
+                canvas.rect(at, 2.34, at + 0.16, 2.56, (0.75, 0.74, 0.70))
+    canvas.rect(0, FLOOR_M - 0.08, width, FLOOR_M + 0.12, (0.62, 0.61, 0.58), tinted=0.5)
+    for floor in range(1, FLOORS):
+        z = floor * FLOOR_M
+        canvas.rect(0, z - 0.05, width, z + 0.05, (0.66, 0.65, 0.62), tinted=0.7)
+        for bay in range(BAYS):
+            wide = (1.1, 1.5, 1.9)[style] if bay % 3 else 1.1
+            left = bay * BAY_M + 0.5 * (BAY_M - wide)
+            canvas.rect(left - 0.16, z + 0.5, left + wide + 0.16, z + 2.6, stone, tinted=0.6)
+            _window(canvas, left, z + 0.62, wide, 1.8, frame, rng)
+            if rng.random() < 0.12:  # flowers on the sill
+                canvas.rect(left, z + 0.5, left + wide, z + 0.8, (0.10, 0.16, 0.05))
 
 
 def _boards(canvas: _Canvas, rng: np.random.Generator) -> None:

@@ -17,6 +17,7 @@ from scene.config import Config
 from scene.errors import InputError
 from scene.manifest import DeclaredChange
 from simulate.place.grid import CircleGrid
+from simulate.place.kerbs import Rises
 from simulate.place.world import CLASSES, MAX_OBJECT_ID, World, WorldObject, overlap, rectangle
 
 Array = NDArray[np.float64]
@@ -162,6 +163,7 @@ class _Places:
 
     def __init__(self, base: World, rng: np.random.Generator) -> None:
         self._base = base
+        self._rises = Rises(base.kerbs)
         self._rng = rng
         self._taken: list[Array] = []
         self._circles = CircleGrid()
@@ -179,7 +181,8 @@ class _Places:
             if not self._fits(at, thing, beside):
                 continue
             self._take(rectangle(at, thing.size[:2], beside.yaw))
-            height = float(self._base.terrain.height(*at)) + 0.5 * thing.size[2]
+            ground = float(self._base.terrain.height(*at)) + self._rises.at(at)
+            height = ground + 0.5 * thing.size[2]
             centre = np.array([at[0], at[1], height])
             return replace(thing, id=number, centre=centre, yaw=beside.yaw)
         return None

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from scene.errors import InputError
+from simulate.place.kerbs import lay_kerbs, raised
 from simulate.place.paint import paint
 from simulate.place.relief import relief
 from simulate.place.site import Site
-from simulate.place.streets import Block, lay_streets
-from simulate.place.world import World
+from simulate.place.streets import Block, divide, lay_streets, outlines
+from simulate.place.world import Surroundings, World
 
 MIN_AREA_M, MAX_AREA_M = 100.0, 2000.0
 _CORE_M = 600.0  # farther from the middle, a place thins out into its open land
@@ -25,54 +26,21 @@ Lining = Callable[[Site], None]
 
 
 @dataclass(frozen=True)
-class Plan:
-    """The recipe of a kind of place.
+class Quarter:
+    """What the blocks of a place, or of one part of it, hold.
 
-    `block_m` is the typical distance between streets and `verge` the ground class along them.
     The blocks nearest the middle hold one of each use in `first`, so that every place has every
     class; of the others a share `open_share` is open land, and the rest is drawn from `uses` by
-    their weights. `before` lines the roads before the blocks are filled, `after` when they are.
+    their weights. `name` is what the part is known by, when a place has several.
     """
 
-    block_m: float
     first: tuple[Use, ...]
     uses: Mapping[Use, float]
     open_land: Use
     open_share: float
-    after: tuple[Lining, ...]
-    before: tuple[Lining, ...] = ()
-    verge: str = "pavement"
+    name: str = ""
 
-    def build(self, seed: int, area_m: float) -> World:
-        """A place of `area_m` metres a side; seed and area decide everything in it.
-
-        Raises InputError when `area_m` is outside 100..2000 m, the seed is negative, or the
-        place needs more objects than can be told apart.
-        """
-        if not MIN_AREA_M <= area_m <= MAX_AREA_M:
-            raise InputError(
-                f"area must be {MIN_AREA_M:.0f} to {MAX_AREA_M:.0f} m a side, got {area_m:g}"
-            )
-        if seed < 0:
-            raise InputError(f"seed must not be negative, got {seed}")
-        rng = np.random.default_rng([seed, 0])
-        site = Site(area_m, relief(area_m, rng), rng)
-        blocks = lay_streets(site, area_m / max(2, round(area_m / self.block_m)), self.verge)
-        for line in self.before:
-            line(site)
-        self._fill(site, blocks)
-        for line in self.after:
-            line(site)
-        return World(
-            seed=seed,
-            area_m=float(area_m),
-            terrain=site.terrain,
-            roads=site.roads,
-            ground=paint(area_m, site.regions, site.markings),
-            objects=tuple(site.objects),
-        )
-
-    def _fill(self, site: Site, blocks: list[Block]) -> None:
+    def fill(self, site: Site, blocks: Sequence[Block]) -> None:
         """Give each of the `blocks`, nearest the middle first, its use."""
         first = [self.first[i] for i in site.rng.permutation(len(self.first))]
         uses, weights = tuple(self.uses), tuple(self.uses.values())
@@ -84,3 +52,61 @@ class Plan:
                 self.open_land(site, block)
             else:
                 uses[int(site.rng.choice(len(uses), p=weights))](site, block)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The recipe of a kind of place.
+
+    `block_m` is the typical distance between streets and `verge` the ground class along them.
+    The place is divided among `quarters`, one column of blocks after the other, so that the streets
+    along its first axis lead from each to the next. `before` lines the roads before the blocks are
+    filled, `after` when they are. `least_m` is the smallest side that has room for all quarters.
+    """
+
+    block_m: float
+    quarters: tuple[Quarter, ...]
+    after: tuple[Lining, ...]
+    before: tuple[Lining, ...] = ()
+    verge: str = "pavement"
+    least_m: float = MIN_AREA_M
+
+    def build(self, seed: int, area_m: float) -> World:
+        """A place of `area_m` metres a side; seed and area decide everything in it.
+
+        Raises InputError when `area_m` is outside `least_m`..2000 m, the seed is negative, or the
+        place needs more objects than can be told apart.
+        """
+        if not self.least_m <= area_m <= MAX_AREA_M:
+            raise InputError(
+                f"area must be {self.least_m:.0f} to {MAX_AREA_M:.0f} m a side, got {area_m:g}"
+            )
+        if seed < 0:
+            raise InputError(f"seed must not be negative, got {seed}")
+        rng = np.random.default_rng([seed, 0])
+        site = Site(area_m, relief(area_m, rng), rng)
+        least = max(2, len(self.quarters))
+        blocks = lay_streets(site, area_m / max(least, round(area_m / self.block_m)), self.verge)
+        for line in self.before:
+            line(site)
+        parts = divide(blocks, area_m, len(self.quarters))
+        for quarter, part in zip(self.quarters, parts, strict=True):
+            quarter.fill(site, part)
+        for line in self.after:
+            line(site)
+        ground = paint(area_m, site.regions, site.markings)
+        kerbs = lay_kerbs(site.roads, ground)
+        return World(
+            seed=seed,
+            area_m=float(area_m),
+            terrain=site.terrain,
+            roads=site.roads,
+            ground=ground,
+            objects=raised(site.objects, kerbs),
+            kerbs=kerbs,
+            surroundings=tuple(
+                Surroundings(quarter.name, outline)
+                for quarter, outline in zip(self.quarters, outlines(parts, area_m), strict=True)
+                if quarter.name
+            ),
+        )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.place.site import Site
-from simulate.place.things import LAMP_M, car, small, truck
+from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.things import LAMP_M, car, small, tree, truck
 from simulate.place.world import polyline_length, polyline_points
 
 Array = NDArray[np.float64]
@@ -23,6 +23,17 @@ def street_lamps(site: Site) -> None:
             at = p + (0.5 * road.width_m + 0.2) * across
             if off_junction(site, at, 1.5):
                 site.place("lamp", "lamp", at, LAMP_M, yaw, (0.25, 0.26, 0.27), on_road=True)
+
+
+def avenues(site: Site) -> None:
+    """Trees along both sides of every road, behind its pavements, wherever there is room."""
+    for road in site.roads:
+        for side in (1.0, -1.0):
+            for s in np.arange(site.rng.uniform(3, 9), polyline_length(road.line), 9.0):
+                (p,), (along,) = polyline_points(road.line, s)
+                out = 0.5 * road.width_m + PAVEMENT_M + 2.6
+                at = p + side * out * np.array([-along[1], along[0]])
+                tree(site, at, site.rng.uniform(1.5, 2.3), conifers=0.0)
 
 
 def street_furniture(site: Site) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -163,6 +164,29 @@ def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Blo
     reach = 0.5 * site.area_m + 0.75 * pitch_m
     blocks = [b for b in blocks if np.abs(b.centre()).max() < reach]
     return sorted(blocks, key=lambda b: float(np.linalg.norm(b.centre())))
+
+
+def divide(blocks: Sequence[Block], area_m: float, count: int) -> list[list[Block]]:
+    """The blocks in `count` bands of as equal a width as whole columns allow, along u.
+
+    Each keeps the order of `blocks`. A column outside the area belongs to the nearest band.
+    """
+    columns = sorted({(b.u0, b.u1) for b in blocks})
+    inside = [c for c in columns if abs(sum(c)) < 1.1 * area_m]
+    bands = np.array_split(np.arange(len(inside)), count)
+    starts = [inside[band[0]][0] for band in bands[1:]]
+    which = [sum(block.u0 >= start for start in starts) for block in blocks]
+    return [[b for b, w in zip(blocks, which, strict=True) if w == k] for k in range(count)]
+
+
+def outlines(bands: Sequence[Sequence[Block]], area_m: float) -> list[Array]:
+    """World outline (K, 2) of each band of blocks, from the middle of one street to the next."""
+    warp = bands[0][0].warp
+    edges = [max(b.u1 for b in a) + min(b.u0 for b in c) for a, c in pairwise(bands)]
+    ends = [-area_m, *(0.5 * edge for edge in edges), area_m]
+    across = np.arange(-area_m, area_m + _STEP_M, _STEP_M)
+    sides = [warp(np.stack([np.full_like(across, u), across], -1)) for u in ends]
+    return [np.vstack([left, right[::-1]]) for left, right in pairwise(sides)]
 
 
 def _pave(site: Site, junctions: Array, verge: str) -> None:

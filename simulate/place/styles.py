@@ -78,6 +78,23 @@ def slab_style(site: Site, floors: int) -> BuildingStyle:
     )
 
 
+def front_style(site: Site, floors: int) -> BuildingStyle:
+    """Of a building wall to wall with its neighbours, shops on its ground floor."""
+    gabled = site.chance(0.5)
+    return BuildingStyle(
+        floors=floors,
+        roof="gable" if gabled else "flat",
+        roof_height_m=3.4 if gabled else 2.3,
+        eaves_m=0.05,
+        facade=8 + int(site.rng.integers(3)),
+        roofing=str(site.rng.choice(["tile", "slate"])) if gabled else "flat",
+        wall_rgb=vary(site, site.choose(WALLS)),
+        roof_rgb=vary(site, site.choose(TILES if gabled else FLAT_ROOFS)),
+        wing=(1.0, 1.0),
+        detail=int(site.rng.integers(2**31)),
+    )
+
+
 def hall_style(site: Site) -> BuildingStyle:
     rng = site.rng
     flat = site.chance(0.45)

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from simulate.place.dwellings import flats, housing
 from simulate.place.greens import field, park
-from simulate.place.plan import Plan
+from simulate.place.plan import Plan, Quarter
 from simulate.place.roadside import deliveries, street_furniture, street_lamps, traffic
 from simulate.place.trade import trade
 from simulate.place.world import World
 
 TOWN = Plan(
     block_m=80.0,
-    first=(housing, flats, trade, park),
-    uses={housing: 0.60, flats: 0.14, trade: 0.13, park: 0.13},
-    open_land=field,
-    open_share=0.12,
+    quarters=(
+        Quarter(
+            first=(housing, flats, trade, park),
+            uses={housing: 0.60, flats: 0.14, trade: 0.13, park: 0.13},
+            open_land=field,
+            open_share=0.12,
+        ),
+    ),
     after=(street_lamps, traffic, street_furniture, deliveries),
 )
 

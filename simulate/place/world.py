@@ -47,6 +47,8 @@ CLASSES: dict[str, int] = {
 
 FIRST_OBJECT_LABEL = 16
 MAX_OBJECT_ID = 32767  # Blender's Object.pass_index
+MIRRORED_M = 64.0
+"""How far beyond its edge a place is continued by its mirror image; farther out is country."""
 
 
 def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
@@ -115,6 +117,27 @@ class Marking:
 
 
 @dataclass(frozen=True)
+class Kerb:
+    """A pavement raised above the ground along one side of a carriageway.
+
+    `front` and `back` are its kerb and its far edge, (K, 2) metres each, `rise` (K,) metres how
+    far it stands above the ground at each pair of their points; 0 at both ends.
+    """
+
+    front: NDArray[np.float64]
+    back: NDArray[np.float64]
+    rise: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """A named part of a place: its outline (K, 2) in metres."""
+
+    name: str
+    outline: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Ground:
     """Ground cover on a raster centred on the origin, row = y (south to north), column = x.
 
@@ -127,13 +150,17 @@ class Ground:
     markings: tuple[Marking, ...]
 
     def label(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.uint8]:
-        """Semantic label at world x, y (metres, any one shape); mirrored beyond the raster."""
+        """Semantic label at world x, y (metres, any one shape): mirrored for `MIRRORED_M` beyond
+        the raster, and farther out grass."""
         n = len(self.labels)
+        beyond = np.maximum(np.abs(x), np.abs(y)) - 0.5 * n * self.texel_m
         column, row = (
             _mirrored(np.floor(np.asarray(c, float) / self.texel_m + 0.5 * n).astype(np.int64), n)
             for c in (x, y)
         )
-        return np.asarray(self.labels[row, column])
+        return np.asarray(
+            np.where(beyond < MIRRORED_M, self.labels[row, column], CLASSES["grass"]), np.uint8
+        )
 
 
 @dataclass(frozen=True)
@@ -181,7 +208,10 @@ class WorldObject:
 
 @dataclass(frozen=True)
 class World:
-    """A place: `area_m` metres a side, centred on the origin, east-north-up, Z up."""
+    """A place: `area_m` metres a side, centred on the origin, east-north-up, Z up.
+
+    `surroundings` do not overlap and cover the place, or there are none.
+    """
 
     seed: int
     area_m: float
@@ -189,6 +219,8 @@ class World:
     roads: tuple[Road, ...]
     ground: Ground
     objects: tuple[WorldObject, ...]
+    kerbs: tuple[Kerb, ...] = ()
+    surroundings: tuple[Surroundings, ...] = ()
 
 
 def rectangle(centre: ArrayLike, size: ArrayLike, yaw: float) -> NDArray[np.float64]:

@@ -25,9 +25,10 @@ from simulate.look import ground
 from simulate.look.buildings import building_mesh
 from simulate.look.conditions import Condition, condition
 from simulate.look.materials import build_materials
-from simulate.look.mesh import Mesh, MeshBuilder, grid_mesh
+from simulate.look.mesh import Mesh, MeshBuilder
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
+from simulate.look.terrain import ground_mesh, kerbs_mesh
 from simulate.look.wires import wire_mesh
 from simulate.place.change import changed_world
 from simulate.place.presets import preset
@@ -36,7 +37,6 @@ from simulate.render.job import Board, FrameDone, RenderChunk, frame_path
 from simulate.render.process import end_with, resident_bytes
 
 _SENSOR_MM = 36.0
-_APRON_M, _APRON_STEP_M = 400.0, 8.0  # mirrored ground around the area, for the oblique views
 # Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by
 # this much to the right and upwards (px; found by ray casting, the same at every pixel).
 _FIRST_RAY_PX = 0.000526
@@ -103,8 +103,12 @@ def _build_scene(world: World, light: Condition) -> None:
     albedo = ground.bake(world.ground, light, world.seed)
     mirror = ground.mirror(world.ground, light, world.seed)
     materials = build_materials(bpy.data, light, albedo, mirror)
-    ground_mesh = _mesh_data("terrain", _terrain_mesh(world), materials)
     # Meshes first: a mesh that is given a material looks through every object there is.
+    surfaces = [
+        _mesh_data(name, surface, materials)
+        for name, surface in (("terrain", ground_mesh(world, light)), ("kerbs", kerbs_mesh(world)))
+        if surface is not None
+    ]
     shared: dict[str, Any] = {}
     meshes = []
     for thing in world.objects:
@@ -115,7 +119,8 @@ def _build_scene(world: World, light: Condition) -> None:
         if thing.shape not in shared:
             shared[thing.shape] = _mesh_data(thing.shape, shape_mesh(thing.shape), materials)
         meshes.append(shared[thing.shape])
-    _add("00000", ground_mesh)
+    for surface in surfaces:
+        _add(surface.name, surface)
     for thing, data in zip(world.objects, meshes, strict=True):
         # Blender keeps its objects sorted: names that only grow are put at the end at once.
         placed = _add(f"{thing.id:05d}", data)
@@ -169,17 +174,6 @@ def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:
     if thing.class_name == "wire":
         return wire_mesh(thing, world.terrain)
     return None
-
-
-def _terrain_mesh(world: World) -> Mesh:
-    """The ground of the area on its own nodes, and a coarser apron around it."""
-    half, count = world.terrain.half_side_m, len(world.terrain.nodes)
-    outside = half + np.arange(_APRON_STEP_M, _APRON_M + 1, _APRON_STEP_M)
-    axis = np.concatenate([-outside[::-1], np.linspace(-half, half, count), outside])
-    z = world.terrain.height(*np.meshgrid(axis, axis))
-    mesh = grid_mesh(axis, axis, z, "ground")
-    mesh.uv[:] = mesh.uv / world.area_m + 0.5  # the image covers the area once
-    return mesh
 
 
 def _mesh_data(name: str, mesh: Mesh, materials: dict[str, Any]) -> Any:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from PIL import Image
 
+from benchmark.results import QueryResult
 from scene.bundle import finish
 from scene.camera import Camera
 from scene.config import Config
@@ -136,6 +138,36 @@ def write_scene(path: Path) -> Path:
     )
     finish(path, manifest)
     return path
+
+
+def scored_query(
+    name: str,
+    metres: float | None,
+    condition: str = "summer",
+    status: Status | None = None,
+    **more: Any,
+) -> QueryResult:
+    """A scored query so far off; None is a failure."""
+    located = metres is not None
+    figures: dict[str, Any] = {
+        "group": "flight",
+        "altitude_m": 70.0,
+        "reason": "" if located else "lost",
+        "r_err_deg": 0.5 if located else None,
+        "sigma_t_m": None,
+        "nees": None,
+        "iterations": 0,
+        "inliers": 0,
+        "seconds": {"total": 0.25},
+    }
+    return QueryResult(
+        name=name,
+        condition=condition,
+        status=status or (Status.OK if located else Status.FAILED),
+        t_err_m=metres,
+        cam_from_world=(1, 0, 0, 0, 0, 0, 0) if located else None,
+        **figures | more,
+    )
 
 
 class FakeConfig(Config):

@@ -290,7 +290,7 @@ def test_interrupt(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> No
     result = invoke("evaluate", made_flight, "--method", "fake", "--out", tmp_path / "out")
     assert result.exit_code == 130
     assert "Traceback" not in result.stderr
-    assert not (tmp_path / "out").exists()
+    assert not list((tmp_path / "out").rglob("*.json"))
 
 
 def test_leaderboard_of_nothing(tmp_path: Path) -> None:
@@ -341,6 +341,19 @@ def test_simulate_hands_over_what_was_given(
         ("summer-noon", "nadir", "map"),
         ("winter-dusk", "oblique", "query"),
     ]
+
+
+def test_simulate_exports_only_where_there_is_room(tmp_path: Path) -> None:
+    """And says so before it renders anything."""
+    kept = tmp_path / "scene-cmu" / "mine.txt"
+    kept.parent.mkdir()
+    kept.write_text("mine")
+    words = ["--preset", "street", "--out", tmp_path / "scene", "--export", "cmu"]
+    result = invoke("simulate", *words)
+    assert result.exit_code == 2
+    assert "scene-cmu is not empty: choose another folder" in result.stderr
+    assert not (tmp_path / "scene").exists()
+    assert kept.read_text() == "mine"
 
 
 @pytest.mark.parametrize(

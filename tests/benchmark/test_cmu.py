@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.cmu import condition, is_cmu, open_cmu, surroundings
+from benchmark.cmu import condition, is_cmu, open_cmu
 from benchmark.datasets import open_datasets
+from scene.cmu import surroundings
 from scene.errors import InputError
 from tests.benchmark.made_data import pose_at, write_jpeg, write_model
 

@@ -38,8 +38,8 @@ def test_flight(made_flight: Path) -> None:
         assert float(degrees) < 1e-7
         loaded = query.load()
         assert loaded.image.shape == (64, 96, 3)
-        assert loaded.prior is not None
-        assert query.load(use_prior=False).prior is None
+        assert loaded.prior is None
+        assert query.prior is not None
 
 
 def test_gps_sigma_is_the_rms_over_map_photographs(made_flight: Path) -> None:
@@ -144,7 +144,8 @@ def test_scene(scene: Path) -> None:
     query = dataset.queries[3]
     assert query.name == "winter-grid/images/000000.jpg"
     assert float(query.reference.error_to(pose_at(2))[0]) < 1e-9
-    prior = query.load().prior
+    assert (query.group, query.load().prior) == ("winter-grid", None)
+    prior = query.prior
     assert prior is not None
     assert prior.position == pytest.approx(pose_at(2).centre().numpy() + 1)
     assert prior.cam_from_world_rotation == pytest.approx(pose_at(2).rotation.numpy())

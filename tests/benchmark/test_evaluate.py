@@ -7,18 +7,22 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.registry import create
 from benchmark.datasets import open_datasets
 from benchmark.evaluate import evaluate
+from benchmark.journal import Journal
 from benchmark.results import Results, load
+from benchmark.starts import NONE, PRIOR, Start
+from scene.bundle import Scene
 from scene.errors import InputError
 from scene.localizer import Estimate, Status
 from scene.pose import Pose
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
 
 
-def run(path: Path, localizer: FakeLocalizer, use_prior: bool = True) -> Results:
+def run(path: Path, localizer: FakeLocalizer, start: Start = PRIOR) -> Results:
     (dataset,) = open_datasets(path)
-    return evaluate(dataset, localizer, path.parent / "out", use_prior)
+    return evaluate(dataset, localizer, path.parent / "out", start)
 
 
 def written(path: Path) -> list[str]:
@@ -121,7 +125,7 @@ def test_start_is_declared_and_kept(made_flight: Path) -> None:
     with_prior, without = FakeLocalizer({}), FakeLocalizer({})
     assert run(made_flight, with_prior).start == "prior"
     assert all(query.prior is not None for query in with_prior.seen)
-    assert run(made_flight, without, use_prior=False).start == "none"
+    assert run(made_flight, without, NONE).start == "none"
     assert all(query.prior is None for query in without.seen)
 
 
@@ -142,10 +146,74 @@ def test_conditions_are_scored_apart(scene: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("the map is not mine")])
-def test_an_interrupted_run_leaves_nothing(made_flight: Path, error: BaseException) -> None:
+def test_a_run_interrupted_at_its_first_query_leaves_nothing(
+    made_flight: Path, error: BaseException
+) -> None:
     with pytest.raises(type(error)):
-        run(made_flight, FakeLocalizer({"f.jpg": error}))
+        run(made_flight, FakeLocalizer({"b.jpg": error}))
     assert not (made_flight.parent / "out").exists()
+
+
+@pytest.fixture
+def interrupted(made_flight: Path) -> Path:
+    """A flight whose evaluation was interrupted at the last of its three queries."""
+    answers = {"b.jpg": Estimate(Status.OK, pose_at(1)), "f.jpg": KeyboardInterrupt()}
+    with pytest.raises(KeyboardInterrupt):
+        run(made_flight, FakeLocalizer(answers))
+    assert written(made_flight) == ["meadow/fake.partial"]
+    return made_flight
+
+
+def asked(path: Path, **config: float) -> list[str]:
+    """The queries that another run puts to the method."""
+    localizer = FakeLocalizer({})
+    localizer.config = localizer.config.model_copy(update=config)
+    results = run(path, localizer)
+    assert [query.name for query in results.queries] == ["b.jpg", "d.jpg", "f.jpg"]
+    assert "meadow/fake.partial" not in written(path)
+    return [query.name for query in localizer.seen]
+
+
+def test_an_interrupted_run_goes_on(interrupted: Path) -> None:
+    assert asked(interrupted) == ["f.jpg"]
+    again = load(interrupted.parent / "out/meadow/fake.json")
+    assert [query.status for query in again.queries] == ["ok", "failed", "failed"]
+
+
+def test_a_line_cut_short_is_asked_again(interrupted: Path) -> None:
+    partial = interrupted.parent / "out/meadow/fake.partial"
+    partial.write_text(partial.read_text()[:-40])
+    assert asked(interrupted) == ["d.jpg", "f.jpg"]
+
+
+@pytest.mark.parametrize("rubbish", ["", "{", "[]\n", '{"key": "other"}\n{}\n', "\x00\x00"])
+def test_a_damaged_journal_starts_over(interrupted: Path, rubbish: str) -> None:
+    (interrupted.parent / "out/meadow/fake.partial").write_text(rubbish)
+    assert asked(interrupted) == ["b.jpg", "d.jpg", "f.jpg"]
+
+
+def test_another_configuration_starts_over(interrupted: Path) -> None:
+    assert asked(interrupted, strength=2.0) == ["b.jpg", "d.jpg", "f.jpg"]
+
+
+def test_two_runs_do_not_write_the_same_results(interrupted: Path) -> None:
+    journal = interrupted.parent / "out/meadow/fake.partial"
+    before = journal.read_text()
+    with Journal(journal, json.loads(before.splitlines()[0])["key"]) as open_elsewhere:
+        assert set(open_elsewhere.done) == {"b.jpg", "d.jpg"}
+        with pytest.raises(InputError, match="another run is writing"):
+            run(interrupted, FakeLocalizer({}))
+        assert journal.read_text() == before
+
+
+def test_jobs_change_nothing_but_seconds(rendered: Scene, tmp_path: Path) -> None:
+    (dataset,) = open_datasets(rendered.path)
+    answers = []
+    for jobs in (1, 3):
+        results = evaluate(dataset, create("sift", {}), tmp_path / str(jobs), jobs=jobs)
+        answers.append([query.model_copy(update={"seconds": {}}) for query in results.queries])
+    assert answers[0] == answers[1]
+    assert any(query.status is Status.OK for query in answers[0])
 
 
 def test_out_that_is_a_file(made_flight: Path) -> None:

@@ -9,12 +9,13 @@ import pytest
 from benchmark.datasets import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.leaderboard import leaderboard
+from benchmark.starts import NONE, PRIOR, Start
 from scene.errors import InputError
 from scene.localizer import Estimate, Status
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
 
 
-def run(data: Path, out: Path, name: str, use_prior: bool = True, **config: Any) -> Path:
+def run(data: Path, out: Path, name: str, start: Start = PRIOR, **config: Any) -> Path:
     """A method that finds every summer query 0.1 m off, and one winter query 1 m off."""
     answers = {
         f"summer-grid/images/{k:06d}.jpg": Estimate(Status.OK, moved(pose_at(k + 1), 0.1))
@@ -25,7 +26,7 @@ def run(data: Path, out: Path, name: str, use_prior: bool = True, **config: Any)
     localizer.name = name
     localizer.config = localizer.config.model_copy(update=config)
     (dataset,) = open_datasets(data)
-    evaluate(dataset, localizer, out, use_prior)
+    evaluate(dataset, localizer, out, start)
     return out / dataset.name / f"{name}.json"
 
 
@@ -72,7 +73,7 @@ def test_saturation_is_said_for_sift_under_the_maps_own_condition(
 
 def test_starts_and_data_sets_are_not_mixed(scene: Path, made_flight: Path, tmp_path: Path) -> None:
     run(scene, tmp_path / "a", "sift")
-    run(scene, tmp_path / "b", "sift", use_prior=False)
+    run(scene, tmp_path / "b", "sift", NONE)
     run(made_flight, tmp_path / "a", "sift")
     text = leaderboard([tmp_path / "a", tmp_path / "b"])
     headings = [line for line in text.splitlines() if line.startswith("## ")]

@@ -8,30 +8,18 @@ from PIL import Image
 
 from benchmark.datasets import open_datasets
 from benchmark.pictures import median_query, query_overlay
-from benchmark.results import QueryResult
 from scene.errors import InputError
 from scene.localizer import Status
-from tests.benchmark.made_data import moved, pose_at
-
-
-def query(name: str, metres: float, status: Status = Status.OK) -> QueryResult:
-    return QueryResult(
-        name=name,
-        condition="summer",
-        status=status,
-        reason="",
-        t_err_m=metres,
-        r_err_deg=0.0,
-        cam_from_world=(1, 0, 0, 0, 0, 0, 0),
-        sigma_t_m=None,
-        iterations=0,
-        inliers=0,
-        seconds={},
-    )
+from tests.benchmark.made_data import moved, pose_at, scored_query
 
 
 def test_median_query() -> None:
-    queries = [query("a", 3), query("b", 1), query("c", 2), query("d", 9, Status.FALLBACK)]
+    queries = [
+        scored_query("a", 3),
+        scored_query("b", 1),
+        scored_query("c", 2),
+        scored_query("d", 9, status=Status.FALLBACK),
+    ]
     median = median_query(queries)
     assert median is not None
     assert median.name == "c"

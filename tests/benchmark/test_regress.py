@@ -14,44 +14,21 @@ from typer.testing import CliRunner, Result
 
 from benchmark.cli import app
 from benchmark.paired import compare
-from benchmark.results import (
-    DatasetId,
-    Environment,
-    Method,
-    QueryResult,
-    Results,
-    summarize,
-    summarize_by_condition,
-)
-from scene.localizer import Status
+from benchmark.results import DatasetId, Method, Results
+from tests.benchmark.made_data import scored_query
 
 
 def write(folder: Path, errors: dict[str, float | None], sha256: str = "a" * 64) -> None:
     """Results whose queries have these errors (m); None is a failure, names begin with s or w."""
     queries = [
-        QueryResult(
-            name=name,
-            condition="summer" if name.startswith("s") else "winter",
-            status=Status.FAILED if error is None else Status.OK,
-            reason="",
-            t_err_m=error,
-            r_err_deg=None if error is None else 0.1,
-            cam_from_world=None if error is None else (1, 0, 0, 0, 0, 0, 0),
-            sigma_t_m=None,
-            iterations=0,
-            inliers=0,
-            seconds={"total": 1.0},
-        )
+        scored_query(name, error, "summer" if name.startswith("s") else "winter")
         for name, error in errors.items()
     ]
-    Results(
-        method=Method(name="sift", config={}, weights_sha256=None),
-        dataset=DatasetId(name="d", track="uav-sim", sha256=sha256, map_conditions=("summer",)),
-        start="prior",
-        environment=Environment.current(),
-        summary=summarize(queries, 1.0, None),
-        by_condition=summarize_by_condition(queries, 1.0, None),
-        queries=tuple(queries),
+    Results.of(
+        Method(name="sift", config={}, weights_sha256=None),
+        DatasetId(name="d", track="uav-sim", sha256=sha256, map_conditions=("summer",)),
+        "prior",
+        queries,
     ).write(folder / "d" / "sift.json")
 
 
@@ -89,6 +66,13 @@ def test_queries_that_vanished_are_losses(baseline: Path, tmp_path: Path) -> Non
     answer = regress(tmp_path / "new", baseline)
     assert answer.exit_code == 1
     assert "10 lost and 0 won of 100" in answer.stdout
+
+
+def test_one_query_that_vanished_is_no_chance(baseline: Path, tmp_path: Path) -> None:
+    write(tmp_path / "new", {n: e for n, e in GOOD.items() if n != "s3"})
+    answer = regress(tmp_path / "new", baseline)
+    assert answer.exit_code == 1
+    assert "1 queries vanished" in answer.stdout
 
 
 def test_a_drop_in_one_condition_alone_is_caught(baseline: Path, tmp_path: Path) -> None:

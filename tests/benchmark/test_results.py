@@ -9,47 +9,25 @@ import pytest
 
 from benchmark.results import (
     DatasetId,
-    Environment,
     Method,
-    QueryResult,
     Results,
     load,
     rescore,
-    summarize,
-    summarize_by_condition,
 )
 from scene.errors import InputError
-from scene.localizer import Status
-
-
-def query(name: str, metres: float | None, condition: str = "summer") -> QueryResult:
-    located = metres is not None
-    return QueryResult(
-        name=name,
-        condition=condition,
-        status=Status.OK if located else Status.FAILED,
-        reason="" if located else "lost",
-        t_err_m=metres,
-        r_err_deg=0.5 if located else None,
-        cam_from_world=(1, 0, 0, 0, 0, 0, 0) if located else None,
-        sigma_t_m=None,
-        iterations=0,
-        inliers=0,
-        seconds={"total": 0.25},
-    )
+from tests.benchmark.made_data import scored_query
 
 
 @pytest.fixture
 def results() -> Results:
-    queries = (query("a", 0.1), query("b", 0.7), query("c", None, "winter"))
-    return Results(
-        method=Method(name="fake", config={"strength": 1.0}, weights_sha256=None),
-        dataset=DatasetId(name="meadow", track="flight", sha256="ab", map_conditions=("summer",)),
-        start="prior",
-        environment=Environment.current(),
-        summary=summarize(queries, 1.5, 300.0),
-        by_condition=summarize_by_condition(queries, 1.5, 300.0),
-        queries=queries,
+    queries = (scored_query("a", 0.1), scored_query("b", 0.7), scored_query("c", None, "winter"))
+    return Results.of(
+        Method(name="fake", config={"strength": 1.0}, weights_sha256=None),
+        DatasetId(name="meadow", track="flight", sha256="ab", map_conditions=("summer",)),
+        "prior",
+        queries,
+        1.5,
+        300.0,
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import binomtest
 
 from benchmark.score import THRESHOLDS, Threshold, is_correct, median_errors, recall, wilson
 from scene.localizer import Status
@@ -104,3 +105,9 @@ def test_medians_are_over_poses() -> None:
     assert median_errors([ok(1, 10), ok(3, 30), FAILED, Scored(Status.FALLBACK, 8, 2)]) == (3, 10)
     assert median_errors([ok(1, 10), ok(3, 30)]) == (2, 20)
     assert median_errors([FAILED]) == (None, None)
+
+
+@given(st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_wilson_agrees_with_scipy(counts: tuple[int, int]) -> None:
+    expected = binomtest(*counts).proportion_ci(0.95, method="wilson")
+    assert wilson(*counts) == pytest.approx((expected.low, expected.high), abs=1e-12)

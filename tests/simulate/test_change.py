@@ -20,6 +20,7 @@ from simulate.place.change import (
     changed_worlds,
     every_object,
 )
+from simulate.place.kerbs import Rises
 from simulate.place.town import build_town
 from simulate.place.world import MAX_OBJECT_ID, World, overlap
 
@@ -70,12 +71,14 @@ def test_new_places_are_free_and_on_the_ground(town: World) -> None:
     things = changed.world.objects
     new = {*changed.declared.added, *(number for _, number in changed.declared.moved)}
     assert len(new) > 15
+    rises = Rises(town.kerbs)
     for thing in things:
         if thing.id in new:
             box = thing.footprint()
             assert np.abs(box).max() <= 0.5 * town.area_m
             base = thing.centre[2] - 0.5 * thing.size[2]
-            assert base == pytest.approx(float(town.terrain.height(*thing.centre[:2])))
+            at = thing.centre[:2]
+            assert base == pytest.approx(float(town.terrain.height(*at)) + rises.at(at))
             assert not any(overlap(box, o.footprint()) for o in things if o is not thing)
 
 

@@ -237,6 +237,37 @@ def test_sessions_from_words() -> None:
     assert len(set(twice.session_names())) == 3
 
 
+def test_named_sessions() -> None:
+    def named(*names: str | None) -> SimulateConfig:
+        flown = {"condition": "summer-noon", "flight": "nadir", "role": "map"}
+        return SimulateConfig.model_validate({"sessions": [flown | {"name": n} for n in names]})
+
+    assert named("map", None).session_names() == ("map", "summer-noon-nadir-map")
+    for wrong in (("a", "a", "a-2"), ("../a",), ("A",), ("",), ("a/b",)):
+        with pytest.raises(ValueError, match="name"):
+            named(*wrong)
+
+
+def test_the_track_changes_one_thing_at_a_time() -> None:
+    track = SimulateConfig.load(Path(__file__).parents[2] / "configs" / "uav-sim.yaml", {})
+    sessions = dict(zip(track.session_names(), track.sessions, strict=True))
+    base = sessions["same"]
+    changed = {name: s for name, s in sessions.items() if s.role == "query" and s != base}
+    differs = {
+        name: {f for f in ("condition", "flight") if getattr(s, f) != getattr(base, f)}
+        for name, s in changed.items()
+        if name != "same"
+    }
+    assert differs == {
+        "season": {"condition"},
+        "time": {"condition"},
+        "season-and-time": {"condition"},
+        "altitude": {"flight"},
+        "oblique": {"flight"},
+    }
+    assert sessions["map"].condition == base.condition
+
+
 def test_missing_libraries_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PACKAGES, "libnowhere.so.9", "libnowhere9")
     with pytest.raises(InputError, match="sudo apt-get install -y libnowhere9"):

@@ -37,6 +37,7 @@ ALWAYS = {
         "building", "fence", "tank", "pallet", "container", "boat", "pole", "wire", "truck",
         "van", "car",
     },
+    "street": STREET | {"building", "tree", "hedge", "fence", "car", "van", "truck", "bench"},
 }  # fmt: skip
 """Classes every place of a kind has."""
 GROUND = {
@@ -45,6 +46,7 @@ GROUND = {
     "park": {"grass", "road", "path", "water"},
     "farmland": {"grass", "road", "field", "path"},
     "industrial": {"road", "pavement", "parking", "water"},
+    "street": {"grass", "road", "pavement", "driveway", "path"},
 }
 
 
@@ -60,7 +62,8 @@ def test_all_kinds_of_places_are_there():
 
 @pytest.mark.parametrize("name", PLANS)
 def test_the_seed_decides_everything(name):
-    a, b, other = (preset(name)(seed, 120.0) for seed in (3, 3, 4))
+    area = max(120.0, PLANS[name].least_m)
+    a, b, other = (preset(name)(seed, area) for seed in (3, 3, 4))
     assert flat(a) == flat(b)
     assert flat(a.objects) != flat(other.objects)
 
@@ -158,20 +161,22 @@ def test_a_place_with_too_many_things_is_refused_in_one_line(monkeypatch):
 @pytest.mark.parametrize("name", PLANS)
 @pytest.mark.parametrize("area", [10.0, MAX_AREA_M + 1, float("nan")])
 def test_an_impossible_area_is_refused(name, area):
-    with pytest.raises(InputError, match="area must be 100 to 2000 m a side"):
+    least = PLANS[name].least_m
+    with pytest.raises(InputError, match=f"area must be {least:.0f} to 2000 m a side"):
         preset(name)(1, area)
 
 
 @pytest.mark.parametrize("name", sorted(set(PLANS) - {"town"}))
 def test_a_place_renders(name, tmp_path: Path):
-    world = preset(name)(1, 120.0)
+    area = max(120.0, PLANS[name].least_m)
+    world = preset(name)(1, area)
     poses = plan_oblique(
         world.terrain.height, radius_m=40.0, altitude_m=45.0, frames=1,
         rng=np.random.default_rng(0),
     )  # fmt: skip
     camera = PinholeCamera(width=96, height=96, f=80.0, cx=48.0, cy=48.0)
     job = RenderJob(
-        preset=name, seed=1, area_m=120.0, condition="summer-noon", camera=camera, samples=1,
+        preset=name, seed=1, area_m=area, condition="summer-noon", camera=camera, samples=1,
         poses={0: poses[0].tolist()},
     )  # fmt: skip
     render(job, tmp_path)

@@ -10,6 +10,7 @@ from simulate.look.buildings import building_mesh
 from simulate.look.conditions import condition
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
+from simulate.place.kerbs import Rises
 from simulate.place.presets import preset
 from simulate.place.town import build_town
 from simulate.place.world import (
@@ -81,6 +82,7 @@ def test_every_class_is_present(town):
 
 
 def test_objects_stand_on_the_ground(town):
+    rises = Rises(town.kerbs)
     for thing in town.objects:
         x, y = np.vstack([thing.footprint(), thing.centre[:2]]).T
         ground_z = town.terrain.height(x, y)
@@ -88,7 +90,7 @@ def test_objects_stand_on_the_ground(town):
         if thing.class_name in ("building", "hedge", "fence"):
             assert base <= ground_z.min() + 1e-9
         else:
-            assert base == pytest.approx(ground_z[-1])
+            assert base == pytest.approx(ground_z[-1] + rises.at(thing.centre[:2]))
 
 
 def test_only_vehicles_and_lamps_stand_on_carriageways(town):

@@ -1,0 +1,83 @@
+"""``score``: poses that another program found, held against a data set's references."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from benchmark.datasets import Dataset
+from benchmark.evaluate import identity, scored
+from benchmark.results import Method, Results
+from benchmark.starts import parse_start
+from benchmark.textfiles import read_poses
+from scene.errors import InputError
+from scene.files import sha256_of
+from scene.localizer import Estimate, Status
+
+
+def score(
+    poses: Path, datasets: Sequence[Dataset], method: str, start: str = "none"
+) -> list[Results]:
+    """Score a file of poses in the format of hloc: ``name qw qx qy qz tx ty tz``, world to camera.
+
+    A query without a line counts as failed. Names may be those of the data set or, where that is
+    not ambiguous, their last part, as hloc writes them for Aachen.
+
+    Args:
+        poses: text file.
+        datasets: those whose queries the file may hold.
+        method: name to go by in the results.
+        start: what the method was told: see ``benchmark.starts.parse_start``.
+
+    Returns:
+        Results per data set; a data set none of whose queries is in the file is left out.
+
+    Raises:
+        InputError: unreadable file, a pose of no query, or a query with two.
+    """
+    told = parse_start(start)
+    found = read_poses(poses)
+    left = set(found)
+    results = []
+    for dataset in datasets:
+        names = _named(found, dataset, poses)
+        if not names:
+            continue
+        left -= set(names.values())
+        sparse_map = dataset.load_map()
+        queries = []
+        for query in dataset.queries:
+            if query.name in names:
+                estimate = Estimate(Status.OK, found[names[query.name]])
+            else:
+                estimate = Estimate(Status.FAILED, reason=f"no line in {poses.name}")
+            queries.append(scored(query, estimate, sparse_map, None))
+        made_by = Method(name=method, config={"poses": sha256_of(poses)}, weights_sha256=None)
+        results.append(Results.of(made_by, identity(dataset), told.name, queries))
+    if left:
+        raise InputError(
+            f"{poses}: {len(left)} poses are of no query of the reference, such as {min(left)}"
+        )
+    if not results:
+        raise InputError(f"{poses} holds no pose")
+    return results
+
+
+def _named(found: Collection[str], dataset: Dataset, poses: Path) -> dict[str, str]:
+    """Name in the file of each query that has a line."""
+    short: dict[str, list[str]] = {}
+    for query in dataset.queries:
+        short.setdefault(Path(query.name).name, []).append(query.name)
+    names: dict[str, str] = {}
+    whole = {query.name for query in dataset.queries}
+    for name in found:
+        matching = [name] if name in whole else short.get(name, [])
+        if len(matching) > 1:
+            raise InputError(
+                f"{poses}: {name} may be {matching[0]} or {matching[1]}; write whole names"
+            )
+        for match in matching:
+            if match in names:
+                raise InputError(f"{poses}: {match} has two poses, {names[match]} and {name}")
+            names[match] = name
+    return names

@@ -1,0 +1,114 @@
+"""Finished queries of an unfinished run, so that a crash loses none."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+from pydantic import ValidationError
+
+from benchmark.results import QueryResult
+from scene.errors import InputError
+
+
+class Journal:
+    """A file of one line per finished query; it goes when the run is complete.
+
+    A run of another key (other data, method, configuration, start or version) starts over. Used as
+    a context manager; while it is open no second run writes the same results.
+    """
+
+    def __init__(self, path: Path, key: str) -> None:
+        """
+        Args:
+            path: of the file.
+            key: digest of everything that decides the results.
+        """
+        self.path = path
+        self.done: dict[str, QueryResult] = {}
+        self._key = key
+
+    def __enter__(self) -> Journal:
+        """Read what is there.
+
+        Raises:
+            InputError: it cannot be written, or another run is writing it.
+        """
+        above = (self.path.parent, self.path.parent.parent)
+        self._made = [folder for folder in above if not folder.exists()]
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("a+")
+        except OSError as error:
+            raise InputError(f"cannot write {self.path}: {error.strerror}") from None
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._file.close()
+            raise InputError(f"another run is writing {self.path}; wait for it to end") from None
+        self._file.seek(0)
+        lines = self._file.read().splitlines(keepends=True)
+        good = 0
+        if lines and _key(lines[0]) == self._key:
+            self.done = _finished(lines[1:])
+            good = sum(len(line.encode()) for line in lines[: 1 + len(self.done)])
+        # What follows was cut short, or belongs to another run.
+        self._file.truncate(good)
+        if not good:
+            self._put(json.dumps({"key": self._key}))
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close; the file stays when a run ends badly after its first query."""
+        if kind is None or not self.done:
+            self.path.unlink(missing_ok=True)
+        self._file.close()
+        for folder in self._made:
+            with suppress(OSError):  # it holds something
+                folder.rmdir()
+
+    def add(self, result: QueryResult) -> None:
+        """Note a finished query.
+
+        Raises:
+            InputError: the disk is full.
+        """
+        self.done[result.name] = result
+        self._put(result.model_dump_json())
+
+    def _put(self, line: str) -> None:
+        try:
+            self._file.write(line + "\n")
+            self._file.flush()
+        except OSError as error:
+            raise InputError(f"cannot write {self.path}: {error.strerror}") from None
+
+
+def _key(line: str) -> object:
+    try:
+        header = json.loads(line)
+    except ValueError:
+        return None
+    return header.get("key") if isinstance(header, dict) else None
+
+
+def _finished(lines: list[str]) -> dict[str, QueryResult]:
+    """Queries up to the first line that is none: the process died while writing it."""
+    done: dict[str, QueryResult] = {}
+    for line in lines:
+        try:
+            result = QueryResult.model_validate_json(line)
+        except ValidationError:
+            break
+        if result.name in done or not line.endswith("\n"):
+            break
+        done[result.name] = result
+    return done

@@ -1,0 +1,180 @@
+"""Starting information: what a method is told about a query besides its image.
+
+It is declared with the results, and methods are compared only within the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+import torch
+
+from baselines.retrieval import VladIndex
+from baselines.sift import SiftConfig, map_features
+from benchmark.datasets import BenchmarkQuery, Dataset
+from scene.colmap import SiftExtractor, SiftOptions
+from scene.errors import InputError
+from scene.features import unit_descriptors
+from scene.files import read_text
+from scene.images import read_rgb
+from scene.localizer import Prior, Query
+from scene.pose import Pose, so3_exp
+from scene.sparse_map import SparseMap
+
+_ERROR: Final = re.compile(r"error=([0-9.]+)m,([0-9.]+)deg")
+_TOP: Final = re.compile(r"retrieval(?:=([1-9][0-9]*))?")
+_USUAL_TOP: Final = 10
+
+Ask = Callable[[BenchmarkQuery], Query]
+"""Loads a query with what its start allows."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """A kind of starting information.
+
+    Attributes:
+        name: as in results, enough to tell starts apart.
+        kind: "prior" is the data set's own, "none" nothing at all, "retrieval" the ``top`` map
+            photographs that look most like the query, "pairs" map photographs from a file, and
+            "error" the reference pose moved by exactly ``metres`` and turned by ``degrees``, each
+            in a random direction.
+        top: see kind.
+        metres: see kind.
+        degrees: see kind.
+        pairs: map photographs by query.
+    """
+
+    name: str
+    kind: Literal["prior", "none", "retrieval", "pairs", "error"]
+    top: int = 0
+    metres: float = 0.0
+    degrees: float = 0.0
+    pairs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def asker(self, dataset: Dataset, sparse_map: SparseMap, cache: Path | None = None) -> Ask:
+        """How the queries of a data set are put to a method.
+
+        Args:
+            dataset: whose queries.
+            sparse_map: its map.
+            cache: folder where what retrieval needs is kept.
+
+        Raises:
+            InputError: a query without a pair, or a pair with a photograph the map does not have.
+        """
+        if self.kind == "prior":
+            return lambda query: query.load(query.prior)
+        if self.kind == "error":
+            return lambda query: query.load(
+                moved_prior(query.reference, query.name, self.metres, self.degrees)
+            )
+        if self.kind == "retrieval":
+            similar = _similar(dataset, sparse_map, self.top, cache)
+            return lambda query: query.load(references=similar(query))
+        if self.kind == "pairs":
+            self._check_pairs(dataset, sparse_map)
+            return lambda query: query.load(references=self.pairs[query.name])
+        return BenchmarkQuery.load
+
+    def _check_pairs(self, dataset: Dataset, sparse_map: SparseMap) -> None:
+        for query in dataset.queries:
+            if query.name not in self.pairs:
+                raise InputError(f"the pair list has no photograph of the map for {query.name}")
+            for name in self.pairs[query.name]:
+                if name not in sparse_map.images:
+                    raise InputError(
+                        f"the pair list names {name} for {query.name}: the map has no such image"
+                    )
+
+
+PRIOR: Final = Start("prior", "prior")
+NONE: Final = Start("none", "none")
+
+
+def parse_start(text: str) -> Start:
+    """Read ``prior``, ``none``, ``retrieval[=K]``, ``pairs=FILE`` or ``error=3m,5deg``.
+
+    A pair list is hloc's: lines "query reference".
+
+    Raises:
+        InputError: none of these, or a pair list that cannot be read.
+    """
+    if text in ("prior", "none"):
+        return PRIOR if text == "prior" else NONE
+    if found := _TOP.fullmatch(text):
+        top = int(found.group(1) or _USUAL_TOP)
+        return Start(f"retrieval={top}", "retrieval", top=top)
+    if found := _ERROR.fullmatch(text):
+        try:
+            metres, degrees = float(found.group(1)), float(found.group(2))
+        except ValueError:
+            raise InputError(f"start {text!r}: not a number of metres and degrees") from None
+        return Start(f"error={metres:g}m,{degrees:g}deg", "error", metres=metres, degrees=degrees)
+    if text.startswith("pairs="):
+        return _pairs(Path(text.removeprefix("pairs=")))
+    raise InputError(
+        f"unknown start {text!r}: prior, none, retrieval[=K], pairs=FILE or error=3m,5deg"
+    )
+
+
+def moved_prior(reference: Pose, name: str, metres: float, degrees: float) -> Prior:
+    """A prior that is wrong by exactly so much, in directions that the query's name decides.
+
+    Its stated sigmas are those of the error: per axis of the position, and of the attitude.
+
+    Args:
+        reference: ``cam_from_world``, float64.
+        name: of the query.
+        metres: distance of the prior's position from the camera centre.
+        degrees: angle of the prior's attitude to the camera's.
+    """
+    digest = hashlib.sha256(name.encode()).digest()
+    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+    way, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+    turn = so3_exp(torch.from_numpy(np.radians(degrees) * axis))
+    return Prior(
+        position=reference.centre().numpy() + metres * way,
+        position_sigma=np.full(3, max(metres / np.sqrt(3), 0.01)),
+        cam_from_world_rotation=(turn @ reference.rotation).numpy(),
+        attitude_sigma_deg=max(degrees, 0.01),
+    )
+
+
+def _similar(
+    dataset: Dataset, sparse_map: SparseMap, top: int, cache: Path | None
+) -> Callable[[BenchmarkQuery], tuple[str, ...]]:
+    """Retrieval in the map itself, the same for every method: VLAD of SIFT."""
+    options = SiftOptions(max_features=SiftConfig().max_features)
+    features = map_features(sparse_map, dataset.images, options, cache)
+    names = sparse_map.names
+    index = VladIndex.build([unit_descriptors(features[name]).numpy() for name in names])
+    extract = SiftExtractor(options)
+
+    def similar(query: BenchmarkQuery) -> tuple[str, ...]:
+        descriptors = unit_descriptors(extract(read_rgb(query.image, query.camera)))
+        return tuple(names[row] for row in index.rank(descriptors.numpy(), top))
+
+    return similar
+
+
+def _pairs(path: Path) -> Start:
+    text = read_text(path, "pair list")
+    pairs: dict[str, list[str]] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        if len(words) != 2:
+            raise InputError(f"{path}:{number}: expected 'query reference', got {line.strip()!r}")
+        pairs.setdefault(words[0], []).append(words[1])
+    if not pairs:
+        raise InputError(f"pair list {path} holds no pair")
+    name = f"pairs={hashlib.sha256(text.encode()).hexdigest()[:12]}"
+    return Start(name, "pairs", pairs={query: tuple(found) for query, found in pairs.items()})

@@ -1,0 +1,88 @@
+"""``submit``: the file of poses that visuallocalization.net scores on the hidden query poses."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Final
+
+from benchmark.cmu import Slice, open_slices
+from scene.colmap import read_map
+from scene.errors import InputError
+from scene.files import read_text, write_text
+from scene.images import read_rgb
+from scene.localizer import Localizer, Query, Status
+from scene.pose import Pose
+from scene.progress import progress_bar
+
+SUBMISSION: Final = "submission.txt"
+_DECIMALS: Final = 6
+
+
+def submit(
+    path: Path, localizer: Localizer, out: Path, cache: Path | None = None
+) -> tuple[int, int]:
+    """Localize every query image of Extended CMU Seasons and write ``OUT/submission.txt``.
+
+    Its lines are ``name qw qx qy qz tx ty tz`` with bare file names of all slices: the translation
+    of world to camera, not its centre, although the data set's own files hold centres. Images that
+    were not found are left out, as the server asks. Finished slices are kept in ``OUT/slices``: the
+    same command goes on after them.
+
+    Args:
+        path: the data set, or one of its slices.
+        localizer: what to run.
+        out: folder.
+        cache: folder for the method's per-map state.
+
+    Returns:
+        How many images were found, and of how many.
+
+    Raises:
+        InputError: a file of the data set is missing or wrong, two slices share an image name, or
+            ``out`` cannot be written.
+    """
+    chosen = open_slices(path)
+    seen: dict[str, Slice] = {}
+    for part in chosen:
+        for name in part.queries:
+            if name in seen:
+                raise InputError(
+                    f"{name} is in {seen[name].folder} and in {part.folder}: a submission gives no "
+                    "slice, so names must be unique"
+                )
+            seen[name] = part
+    lines: list[str] = []
+    for part in chosen:
+        lines += _slice(part, localizer, out / "slices" / f"{part.folder.name}.txt", cache)
+    write_text(out / SUBMISSION, "".join(f"{line}\n" for line in lines))
+    return len(lines), len(seen)
+
+
+def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) -> list[str]:
+    """Lines of one slice, read from ``path`` when they are there already."""
+    sparse_map = read_map(part.folder / "sparse")
+    words = [localizer.name, localizer.config.model_dump_json(), str(localizer.weights_sha256)]
+    words += [sparse_map.sha256, *part.queries]
+    header = f"# {hashlib.sha256(' '.join(words).encode()).hexdigest()}"
+    if path.is_file():
+        first, *lines = read_text(path, "finished slice").splitlines() or [""]
+        if first == header:
+            return lines
+    localizer.prepare(sparse_map, part.folder / "database", cache)
+    lines = []
+    with progress_bar(f"{part.folder.name} {localizer.name}", len(part.queries)) as advance:
+        for count, name in enumerate(part.queries, 1):
+            camera = part.camera(name)
+            image = read_rgb(part.folder / "query" / name, camera)
+            estimate = localizer.localize(Query(name, image, camera))
+            if estimate.status is Status.OK and estimate.cam_from_world is not None:
+                lines.append(_line(name, estimate.cam_from_world))
+            advance(count)
+    write_text(path, "".join(f"{line}\n" for line in [header, *lines]))
+    return lines
+
+
+def _line(name: str, pose: Pose) -> str:
+    numbers = [*pose.quaternion().tolist(), *pose.translation.tolist()]
+    return " ".join([name, *(f"{x:.{_DECIMALS}f}" for x in numbers)])

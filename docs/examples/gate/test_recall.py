@@ -1,0 +1,13 @@
+"""The same gate as a test: `pytest`, and `pytest --update-recall` to record."""
+
+from pathlib import Path
+
+from baselines.registry import create
+from benchmark.datasets import open_datasets
+from benchmark.evaluate import evaluate
+
+
+def test_recall(tmp_path, no_recall_drop):
+    for dataset in open_datasets(Path("data/flight")):
+        evaluate(dataset, create("sift", {}), tmp_path)
+    no_recall_drop(tmp_path, Path("baseline"))

@@ -1,0 +1,97 @@
+"""The surface of the ground: a place, its raised pavements, and the country around it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.look.conditions import Condition
+from simulate.look.mesh import Mesh, grid_mesh, merged
+from simulate.place.world import MIRRORED_M, Kerb, World
+
+Array = NDArray[np.float64]
+
+_STEP_M = 8.0  # between the nodes of the mirrored ground around the area
+_FAR_M, _FAR_NODES = 2400.0, 26  # the country beyond it, coarser with the distance
+_HILLS_M, _HILLS_FROM_M = 150.0, 150.0  # their height, and where they begin
+_AIR_RGB = np.array([0.22, 0.26, 0.31])
+_FOOT_M = 0.05  # kerbs reach so far into the ground
+_STONE_M, _STONE_RGB = 0.22, (0.30, 0.29, 0.275)  # width and linear albedo of their stones
+
+
+def ground_mesh(world: World, light: Condition) -> Mesh:
+    """The ground of the area on its own nodes, its mirror image around it, and hills afar."""
+    half, count = world.terrain.half_side_m, len(world.terrain.nodes)
+    near = half + np.arange(_STEP_M, MIRRORED_M + 1, _STEP_M)
+    far = half + np.geomspace(MIRRORED_M, _FAR_M, _FAR_NODES)[1:]
+    outside = np.concatenate([near, far])
+    axis = np.concatenate([-outside[::-1], np.linspace(-half, half, count), outside])
+    x, y = np.meshgrid(axis, axis)
+    beyond = np.maximum(np.maximum(np.abs(x), np.abs(y)) - half, 0.0)
+    z = world.terrain.height(x, y) * np.exp(-((beyond / 150.0) ** 2)) + _hills(x, y, beyond)
+    mesh = grid_mesh(axis, axis, z, "ground")
+    mesh.uv[:] = mesh.uv / world.area_m + 0.5  # the image covers the area once
+
+    middle = mesh.vertices[mesh.corners.reshape(-1, 4)].mean(1)
+    country = np.abs(middle[:, :2]).max(1) > half + MIRRORED_M
+    tint = mesh.tint.copy()
+    away = np.abs(middle[country, :2]).max(1) - half
+    tint[country] = _country(middle[country].astype(float), away.astype(float), light)
+    return replace(
+        mesh, tint=tint, material=country.astype(np.int32), materials=("ground", "plain")
+    )
+
+
+def kerbs_mesh(world: World) -> Mesh | None:
+    """Raised pavements: kerb, top and far edge of each; None where a place has none."""
+    if not world.kerbs:
+        return None
+    mesh = merged([_kerb_mesh(kerb, world) for kerb in world.kerbs])
+    mesh.uv[:] = mesh.uv / world.area_m + 0.5
+    return mesh
+
+
+def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
+    """Five edges along the kerb, from its foot up, over it and down behind the pavement."""
+    out = kerb.back - kerb.front
+    behind = kerb.front + _STONE_M * out / np.linalg.norm(out, axis=1, keepdims=True)
+    edges = np.stack([kerb.front, kerb.front, behind, kerb.back, kerb.back])
+    above = [np.full_like(kerb.rise, -_FOOT_M), *[kerb.rise] * 3, np.full_like(kerb.rise, -_FOOT_M)]
+    height = world.terrain.height(edges[..., 0], edges[..., 1]) + np.stack(above)
+    k, i = (a.ravel() for a in np.mgrid[:4, : len(kerb.rise) - 1])
+    corners = np.stack([(k, i), (k, i + 1), (k + 1, i + 1), (k + 1, i)], axis=1)  # (2, 4, P)
+    flat = (corners[0] * len(kerb.rise) + corners[1]).T
+    stone = k < 2
+    return Mesh(
+        vertices=np.concatenate([edges, height[..., None]], -1).reshape(-1, 3).astype(np.float32),
+        corners=flat.ravel().astype(np.int32),
+        sizes=np.full(len(k), 4, np.int32),
+        uv=edges.reshape(-1, 2)[flat].reshape(-1, 2).astype(np.float32),
+        tint=np.where(stone[:, None], _STONE_RGB, 1.0).astype(np.float32),
+        material=stone.astype(np.int32),
+        materials=("ground", "plain"),
+    )
+
+
+def _hills(x: Array, y: Array, beyond: Array) -> Array:
+    """Heights that rise with the distance from the place, lower here and higher there."""
+    turn = np.arctan2(y, x)
+    waves = ((0.22, 3, 1.0), (0.12, 7, 2.0), (0.06, 17, 0.0))
+    ridge = 0.60 + sum(high * np.sin(count * turn + start) for high, count, start in waves)
+    share = np.clip((beyond - _HILLS_FROM_M) / (0.6 * _FAR_M), 0.0, 1.0)
+    return np.asarray(_HILLS_M * ridge * share * share * (3 - 2 * share))
+
+
+def _country(at: Array, beyond: Array, light: Condition) -> NDArray[np.float32]:
+    """Tints (N, 3) of woods, fields and meadows at points (N, 3), `beyond` (N,) metres outside
+    the place; what is far away is seen through more air."""
+    x, y, _ = at.T
+    patch = np.sin(x / 61.0 + 1.3 * np.sin(y / 83.0)) + np.sin(y / 47.0 + 1.7 * np.sin(x / 97.0))
+    woods = (patch + beyond / 500.0 > 1.2)[:, None]
+    fields = (patch < -0.5)[:, None]
+    open_land = np.where(fields, light.ground["field"][1], light.ground["grass"][0])
+    tint = np.where(woods, 0.6 * np.array(light.leaf) + 0.4 * np.array(light.leaf_tip), open_land)
+    air = 0.45 * (1 - np.exp(-beyond / 1500.0))[:, None]
+    return np.asarray(tint + air * (_AIR_RGB - tint), np.float32)

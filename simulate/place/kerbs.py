@@ -1,0 +1,119 @@
+"""Kerbs: where pavements stand above the carriageways they line, and what stands on them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.place.grid import CircleGrid
+from simulate.place.site import PAVEMENT_M
+from simulate.place.world import CLASSES, Ground, Kerb, Road, WorldObject, polyline_points
+
+Array = NDArray[np.float64]
+
+KERB_M = 0.13  # height
+_RAMP_M = 0.7  # length of the slope where a kerb is dropped
+_STEP_M = 0.5  # between the places where the ground is looked at
+_SHORTEST_M = 2.0
+_LOOK_M = (0.4, 0.8, 1.2)  # from the kerb
+_HUNG = ("pole", "wire")  # keep their heights, which belong together
+
+
+def lay_kerbs(roads: Iterable[Road], ground: Ground) -> tuple[Kerb, ...]:
+    """Kerbs along both sides of every road wherever its verge is pavement within the place.
+
+    They are dropped where another carriageway, a drive or a car park's entrance crosses.
+    """
+    half = 0.5 * len(ground.labels) * ground.texel_m
+    kerbs = []
+    for road in roads:
+        for side in (1.0, -1.0):
+            kerbs += [
+                _kerb(road, side, start, end)
+                for start, end in _runs(_on_pavement(road, side, ground, half))
+                if end - start > _SHORTEST_M
+            ]
+    return tuple(kerbs)
+
+
+def raised(objects: Sequence[WorldObject], kerbs: Sequence[Kerb]) -> tuple[WorldObject, ...]:
+    """The objects, those that stand on raised pavements lifted to their height."""
+    rises = Rises(kerbs)
+
+    def lifted(thing: WorldObject) -> WorldObject:
+        rise = 0.0 if thing.class_name in _HUNG else rises.at(thing.centre[:2])
+        return replace(thing, centre=thing.centre + np.array([0, 0, rise])) if rise else thing
+
+    return tuple(lifted(thing) for thing in objects)
+
+
+class Rises:
+    """How far raised pavements stand above the ground."""
+
+    def __init__(self, kerbs: Sequence[Kerb]) -> None:
+        """Every stretch between two pairs of points, with its first front corner as origin."""
+        joined = [np.stack([k.front[:-1], k.front[1:], k.back[:-1], k.back[1:]], 1) for k in kerbs]
+        corners = np.concatenate([np.empty((0, 4, 2)), *joined])
+        ends = [np.stack([k.rise[:-1], k.rise[1:]], 1) for k in kerbs]
+        self._rise = np.concatenate([np.empty((0, 2)), *ends])
+        self._origin = corners[:, 0]
+        along, across = corners[:, 1] - self._origin, corners[:, 2] - self._origin
+        self._into = np.linalg.inv(np.stack([along, across], 2))
+        self._circles = CircleGrid()
+        middles = corners.mean(1)
+        reach = np.linalg.norm(corners - middles[:, None], axis=2).max(1, initial=0.0)
+        for middle, radius in zip(middles, reach.tolist(), strict=True):
+            self._circles.add(middle, radius)
+
+    def at(self, point: Array) -> float:
+        """Metres above the ground at a point (2,); 0 where no pavement is raised."""
+        rise = 0.0
+        for k in self._circles.near(point, 0.1):
+            t, s = self._into[k] @ (point - self._origin[k])
+            if 0 <= t <= 1 and 0 <= s <= 1:
+                first, last = self._rise[k]
+                rise = max(rise, float(first + t * (last - first)))
+        return rise
+
+
+def _on_pavement(road: Road, side: float, ground: Ground, half_m: float) -> NDArray[np.bool_]:
+    """Whether the verge is pavement at every `_STEP_M` of a road."""
+    length = float(np.linalg.norm(np.diff(road.line, axis=0), axis=1).sum())
+    at = np.arange(0.0, length, _STEP_M)
+    pavement = np.ones(len(at), bool)
+    for out in _LOOK_M:
+        points = _beside(road, side * (0.5 * road.width_m + out), at)
+        pavement &= ground.label(*points.T) == CLASSES["pavement"]
+        pavement &= (np.abs(points) < half_m).all(1)
+    return pavement
+
+
+def _runs(on: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Arc lengths, metres, where runs of True begin and end."""
+    edges = np.diff(np.concatenate([[0], on.astype(int), [0]]))
+    starts, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
+    return list(zip((_STEP_M * starts).tolist(), (_STEP_M * ends).tolist(), strict=True))
+
+
+def _kerb(road: Road, side: float, start: float, end: float) -> Kerb:
+    corners = np.concatenate([[0.0], np.linalg.norm(np.diff(road.line, axis=0), axis=1).cumsum()])
+    between = corners[(corners > start + _RAMP_M + 0.1) & (corners < end - _RAMP_M - 0.1)]
+    at = np.concatenate([[start, start + _RAMP_M], between, [end - _RAMP_M, end]])
+    rise = np.full(len(at), KERB_M)
+    rise[[0, -1]] = 0.0
+    edge = 0.5 * road.width_m
+    return Kerb(_beside(road, side * edge, at), _beside(road, side * (edge + PAVEMENT_M), at), rise)
+
+
+def _beside(road: Road, left_m: float, at_m: Array) -> Array:
+    """Points (N, 2) `left_m` to the left of a road's centre line, as its ribbon is painted."""
+    corners = np.concatenate([[0.0], np.linalg.norm(np.diff(road.line, axis=0), axis=1).cumsum()])
+    tangent = np.gradient(road.line, axis=0)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    points, _ = polyline_points(road.line, at_m)
+    across = np.stack([np.interp(at_m, corners, normal[:, k]) for k in (0, 1)], -1)
+    return np.asarray(points + left_m * across)

@@ -1,0 +1,96 @@
+"""Blocks in the middle of a city: closed building fronts round a court, and paved squares."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from simulate.place.parking import AISLE_M, BAY_M, car_park
+from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.streets import Block
+from simulate.place.styles import front_style
+from simulate.place.things import bench, small, tree
+
+_SETBACK_M = 0.35  # from the edge of the block to the fronts
+_DEPTH_M = 11.0
+_PASSAGE_M = 4.2  # the way into the court
+
+
+def fronts(site: Site, block: Block) -> None:
+    """Buildings wall to wall along all four streets, a court with parked cars behind them."""
+    length, depth = block.length, block.depth
+    site.paint("pavement", block.front(1).quad(-1.2, length + 1.2, -1.2, depth + 1.2), 0.6)
+    inner = _SETBACK_M + _DEPTH_M
+    for side in (1, -1):
+        # One passage, through the row along the first street.
+        way_in = site.rng.uniform(0.4, 0.6) * length if side > 0 else None
+        _row(site, block, side, 0.0, _SETBACK_M, length - _SETBACK_M, way_in)
+    for quarter_turn in (1, -1):
+        _row(site, block, quarter_turn, 0.5 * np.pi, inner + 0.1, depth - inner - 0.1, None)
+    court = length - 2 * inner - 2.0, depth - 2 * inner - 2.0
+    if court[0] > 3 * BAY_M[0] and court[1] > 2 * BAY_M[1] + AISLE_M:
+        middle = 0.5 * (depth - 2 * BAY_M[1] - AISLE_M)
+        car_park(site, block.front(1).shifted(inner + 1.0, middle), court[0], rows=1)
+    for share in site.rng.uniform(0.2, 0.8, (6, 2)):
+        spot = block.front(1).point(*(share * (length, depth)))
+        tree(site, spot, site.rng.uniform(1.2, 2.2))
+
+
+def _row(
+    site: Site,
+    block: Block,
+    side: int,
+    turn: float,
+    start: float,
+    end: float,
+    way_in: float | None,
+) -> None:
+    """Buildings from `start` to `end` metres along one street of a block.
+
+    `turn` 0 is a street along the block's length, a quarter turn one along its depth; `way_in` is
+    where a passage leads through.
+    """
+    at = block.front(side)
+    corners = [start]
+    while end - corners[-1] > 15.0:
+        corners.append(corners[-1] + float(site.rng.uniform(9.0, 15.0)))
+    corners.append(end)
+    for first, last in pairwise(corners):
+        if way_in is not None and first <= way_in < last:
+            lane = at.quad(first, first + _PASSAGE_M, -PAVEMENT_M - 0.8, _DEPTH_M + 3.0)
+            site.paint("driveway", lane, float(site.rng.random()))
+            first += _PASSAGE_M
+        if last - first < 4.0:
+            continue
+        floors = int(site.rng.integers(3, 6))
+        style = front_style(site, floors)
+        height = 2.8 * floors + 0.6 + style.roof_height_m
+        along, across = 0.5 * (first + last), _SETBACK_M + 0.5 * _DEPTH_M
+        a, b = (along, across) if turn == 0 else (across, along)
+        # A bend in the street may leave less room: then a slit opens to the neighbour.
+        for share in (1.0, 0.985, 0.96, 0.93, 0.88, 0.8):
+            size = ((last - first) * share - 0.02, _DEPTH_M * (0.5 + 0.5 * share), height)
+            yaw = at.yaw(a, b) + turn
+            if site.place("building", "front", at.point(a, b), size, yaw, style=style, gap_m=0.0):
+                break
+
+
+def square(site: Site, block: Block) -> None:
+    """A paved square: rows of trees with benches, bins and bollards between them."""
+    rng = site.rng
+    at = block.front(1)
+    length, depth = block.length, block.depth
+    site.paint("pavement", at.quad(-1.2, length + 1.2, -1.2, depth + 1.2), float(rng.random()))
+    lawn = at.quad(0.3 * length, 0.7 * length, 0.3 * depth, 0.7 * depth)
+    site.paint("grass", lawn, float(rng.random()))
+    for a in np.arange(4.0, length - 3.0, 7.5):
+        for b in np.arange(4.0, depth - 3.0, 7.5):
+            tree(site, at.point(a, b), rng.uniform(1.8, 2.6), conifers=0.0)
+            if site.chance(0.4):
+                bench(site, at.point(a + 3.7, b), at.yaw(a, b))
+    for a in np.arange(1.5, length - 1.0, 6.0):
+        for b in (0.5, depth - 0.5):
+            small(site, "bollard", at.point(a, b), at.yaw(a, b))
+    for a in (0.25 * length, 0.75 * length):
+        small(site, "bin", at.point(a, 0.5 * depth), at.yaw(a, 0.5 * depth))
