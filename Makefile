@@ -32,9 +32,14 @@ demo: libraries
 	$(BIN)/objconnect validate $(DEMO)/scene
 	$(BIN)/objconnect evaluate $(DEMO)/scene --method sift --out $(DEMO)/results --cache $(DEMO)/cache >/dev/null
 	$(BIN)/objconnect leaderboard $(DEMO)/results --out $(DEMO)/leaderboard
-	@echo "Pictures: $(DEMO)/scene/pictures, $(DEMO)/results; table: $(DEMO)/leaderboard"
+	@echo "Pictures: $(DEMO)/scene/pictures, $(DEMO)/results; page: $(DEMO)/leaderboard/leaderboard.html"
 
-test: libraries lint
+# What the tests of the leaderboard's page click in.
+.PHONY: browser
+browser: install
+	@$(BIN)/python -m tests.browser
+
+test: libraries browser lint
 	$(BIN)/python -m pytest
 
 lint: install

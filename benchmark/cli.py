@@ -128,15 +128,17 @@ def evaluate(
     """Localize the queries of data sets and score the poses.
 
     Writes RESULTS/<dataset>/<method>.json and a picture of the query of median error, each when its
-    last query is done; run again, an interrupted evaluation goes on where it was. An older file of
-    the same name is replaced.
+    last query is done, and once per data set album.h5, which the leaderboard's page shows. Run
+    again, an interrupted evaluation goes on where it was. An older file of the same name is
+    replaced.
     """
     from baselines.registry import create
     from benchmark.datasets import open_datasets
     from benchmark.evaluate import evaluate as run
     from benchmark.evaluate import results_path
-    from benchmark.leaderboard import markdown, tables
+    from benchmark.markdown import markdown
     from benchmark.starts import parse_start
+    from benchmark.tables import tables
 
     # Everything that can be wrong is looked at before the first minute is spent.
     settings = _settings(overrides or [])
@@ -205,7 +207,8 @@ def score(
     """Score poses that another program found; a query without a line has failed."""
     from benchmark.datasets import open_datasets
     from benchmark.elsewhere import score as run
-    from benchmark.leaderboard import markdown, tables
+    from benchmark.markdown import markdown
+    from benchmark.tables import tables
 
     opened = [dataset for path in reference for dataset in open_datasets(path)]
     _require_distinct_names(opened)
@@ -228,19 +231,74 @@ def leaderboard(
         typer.Argument(metavar="RESULTS", help="Results files, or folders that evaluate wrote."),
     ],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder to write leaderboard.md to.")
+        Path | None, typer.Option(metavar="DIR", help="Folder for leaderboard.md, .tex and .html.")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Compare results: one Markdown table per data set and starting information."""
+    """Compare results: one table per data set and starting information.
+
+    Prints Markdown. With --out it is also written as LaTeX tables and as one HTML page that opens
+    as a file: charts, paired comparisons, and every query with its pictures. Albums and basins that
+    lie beside the results are shown in it.
+    """
     from benchmark.leaderboard import leaderboard as compare
-    from benchmark.leaderboard import tables
+    from benchmark.tables import tables
 
     text = compare(results, out)
     if as_json:
         _print_json({"tables": tables(results)})
     else:
         print(text, end="")
+
+
+@app.command()
+def basin(
+    datasets: Annotated[
+        list[Path], typer.Argument(metavar="DATASET", help="Data sets, as of evaluate.")
+    ],
+    method: Annotated[
+        list[str], typer.Option(metavar="METHOD", help="Localizer to run; repeat for several.")
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="RESULTS", help="Folder for <dataset>/<method>.basin.json.")
+    ],
+    errors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST",
+            help="Sizes of error as 1m/2deg,3m/5deg; left out, from 0m/0deg to 30m/30deg.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the directions of the errors.", min=0)] = 0,
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Measure recall against the error of the prior: how far off may a start be?
+
+    Each query is localized once for each size, from its reference pose moved and turned by exactly
+    that much, the same way for every method. Refiners start there; sift looks at the map
+    photographs nearest to it.
+    """
+    from baselines.registry import create
+    from benchmark.basin import DEFAULT_SIZES, basin_path, parse_sizes
+    from benchmark.basin import basin as run
+    from benchmark.datasets import open_datasets
+
+    sizes = DEFAULT_SIZES if errors is None else parse_sizes(errors)
+    settings = _settings(overrides or [])
+    localizers = [create(name, settings) for name in method]
+    opened = [dataset for path in datasets for dataset in open_datasets(path)]
+    _require_distinct_names(opened)
+    found = {}
+    for dataset in opened:
+        for localizer in localizers:
+            measured = run(dataset, localizer, out, sizes, seed, cache)
+            found[str(basin_path(out, dataset, localizer))] = measured
+    if as_json:
+        _print_json({"basins": found})
+    else:
+        print("\n".join(f"{path}\n{measured.text()}" for path, measured in found.items()))
 
 
 @app.command()
@@ -355,10 +413,12 @@ def simulate(
     session: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="CONDITION:FLIGHT[:ROLE]",
+            metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
             help="A flight under a condition, as winter-dusk:oblique; repeat for several. FLIGHT "
             "is nadir, grid, oblique, corridor, free, street or plan=FILE (QGroundControl's). ROLE "
-            "is map or query; left out, the first flight builds the map, the others are queries.",
+            "is map or query; left out, the first flight builds the map, the others are queries. "
+            "CHANGE is what is no longer as the place was built, as "
+            "cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Photographs per session.")] = None,
@@ -409,6 +469,37 @@ def simulate(
         print(f"{scene.path}: {', '.join(scene.sessions)}")
         if target is not None:
             print(f"exported to {target}")
+
+
+@app.command()
+def gallery(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for gallery.md and gallery/, its pictures.")
+    ],
+    preset: Annotated[
+        str | None, typer.Option(help="Kind of place to show under every condition.")
+    ] = None,
+    condition: Annotated[
+        str, typer.Option(metavar="SEASON-LIGHT[-WEATHER]", help="To show every kind of place in.")
+    ] = "summer-noon",
+    seed: Annotated[int | None, typer.Option(help="Of the places.")] = None,
+    area: Annotated[float | None, typer.Option(help="Side of the places, metres.")] = None,
+    size: Annotated[int, typer.Option(help="Side of a photograph, pixels.")] = 240,
+    spp: Annotated[int | None, typer.Option(help="Rendering samples per pixel.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Render a page of pictures: every kind of place, and one place in every season, light and
+    weather. Run again, it goes on where it was interrupted.
+    """
+    from simulate.config import SimulateConfig
+    from simulate.gallery import gallery as run
+
+    settings = {"preset": preset, "seed": seed, "area": area, "size": size, "spp": spp}
+    page = run(SimulateConfig.load(None, settings), out, condition)
+    if as_json:
+        _print_json({"page": str(page)})
+    else:
+        print(page)
 
 
 @app.command()

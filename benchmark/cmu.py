@@ -17,13 +17,14 @@ from typing import Final
 from benchmark.datasets import BenchmarkQuery, Dataset, digest
 from benchmark.textfiles import read_cameras, read_poses
 from scene.camera import Camera
-from scene.cmu import CAMERAS, ImageName, surroundings
+from scene.cmu import CAMERAS, SIMULATED, ImageName, surroundings
 from scene.colmap import read_map
 from scene.errors import InputError
-from scene.files import sha256_of
+from scene.files import read_text, sha256_of
 from scene.pose import Pose
 
 TRACK: Final = "cmu"
+SIMULATED_TRACK: Final = "cmu-sim"
 
 _INTRINSICS: Final = "intrinsics.txt"
 _SLICE: Final = re.compile(r"slice(\d+)")
@@ -167,10 +168,16 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
     number = int(folder.name.removeprefix("slice"))
     return Dataset(
         name=f"cmu-{surroundings(number)}-slice{number}",
-        track=TRACK,
+        track=_track(folder.parent),
         sha256=digest(sparse_map, queries, [sha256_of(query.image) for query in queries]),
         map_conditions=tuple(sorted({condition(name) for name in sparse_map.images})),
         load_map=lambda: sparse_map,
         images=folder / "database",
         queries=queries,
     )
+
+
+def _track(root: Path) -> str:
+    """Whether the photographs are the data set's own."""
+    simulated = read_text(root / _INTRINSICS, "cameras").startswith(SIMULATED)
+    return SIMULATED_TRACK if simulated else TRACK

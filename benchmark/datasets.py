@@ -54,7 +54,7 @@ class Dataset:
     Attributes:
         name: folder of its results.
         track: what it can show: "uav-sim" (changed season and light), "flight" (photographs) or
-            "cmu" (a car's photographs through a year).
+            "cmu" (a car's photographs through a year; "cmu-sim" when they are simulated).
         sha256: digest of what is scored; see ``digest``.
         map_conditions: conditions the map's photographs were taken under.
         load_map: reads the map.

@@ -11,6 +11,7 @@ from time import perf_counter
 import numpy as np
 import torch
 
+from benchmark.album import ALBUM, keep_album
 from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.journal import Journal
 from benchmark.memory import peak_megabytes, reset_peak
@@ -45,9 +46,10 @@ def evaluate(
 ) -> Results:
     """Localize every query, score it, and write ``OUT/<dataset>/<method>.json`` at the end.
 
-    Beside it goes ``<method>-query.png``, the map drawn into the query of median error. A method
-    that raises an exception on a query has failed on that query, and the run goes on. Finished
-    queries are kept in ``<method>.partial`` until then: the same run, interrupted, goes on there.
+    Beside it go ``<method>-query.png``, the map drawn into the query of median error, and
+    ``album.h5``, what the page shows of each query. A method that raises an exception on a query
+    has failed on that query, and the run goes on. Finished queries are kept in ``<method>.partial``
+    until then: the same run, interrupted, goes on there.
 
     Args:
         dataset: what to run on.
@@ -63,11 +65,7 @@ def evaluate(
     if out.exists() and not out.is_dir():
         raise InputError(f"cannot write results to {out}: it is not a folder")
     start = _given(start, dataset)
-    method = Method(
-        name=localizer.name,
-        config=localizer.config.model_dump(mode="json"),
-        weights_sha256=localizer.weights_sha256,
-    )
+    method = method_of(localizer)
     target = results_path(out, dataset, localizer)
     with Journal(target.with_suffix(".partial"), _key(method, dataset, start)) as journal:
         reset_peak()
@@ -80,7 +78,7 @@ def evaluate(
         def finish(query: BenchmarkQuery) -> QueryResult:
             loaded = ask(query)
             began = perf_counter()
-            estimate = _attempt(localizer, loaded)
+            estimate = attempt(localizer, loaded)
             return scored(query, estimate, sparse_map, perf_counter() - began)
 
         left = [query for query in dataset.queries if query.name not in journal.done]
@@ -98,6 +96,8 @@ def evaluate(
         results = Results.of(
             method, identity(dataset), start.name, queries, prepare, peak_megabytes()
         )
+        # Before the results, so that a run interrupted here has lost nothing.
+        keep_album(target.with_name(ALBUM), dataset, sparse_map)
         results.write(target)
     _draw_median(dataset, sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
     return results
@@ -106,6 +106,15 @@ def evaluate(
 def results_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
     """Where the results of a method on a data set lie."""
     return out / dataset.name / f"{localizer.name}.json"
+
+
+def method_of(localizer: Localizer) -> Method:
+    """What results say of their method."""
+    return Method(
+        name=localizer.name,
+        config=localizer.config.model_dump(mode="json"),
+        weights_sha256=localizer.weights_sha256,
+    )
 
 
 def _given(start: Start, dataset: Dataset) -> Start:
@@ -136,7 +145,7 @@ def identity(dataset: Dataset) -> DatasetId:
     )
 
 
-def _attempt(localizer: Localizer, query: Query) -> Estimate:
+def attempt(localizer: Localizer, query: Query) -> Estimate:
     """The method's answer; a crash or a pose that is none is a failure with a reason."""
     try:
         estimate = localizer.localize(query)

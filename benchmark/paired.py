@@ -63,6 +63,11 @@ def compare(before: Sequence[bool], after: Sequence[bool]) -> PairedChange:
     )
 
 
+def mcnemar(lost: int, won: int) -> float:
+    """Two-sided p value of McNemar's exact test: do the two runs differ at all?"""
+    return min(1.0, 2 * _upper_tail(max(lost, won), lost + won))
+
+
 def _upper_tail(k: int, n: int) -> float:
     """P(X >= k) of a fair coin thrown n times."""
     favourable = sum(math.comb(n, i) for i in range(k, n + 1))

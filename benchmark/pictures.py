@@ -51,10 +51,10 @@ def query_overlay(
         InputError: the photograph cannot be read or the picture cannot be written.
     """
     image = read_rgb(query.image, query.camera)
-    truth, seen = _project(sparse_map.xyz, query.camera, query.reference)
-    rows = _spread(truth, seen, sparse_map.track_length)
+    truth, seen = project_points(sparse_map.xyz, query.camera, query.reference)
+    rows = spread(truth, seen, sparse_map.track_length, _CELL)
     truth = truth[rows]
-    guess, valid = _project(sparse_map.xyz[rows], query.camera, estimated)
+    guess, valid = project_points(sparse_map.xyz[rows], query.camera, estimated)
 
     height, width = image.shape[:2]
     figure = Figure(figsize=(_WIDTH_INCHES, _WIDTH_INCHES * height / width + 0.75), dpi=_DPI)
@@ -98,7 +98,7 @@ def query_overlay(
         figure.savefig(partial, format="png")
 
 
-def _project(
+def project_points(
     points: NDArray[np.float64], camera: Camera, pose: Pose
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Pixels (M, 2) of world points, and whether each lies in the picture."""
@@ -107,12 +107,22 @@ def _project(
     return projected.xy.numpy(), inside.numpy()
 
 
-def _spread(
-    xy: NDArray[np.float64], seen: NDArray[np.bool_], track_length: NDArray[np.int64]
+def spread(
+    xy: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+    track_length: NDArray[np.int64],
+    cell: float,
 ) -> NDArray[np.int64]:
-    """Rows of the points to draw: in every cell of the picture the one with the longest track."""
+    """Rows of the points to draw: in every cell of the picture the one with the longest track.
+
+    Args:
+        xy: (M, 2) pixels.
+        seen: (M,) which of them may be drawn.
+        track_length: (M,).
+        cell: its side, pixels.
+    """
     rows = np.flatnonzero(seen)
     rows = rows[np.argsort(-track_length[rows], kind="stable")]
-    cells = np.floor(xy[rows] / _CELL).astype(np.int64)
+    cells = np.floor(xy[rows] / cell).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     return rows[first]

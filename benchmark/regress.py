@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.paired import PairedChange, compare
-from benchmark.results import Results, load
+from benchmark.results import Results, load, results_files
 from benchmark.score import THRESHOLDS, is_correct
 from scene.errors import InputError
 from scene.files import written_whole
@@ -96,10 +96,7 @@ def update(results: Path, baseline: Path) -> list[Path]:
 
 def _files(folder: Path) -> list[Path]:
     """Results files below a folder, relative to it."""
-    found = sorted(path.relative_to(folder) for path in folder.glob("*/*.json"))
-    if not found:
-        raise InputError(f"{folder} holds no results (<dataset>/<method>.json)")
-    return found
+    return [path.relative_to(folder) for path in results_files(folder)]
 
 
 def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]:

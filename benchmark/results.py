@@ -24,6 +24,9 @@ PoseNumbers = tuple[float, float, float, float, float, float, float]
 # The stage that holds the whole time of a query, measured from outside the method.
 TOTAL = "total"
 
+# How files beside ``<method>.json`` end that are no results; see ``benchmark.basin``.
+BASIN: Final = ".basin.json"
+
 # Stored and recomputed figures agree to this relative difference, or the file was changed.
 _TOLERANCE = 1e-9
 # Width of a band of altitude.
@@ -301,6 +304,27 @@ def rescore(results: Results) -> Results:
         }
         | {f"by_{part}": found for part, found in summarize_parts(results.queries, *run).items()}
     )
+
+
+def results_files(path: Path) -> list[Path]:
+    """The results files of ``RESULTS`` or ``RESULTS/<dataset>``, or the one file.
+
+    Raises:
+        InputError: there is none.
+    """
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise InputError(f"results {path} do not exist")
+    found = sorted(
+        file
+        for level in ("*.json", "*/*.json")
+        for file in path.glob(level)
+        if not file.name.endswith(BASIN)
+    )
+    if not found:
+        raise InputError(f"{path} holds no results file (<dataset>/<method>.json)")
+    return found
 
 
 def load(path: Path) -> Results:

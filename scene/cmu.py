@@ -27,6 +27,10 @@ from scene.frames import Frames
 from scene.pose import Pose
 from scene.sparse_map import MapImage, SparseMap
 
+# First line of intrinsics.txt in a tree of simulated photographs. Without it figures on them would
+# pass for figures on the real ones: every other name is the same.
+SIMULATED: Final = "# simulated by ObjConnect"
+
 CAMERAS: Final = ("c0", "c1")
 _IMAGE: Final = re.compile(r"img_(\d+)_(c[01])_(\d+)us\.jpg")
 # Pittsburgh: a day there is no day of UTC.
@@ -111,7 +115,7 @@ def write_cmu(scene: Scene, sessions: Mapping[str, Frames], folder: Path) -> Non
     sparse_map = scene.sparse_map()
     lines = [f"{name} {_opencv(camera)}\n" for camera, name in cameras.items()]
     (folder / "intrinsics.txt").write_text(
-        "# camera model w h fx fy cx cy k1 k2 p1 p2\n" + "".join(lines), "utf-8"
+        f"{SIMULATED}\n# camera model w h fx fy cx cy k1 k2 p1 p2\n" + "".join(lines), "utf-8"
     )
     (folder / "README.md").write_text(
         f"Simulated by ObjConnect (preset {scene.manifest.preset}, seed {scene.manifest.seed}) in "

@@ -5,8 +5,10 @@ Written for pycolmap 4.2.
 
 from __future__ import annotations
 
+import sqlite3
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,12 +22,15 @@ from scene.camera import Camera
 from scene.colmap_files import read_model
 from scene.errors import InputError
 from scene.features import Features, unit_descriptors
+from scene.files import write_text, written_whole
 from scene.images import check_photographs
 from scene.matching import match
 from scene.pose import Pose, transform_jacobian
 from scene.sparse_map import SparseMap
 
 VERSION: str = pycolmap.__version__
+ADJUSTMENTS = 4
+"""Rounds of robust adjustment at the end of ``reconstruct``."""
 
 # Images per call of the extractor: enough to keep the cores busy, few enough to show progress.
 _CHUNK = 16
@@ -36,6 +41,16 @@ _MAX_RATIO = 0.8
 # A similarity needs three camera centres, and holds those within so many metres of the truth.
 _ALIGNABLE = 3
 _ALIGN_M = 1.0
+
+# Pairs matched between two progress reports; what is done by then survives an interruption.
+_PAIR_CHUNK = 32
+# Matches within this distance of the epipolar line agree with it (px).
+_VERIFIED_PX = 2.0
+# Robust adjustment: the outliers' least residual in standard deviations, the least angle between
+# the rays of a point (COLMAP's own), and the relative change of cost that ends a round.
+_OUTLIER = 5.0
+_MIN_ANGLE_DEG = 1.5
+_CONVERGED = 1e-8
 
 # Matches that determine a pose: their residuals are zero, whatever the matches are.
 _MINIMAL = 3
@@ -257,6 +272,8 @@ def _native_camera(camera: Camera, camera_id: int = 1) -> pycolmap.Camera:
         height=camera.height,
         params=list(camera.params),
         camera_id=camera_id,
+        # Verification then finds an essential matrix, which forgives far less than a fundamental.
+        has_prior_focal_length=True,
     )
 
 
@@ -285,6 +302,7 @@ def triangulate(
     out: Path,
     options: SiftOptions,
     on_progress: Progress | None = None,
+    database: Path | None = None,
 ) -> tuple[SparseMap, dict[str, Features]]:
     """Build a map by triangulating SIFT matches with known poses, and write the model to ``out``.
 
@@ -295,6 +313,8 @@ def triangulate(
         out: existing folder for the model.
         options: of the detector.
         on_progress: called with the number of images and pairs done.
+        database: file that keeps features and matches, new or left by an interrupted call for the
+            same photographs, pairs and options; None keeps none.
 
     Returns:
         The map as written, and the features it was built from by image name.
@@ -304,11 +324,10 @@ def triangulate(
             triangulated.
     """
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        database = Path(scratch) / "database.db"
+        database = database or Path(scratch) / "database.db"
         posed, features = _match_all(root, images, pairs, database, options, on_progress)
-        pipeline = _pipeline_options()
         result = pycolmap.triangulate_points(
-            posed, database, root, out, clear_points=True, options=pipeline
+            posed, database, root, out, clear_points=True, options=_pipeline_options()
         )
         if not result.num_points3D():
             raise InputError(
@@ -326,11 +345,13 @@ def reconstruct(
     out: Path,
     options: SiftOptions,
     on_progress: Progress | None = None,
+    database: Path | None = None,
 ) -> tuple[SparseMap, dict[str, Features]]:
     """Build a map by incremental structure from motion, calibration known and poses not.
 
-    The largest model is moved, turned and scaled onto the known camera centres; its poses stay what
-    the photographs say, and images that could not be registered are missing from it.
+    The largest model is adjusted with a robust loss, then moved, turned and scaled onto the known
+    camera centres; its poses stay what the photographs say, and images that could not be
+    registered are missing from it.
 
     Args:
         root: folder the image names are relative to.
@@ -338,7 +359,9 @@ def reconstruct(
         pairs: names to match.
         out: existing folder for the model.
         options: of the detector.
-        on_progress: called with the number of images and pairs done, then of images registered.
+        on_progress: called with the number of images and pairs done, then of images registered,
+            then of adjustments.
+        database: as ``triangulate``.
 
     Returns:
         The map as written, and the features it was built from by image name.
@@ -348,35 +371,77 @@ def reconstruct(
             images could be registered.
     """
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        database = Path(scratch) / "database.db"
+        database = database or Path(scratch) / "database.db"
         _, features = _match_all(root, images, pairs, database, options, on_progress)
-        registered = 2  # the pair every model starts from
+        matched, registered = len(images) + len(pairs), 2  # the pair every model starts from
+
+        def report(done: int) -> None:
+            if on_progress is not None:
+                on_progress(matched + done)
 
         def on_image() -> None:
             nonlocal registered
             registered += 1
-            if on_progress is not None:
-                on_progress(len(images) + len(pairs) + registered)
+            report(registered)
 
         models = pycolmap.incremental_mapping(
             database, root, scratch, _pipeline_options(), next_image_callback=on_image
         )
-        model = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
-        if model is None or model.num_reg_images() < _ALIGNABLE:
-            raise InputError(
-                f"structure from motion could not register {_ALIGNABLE} of the {len(images)} "
-                f"images of {root}: they need overlap and texture"
-            )
-        robust = pycolmap.RANSACOptions(max_error=_ALIGN_M, random_seed=_SEED)
-        centres = [Pose.from_matrix(image.cam_from_world).centre().numpy() for image in images]
-        similarity = pycolmap.align_reconstruction_to_locations(
-            model, [image.name for image in images], np.array(centres), _ALIGNABLE, robust
+    model = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
+    if model is None or model.num_reg_images() < _ALIGNABLE:
+        raise InputError(
+            f"structure from motion could not register {_ALIGNABLE} of the {len(images)} "
+            f"images of {root}: they need overlap and texture"
         )
-        if similarity is None:
-            raise InputError(f"the model of {root} does not fit the known camera centres")
-        model.transform(similarity)
-        model.write(out)
+    _adjust_robustly(model, lambda done: report(len(images) + done))
+    robust = pycolmap.RANSACOptions(max_error=_ALIGN_M, random_seed=_SEED)
+    centres = [Pose.from_matrix(image.cam_from_world).centre().numpy() for image in images]
+    similarity = pycolmap.align_reconstruction_to_locations(
+        model, [image.name for image in images], np.array(centres), _ALIGNABLE, robust
+    )
+    if similarity is None:
+        raise InputError(f"the model of {root} does not fit the known camera centres")
+    model.transform(similarity)
+    model.write(out)
     return read_map(out), features
+
+
+def _adjust_robustly(model: pycolmap.Reconstruction, on_round: Progress) -> None:
+    """Adjust poses and points again, wrong matches playing ever less of a part.
+
+    COLMAP's mapper ends with least squares over everything within four pixels, where a wrong match
+    weighs a hundred times what the noise of a right one does.
+    """
+    options = pycolmap.BundleAdjustmentOptions(
+        print_summary=False,
+        refine_focal_length=False,
+        refine_principal_point=False,
+        refine_extra_params=False,
+    )
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.solver_options.num_threads = 1
+    options.ceres.solver_options.function_tolerance = _CONVERGED
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    for done in range(ADJUSTMENTS):
+        on_round(done)
+        sigma = _residual_sigma(model)
+        options.ceres.loss_function_scale = _CAUCHY * sigma
+        pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+        pycolmap.ObservationManager(model).filter_all_points3D(_OUTLIER * sigma, _MIN_ANGLE_DEG)
+    on_round(ADJUSTMENTS)
+    model.update_point_3d_errors()
+
+
+def _residual_sigma(model: pycolmap.Reconstruction) -> float:
+    """Standard deviation of one pixel coordinate (px), from the median point: outliers do not
+    matter."""
+    model.update_point_3d_errors()
+    error = np.median([point.error for point in model.points3D.values()])
+    # A two-dimensional normal has its mean distance at sqrt(pi / 2).
+    return float(max(error / np.sqrt(np.pi / 2), np.sqrt(_LEAST_VARIANCE)))
 
 
 def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out: Path) -> None:
@@ -412,6 +477,9 @@ def _pipeline_options() -> pycolmap.IncrementalPipelineOptions:
     pipeline.num_threads = 1  # sums over threads round differently from run to run
     pipeline.ba_refine_focal_length = False
     pipeline.ba_refine_extra_params = False
+    # The first image of every camera would otherwise bend it to itself.
+    pipeline.mapper.abs_pose_refine_focal_length = False
+    pipeline.mapper.abs_pose_refine_extra_params = False
     return pipeline
 
 
@@ -425,22 +493,77 @@ def _match_all(
 ) -> tuple[pycolmap.Reconstruction, dict[str, Features]]:
     """Fill a database with verified matches; the posed images as a model, and their features."""
     check_photographs(root, {image.name: image.camera for image in images})
-    features = extract_sift(root, [image.name for image in images], options, on_progress)
-    model, ids = _posed_model(images, {name: item.xy for name, item in features.items()})
-    _write_database(database, model, ids, features)
-    descriptors = {name: unit_descriptors(item) for name, item in features.items()}
+    if not _is_sound(database):
+        for journal in ("-journal", "-wal", "-shm"):
+            database.with_name(database.name + journal).unlink(missing_ok=True)
+        model, _ = _posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
+        _write_database(database, model)
+    ids = {image.name: k for k, image in enumerate(images, 1)}
+    _fill_database(database, root, ids, pairs, options, on_progress)
+    features = _read_features(database, root)
+    return _posed_model(images, {name: item.xy for name, item in features.items()})[0], features
+
+
+def _fill_database(
+    database: Path,
+    root: Path,
+    ids: Mapping[str, int],
+    pairs: Sequence[tuple[str, str]],
+    options: SiftOptions,
+    on_progress: Progress | None,
+) -> None:
+    """Extract, match and verify what a database of images does not hold yet."""
+
+    def report(done: int) -> None:
+        if on_progress is not None:
+            on_progress(done)
+
     with pycolmap.Database.open(database) as db:
-        for done, (a, b) in enumerate(pairs, 1):
-            matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
-            db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
-            if on_progress is not None:
-                on_progress(len(images) + done)
-    pair_list = database.with_name("pairs.txt")
-    pair_list.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
+        for start in range(0, len(ids), _CHUNK):
+            chunk = list(ids)[start : start + _CHUNK]
+            left = [name for name in chunk if not db.exists_keypoints(ids[name])]
+            features = extract_sift(root, left, options)
+            with pycolmap.DatabaseTransaction(db):
+                for name, item in features.items():
+                    sift = pycolmap.FeatureExtractorType.SIFT
+                    native = pycolmap.FeatureDescriptors(sift, item.descriptors)
+                    db.write_descriptors(ids[name], native)
+                    shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
+                    db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
+            report(start + len(chunk))
+    descriptors = {
+        name: unit_descriptors(item) for name, item in _read_features(database, root).items()
+    }
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = _SEED
-    pycolmap.verify_matches(database, pair_list, verification)
-    return model, features
+    verification.ransac.max_error = _VERIFIED_PX
+    pair_list = database.with_suffix(".pairs")
+    for start in range(0, len(pairs), _PAIR_CHUNK):
+        chunk_of_pairs = pairs[start : start + _PAIR_CHUNK]
+        with pycolmap.Database.open(database) as db:
+            left_pairs = [
+                (a, b) for a, b in chunk_of_pairs if not db.exists_two_view_geometry(ids[a], ids[b])
+            ]
+            for a, b in left_pairs:
+                if not db.exists_matches(ids[a], ids[b]):
+                    matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
+                    db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
+        if left_pairs:
+            write_text(pair_list, "".join(f"{a} {b}\n" for a, b in left_pairs))
+            pycolmap.verify_matches(database, pair_list, verification)
+        report(len(ids) + start + len(chunk_of_pairs))
+    pair_list.unlink(missing_ok=True)
+
+
+def _is_sound(database: Path) -> bool:
+    """Whether a database is there and whole: COLMAP ends the process on a damaged one."""
+    if not database.is_file():
+        return False
+    try:
+        with closing(sqlite3.connect(database)) as connection:
+            return connection.execute("PRAGMA quick_check").fetchall() == [("ok",)]
+    except sqlite3.DatabaseError:
+        return False
 
 
 def _posed_model(
@@ -463,15 +586,10 @@ def _posed_model(
     return model, ids
 
 
-def _write_database(
-    path: Path,
-    model: pycolmap.Reconstruction,
-    ids: Mapping[str, int],
-    features: Mapping[str, Features],
-) -> None:
+def _write_database(path: Path, model: pycolmap.Reconstruction) -> None:
     """A database of the model's own identifiers: COLMAP's extractor numbers images as it
     happens to finish them, and the numbers decide the order of everything after."""
-    with pycolmap.Database.open(path) as db:
+    with written_whole(path) as partial, pycolmap.Database.open(partial) as db:
         for camera in model.cameras.values():
             db.write_camera(camera, use_camera_id=True)
         for rig in model.rigs.values():
@@ -480,5 +598,3 @@ def _write_database(
             db.write_frame(frame, use_frame_id=True)
         for image in model.images.values():
             db.write_image(image, use_image_id=True)
-        for name, image_id in ids.items():
-            db.write_keypoints(image_id, features[name].xy)

@@ -47,9 +47,12 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what processes killed inside ``written_whole`` left under ``folder``."""
-    for path in folder.rglob(_PARTIAL):
-        if path.is_file():
+    """Remove what processes killed inside ``written_whole`` or ``folder_written_whole`` left under
+    ``folder``."""
+    for path in list(folder.rglob(_PARTIAL)):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
             path.unlink(missing_ok=True)
 
 
@@ -78,6 +81,34 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
     finally:
         if partial is not None:
             shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def kept_while_working(folder: Path, name: str) -> Iterator[Path]:
+    """The path of a file that outlives an interruption of the block, but neither its success nor
+    its failure; whatever else an interrupted block left in ``folder`` is removed.
+
+    Args:
+        folder: of this file alone, made here and removed at the end.
+        name: says what the block works on, so that nobody goes on from another's work.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for other in folder.iterdir():
+            # A database has journals beside it.
+            if not other.name.startswith(name):
+                other.unlink()
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+    try:
+        yield folder / name
+    except Exception:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_text(path: Path, text: str) -> None:

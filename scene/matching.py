@@ -21,16 +21,17 @@ def match(a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
     """
     if min(len(a), len(b)) < 2:
         return np.zeros((0, 2), np.int64)
-    similarity = a @ b.T
-    best_b, b_distinct = _nearest(similarity, ratio)
-    best_a, a_distinct = _nearest(similarity.T, ratio)
-    rows = torch.arange(len(a))
-    mutual = (best_a[best_b] == rows) & b_distinct & a_distinct[best_b]
-    return torch.stack([rows[mutual], best_b[mutual]], -1).numpy()
+    best_b, distinct = _nearest(a, b, ratio)
+    # Few pass: asking only them for their way back is cheaper than asking all of b.
+    rows = distinct.nonzero()[:, 0]
+    columns = best_b[rows]
+    best_a, distinct = _nearest(b[columns], a, ratio)
+    mutual = (best_a == rows) & distinct
+    return torch.stack([rows[mutual], columns[mutual]], -1).numpy()
 
 
-def _nearest(similarity: Tensor, ratio: float) -> tuple[Tensor, Tensor]:
-    """Best column of every row, and whether it beats the second by the ratio of distances."""
-    values, columns = similarity.topk(2, dim=1)
+def _nearest(a: Tensor, b: Tensor, ratio: float) -> tuple[Tensor, Tensor]:
+    """Nearest of b for every row of a, and whether it beats the second by the ratio."""
+    values, columns = (a @ b.T).topk(2, dim=1)
     distance = (2 - 2 * values).clamp_min(0).sqrt()
     return columns[:, 0], distance[:, 0] < ratio * distance[:, 1]

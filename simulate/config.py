@@ -151,8 +151,8 @@ class SimulateConfig(Config):
             ``size`` and ``fov_deg``.
         spp: paths per pixel, denoised.
         frames: photographs of a session that does not say.
-        sessions: flights; on the command line "condition:flight[:role]", where the first is the
-            map's and the others are queries unless they say.
+        sessions: flights; on the command line "condition:flight[:role][:change]", where the first
+            is the map's and the others are queries unless they say.
         map_plan: how map flights are flown.
         query_plan: how query flights are flown.
         position_jitter_m: wind, standard deviation per axis.
@@ -208,7 +208,7 @@ class SimulateConfig(Config):
     @field_validator("sessions", mode="before")
     @classmethod
     def _from_words(cls, sessions: object) -> object:
-        """The command line's "condition:flight[:role]"."""
+        """The command line's "condition:flight[:role][:change]"."""
         if not isinstance(sessions, list | tuple):
             return sessions
         return tuple(
@@ -264,13 +264,26 @@ class SimulateConfig(Config):
         return tuple(names)
 
 
-def _session_from_words(text: str, first: bool) -> dict[str, str]:
+def _session_from_words(text: str, first: bool) -> dict[str, object]:
     name, colon, flight = text.partition(":")
     if not colon:
-        raise ValueError(f"a session is written condition:flight[:role], got {text!r}")
-    role = "map" if first else "query"
+        raise ValueError(f"a session is written condition:flight[:role][:change], got {text!r}")
+    session: dict[str, object] = {"condition": name, "role": "map" if first else "query"}
     # The name of a plan's file may hold colons of its own.
-    head, colon, last = flight.rpartition(":")
-    if colon and (last in get_args(Role) or not flight.startswith("plan=")):
-        flight, role = head, last
-    return {"condition": name, "flight": flight, "role": role}
+    plan = flight.startswith("plan=")
+    head, _, last = flight.rpartition(":")
+    if head and (last.partition("=")[0] in Change.model_fields if plan else "=" in last):
+        session["change"] = dict(_setting(word) for word in last.split(","))
+        flight = head
+    head, _, last = flight.rpartition(":")
+    if head and (last in get_args(Role) or not plan):
+        session["role"] = last
+        flight = head
+    return session | {"flight": flight}
+
+
+def _setting(word: str) -> tuple[str, str]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise ValueError(f"a change is written share=value[,...], got {word!r}")
+    return key, value

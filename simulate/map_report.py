@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from scene.colmap import PosedImage
 from scene.manifest import SceneObject
 from scene.pose import Pose
 from scene.sparse_map import SparseMap
+from simulate.class_spread import KindShare
 
 # A point belongs to the object whose box, grown by this much, holds it: triangulation is not exact.
 _MARGIN_M = 0.25
@@ -20,11 +21,36 @@ _MARGIN_M = 0.25
 
 @dataclass(frozen=True)
 class ObjectCoverage:
-    """Objects of one size class: how many were seen, how many have a point, and their points."""
+    """Objects of one kind: how many were seen, how many have a point, and their points."""
 
     seen: int
     with_points: int
     points: int
+
+    def text(self) -> str:
+        """For a person."""
+        return (
+            f"{self.with_points} of {self.seen} seen have a point "
+            f"({self.with_points / self.seen:.0%}), {self.points / self.seen:.2f} points each"
+        )
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean, root mean square and worst of some errors."""
+
+    mean: float
+    rms: float
+    max: float
+
+    @staticmethod
+    def of(values: NDArray[np.float64]) -> Spread:
+        """Of errors (N,)."""
+        return Spread(float(values.mean()), float(np.sqrt((values**2).mean())), float(values.max()))
+
+    def text(self, unit: str) -> str:
+        """For a person."""
+        return f"{self.mean:.3f}{unit} mean, {self.rms:.3f}{unit} rms, {self.max:.3f}{unit} at most"
 
 
 @dataclass(frozen=True)
@@ -34,26 +60,28 @@ class MapReport:
     Attributes:
         images: photographs given.
         registered: of them in the map.
+        pairs: of photographs that were matched.
         points: triangulated.
         reprojection_error_px: mean over observations.
         track_length: mean number of photographs that observe a point.
-        position_rms_m: of the camera centres from the truth.
-        position_max_m: the worst.
-        rotation_rms_deg: of the rotations from the truth.
-        rotation_max_deg: the worst.
+        position_m: distance of the camera centres from the truth.
+        rotation_deg: of the rotations from the truth.
         objects: by size class, of those seen in the map's photographs.
+        small_objects: the small ones by their class.
+        kinds: shares of each kind of surface.
     """
 
     images: int
     registered: int
+    pairs: int
     points: int
     reprojection_error_px: float
     track_length: float
-    position_rms_m: float
-    position_max_m: float
-    rotation_rms_deg: float
-    rotation_max_deg: float
+    position_m: Spread
+    rotation_deg: Spread
     objects: Mapping[str, ObjectCoverage]
+    small_objects: Mapping[str, ObjectCoverage]
+    kinds: Mapping[str, KindShare]
 
     def as_dict(self) -> dict[str, Any]:
         """For a program."""
@@ -61,17 +89,21 @@ class MapReport:
 
     def text(self) -> str:
         """For a person."""
+        possible = self.images * (self.images - 1) // 2
         lines = [
-            f"{self.registered} of {self.images} images, {self.points} points, "
-            f"{self.reprojection_error_px:.2f} px mean reprojection error, "
+            f"{self.registered} of {self.images} images registered, {self.pairs} of {possible} "
+            "pairs matched",
+            f"{self.points} points, {self.reprojection_error_px:.2f} px mean reprojection error, "
             f"tracks of {self.track_length:.1f} images",
-            f"poses from the truth: {self.position_rms_m:.3f} m rms, "
-            f"{self.position_max_m:.3f} m at most; "
-            f"{self.rotation_rms_deg:.3f}° rms, {self.rotation_max_deg:.3f}° at most",
+            "positions from the truth: " + self.position_m.text(" m"),
+            "rotations from the truth: " + self.rotation_deg.text("°"),
         ]
+        lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
+        lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
         lines += [
-            f"{name} objects: {c.with_points} of {c.seen} seen have a point, {c.points} points"
-            for name, c in self.objects.items()
+            f"{name}: {s.pixels:.1%} of pixels, {s.keypoints:.1%} of keypoints, "
+            f"{s.points:.1%} of points"
+            for name, s in self.kinds.items()
         ]
         return "\n".join(lines)
 
@@ -81,6 +113,8 @@ def report(
     truth: Sequence[PosedImage],
     objects: Sequence[SceneObject],
     seen: set[int],
+    pairs: int,
+    kinds: Mapping[str, KindShare],
 ) -> MapReport:
     """Measure a map.
 
@@ -89,38 +123,42 @@ def report(
         truth: every photograph given, with its exact pose.
         objects: of the scene.
         seen: identifiers of the objects in the photographs.
+        pairs: of photographs that were matched.
+        kinds: see ``simulate.class_spread``.
     """
     mapped = [image for image in truth if image.name in sparse_map.images]
     estimated = np.stack([sparse_map.images[image.name].cam_from_world for image in mapped])
     exact = np.stack([image.cam_from_world for image in mapped])
     metres, degrees = Pose.from_matrix(estimated).error_to(Pose.from_matrix(exact))
+    in_view = [item for item in objects if item.id in seen]
+    small = [item for item in in_view if item.size_class == "small"]
     return MapReport(
         images=len(truth),
         registered=len(mapped),
+        pairs=pairs,
         points=len(sparse_map.xyz),
         reprojection_error_px=sparse_map.reprojection_error(),
         track_length=float(sparse_map.track_length.mean()),
-        position_rms_m=_rms(metres.numpy()),
-        position_max_m=float(metres.max()),
-        rotation_rms_deg=_rms(degrees.numpy()),
-        rotation_max_deg=float(degrees.max()),
-        objects=_coverage(sparse_map.xyz, [item for item in objects if item.id in seen]),
+        position_m=Spread.of(metres.numpy()),
+        rotation_deg=Spread.of(degrees.numpy()),
+        objects=_coverage(sparse_map.xyz, in_view, lambda item: item.size_class),
+        small_objects=_coverage(sparse_map.xyz, small, lambda item: item.class_name),
+        kinds=kinds,
     )
 
 
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt((values**2).mean()))
-
-
 def _coverage(
-    xyz: NDArray[np.float64], objects: Sequence[SceneObject]
+    xyz: NDArray[np.float64],
+    objects: Sequence[SceneObject],
+    kind: Callable[[SceneObject], str],
 ) -> dict[str, ObjectCoverage]:
-    result = {}
-    for name in ("small", "medium", "large"):
-        counts = [points_inside(xyz, item) for item in objects if item.size_class == name]
-        hit = sum(count > 0 for count in counts)
-        result[name] = ObjectCoverage(len(counts), hit, sum(counts))
-    return result
+    points: dict[str, list[int]] = {}
+    for item in objects:
+        points.setdefault(kind(item), []).append(points_inside(xyz, item))
+    return {
+        name: ObjectCoverage(len(counts), sum(count > 0 for count in counts), sum(counts))
+        for name, counts in sorted(points.items())
+    }
 
 
 def points_inside(xyz: NDArray[np.float64], item: SceneObject) -> int:

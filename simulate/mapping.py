@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -9,28 +11,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.bundle import Scene, finish
-from scene.colmap import PosedImage, SiftOptions, reconstruct, triangulate
+from scene.colmap import ADJUSTMENTS, VERSION, PosedImage, SiftOptions, reconstruct, triangulate
 from scene.errors import InputError
 from scene.features import write_features
-from scene.files import folder_written_whole
+from scene.files import folder_written_whole, kept_while_working, remove_partial, sha256_of
 from scene.progress import progress_bar
+from simulate.class_spread import class_spread
 from simulate.map_report import MapReport, report
 from simulate.pictures import draw_pictures
 
 FEATURES = "features.h5"
+_KEPT = ".mapping"
+_SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
 
 # A pair is worth matching when this share of one picture is seen in the other, ...
 _MIN_OVERLAP = 0.2
 # ... and each picture is matched with at most so many others, those of largest overlap.
 _MAX_NEIGHBOURS = 20
+# Flights whose frames hardly overlap hang together through so many frames that follow each other.
+_FOLLOWING = 4
 
 
 def build_map(path: Path, method: Method = "triangulate") -> MapReport:
     """Build the map of a finished scene from its map frames and record it in the manifest.
 
     An older map is replaced once the new one is whole. The model is in world metres; the features
-    it was built from lie beside it.
+    it was built from lie beside it. Called again after an interruption, it goes on from the
+    features and matches that were done, to the same map.
 
     Args:
         path: of the scene.
@@ -46,31 +54,54 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
     scene = Scene.open(path)
     images, seen = _map_frames(scene)
     names = [image.name for image in images]
-    pairs = [(names[i], names[j]) for i, j in choose_pairs(scene.covisibility.of(names).mutual)]
+    flights = [name.partition("/")[0] for name in names]
+    chosen = choose_pairs(scene.covisibility.of(names).mutual, flights)
+    pairs = [(names[i], names[j]) for i, j in chosen]
     if not pairs:
         raise InputError(f"the map frames of {path} do not overlap: fly more of them")
     build, steps = {
         "triangulate": (triangulate, len(images) + len(pairs)),
-        "sfm": (reconstruct, 2 * len(images) + len(pairs)),
+        "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
     }[method]
-    with (
-        folder_written_whole(scene.map_path) as folder,
-        progress_bar("map", steps) as advance,
-    ):
-        sparse_map, features = build(
-            scene.images_root, images, pairs, folder, SiftOptions(), advance
-        )
-        write_features(folder / FEATURES, features)
-    draw_pictures(finish(path, scene.manifest))
-    return report(sparse_map, images, scene.objects.objects, seen)
+    remove_partial(path)
+    digest = _digest(scene.images_root, images, pairs)
+    with kept_while_working(path / _KEPT, f"{digest}.db") as database:
+        with (
+            folder_written_whole(scene.map_path) as folder,
+            progress_bar("map", steps) as advance,
+        ):
+            sparse_map, features = build(
+                scene.images_root, images, pairs, folder, _SIFT, advance, database
+            )
+            write_features(folder / FEATURES, features)
+        draw_pictures(finish(path, scene.manifest))
+    kinds = class_spread(scene, sparse_map, features)
+    return report(sparse_map, images, scene.objects.objects, seen, len(pairs), kinds)
 
 
-def choose_pairs(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Pairs of frames worth matching, each once, from their overlap (N, N)."""
+def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str, str]]) -> str:
+    """Of all that features and matches depend on."""
+    digest = hashlib.sha256(f"{VERSION} {_SIFT} {pairs}".encode())
+    for image in images:
+        photograph = root / image.name
+        content = sha256_of(photograph) if photograph.is_file() else "missing"
+        digest.update(f"{image.name} {image.camera} {content}".encode())
+    return digest.hexdigest()[:16]
+
+
+def choose_pairs(overlap: NDArray[np.float64], flights: Sequence[str]) -> list[tuple[int, int]]:
+    """Pairs of frames worth matching, each once: neighbours in space, and in time.
+
+    Args:
+        overlap: (N, N) share of each other's surface that frames see, symmetric.
+        flights: of each frame; frames of one flight follow each other in time.
+    """
     pairs = set()
     for i, shares in enumerate(overlap):
         best = np.argsort(-shares, kind="stable")[:_MAX_NEIGHBOURS].tolist()
         pairs |= {(min(i, j), max(i, j)) for j in best if shares[j] > _MIN_OVERLAP}
+        following = range(i + 1, min(i + 1 + _FOLLOWING, len(flights)))
+        pairs |= {(i, j) for j in following if flights[j] == flights[i] and shares[j] > 0}
     return sorted(pairs)
 
 

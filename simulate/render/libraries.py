@@ -7,13 +7,10 @@ may (root and apt), and otherwise prints the line that does.
 from __future__ import annotations
 
 import ctypes
-import os
-import shutil
-import subprocess
 import sys
 from typing import Final
 
-from scene.errors import InputError
+from scene.debian import check, require_packages
 
 # Shared library -> Debian package, of bpy 4.5.
 PACKAGES: Final = {
@@ -51,30 +48,8 @@ def require_libraries(install: bool = False) -> None:
     Raises:
         InputError: some are missing; the message holds the line that installs them.
     """
-    packages = missing_packages()
-    if packages and install and os.geteuid() == 0 and shutil.which("apt-get"):
-        print(f"installing {' '.join(packages)}", file=sys.stderr)
-        subprocess.run(["apt-get", "-qq", "update"], check=False)
-        quiet = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-        command = ["apt-get", "-qq", "install", "--no-install-recommends", "-y", *packages]
-        subprocess.run(command, check=False, env=quiet, stdout=subprocess.DEVNULL)
-        packages = missing_packages()
-    if packages:
-        raise InputError(
-            f"Blender needs system libraries that are missing: run "
-            f"'sudo apt-get install -y {' '.join(packages)}'"
-        )
-
-
-def main() -> int:
-    """Check and install; 0 when everything is there, else 2 after one line."""
-    try:
-        require_libraries(install=True)
-    except InputError as error:
-        print(f"objconnect: error: {error}", file=sys.stderr)
-        return 2
-    return 0
+    require_packages(missing_packages, "Blender needs system libraries that are", install)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(check(lambda: require_libraries(install=True)))

@@ -44,7 +44,11 @@ def test_scores_and_files(made_flight: Path) -> None:
         "d.jpg": Estimate(Status.OK, moved(pose_at(3), 0.3), seconds={"matching": 0.1}),
     }
     results = run(made_flight, FakeLocalizer(answers))
-    assert written(made_flight) == ["meadow/fake-query.png", "meadow/fake.json"]
+    assert written(made_flight) == [
+        "meadow/album.h5",
+        "meadow/fake-query.png",
+        "meadow/fake.json",
+    ]
     assert load(made_flight.parent / "out/meadow/fake.json") == results
 
     first, second, third = results.queries
@@ -98,8 +102,8 @@ def test_fallback_at_the_reference_pose_is_wrong(made_flight: Path) -> None:
     assert results.queries[0].t_err_m == pytest.approx(0, abs=1e-9)
     assert [recall.value for recall in results.summary.recall.values()] == [0, 0, 0]
     assert (results.summary.failed, results.summary.fallback) == (2, 1)
-    # No query is localized: there is nothing to draw.
-    assert written(made_flight) == ["meadow/fake.json"]
+    # No query is localized: there is no median one to draw.
+    assert written(made_flight) == ["meadow/album.h5", "meadow/fake.json"]
 
 
 @pytest.mark.parametrize(

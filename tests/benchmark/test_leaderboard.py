@@ -42,8 +42,8 @@ def test_markdown(scene: Path, tmp_path: Path) -> None:
     assert "## uav-sim: hamlet" in text
     assert "Start: each query's own prior. Map: summer-noon." in text
     table = rows(text)
-    assert {len(row) for row in table} == {10}
-    assert [row[:3] for row in table[2:]] == [
+    assert [len(row) for row in table[:5]] == [10] * 5
+    assert [row[:3] for row in table[2:5]] == [
         ["sift", "all", "6"],
         ["sift", "summer-noon", "3"],
         ["sift", "winter-dusk", "3"],
@@ -77,19 +77,35 @@ def test_starts_and_data_sets_are_not_mixed(scene: Path, made_flight: Path, tmp_
     run(made_flight, tmp_path / "a", "sift")
     text = leaderboard([tmp_path / "a", tmp_path / "b"])
     headings = [line for line in text.splitlines() if line.startswith("## ")]
-    assert headings == ["## flight: meadow", "## uav-sim: hamlet", "## uav-sim: hamlet"]
+    assert headings[:-1] == ["## flight: meadow", "## uav-sim: hamlet", "## uav-sim: hamlet"]
+    assert headings[-1] == "## Table I of the object-connect paper, beside ours"
     assert "Start: no prior." in text
 
 
 def test_runs_of_one_method_are_told_apart(scene: Path, tmp_path: Path) -> None:
     files = [run(scene, tmp_path / str(k), "sift", strength=k) for k in (1.0, 2.0)]
-    names = [row[0] for row in rows(leaderboard(files))[2:]]
+    names = [row[0] for row in rows(leaderboard(files))[2:8]]
     assert names == ["sift (strength=1.0)"] * 3 + ["sift (strength=2.0)"] * 3
 
 
 def test_a_file_given_twice_counts_once(scene: Path, tmp_path: Path) -> None:
     file = run(scene, tmp_path / "out", "sift")
     assert leaderboard([file, tmp_path / "out"]) == leaderboard([file])
+
+
+def test_basins_are_no_results(scene: Path, tmp_path: Path) -> None:
+    file = run(scene, tmp_path / "out", "sift")
+    text = leaderboard([file])
+    file.with_name("sift.basin.json").write_text("{}")
+    assert leaderboard([tmp_path / "out"]) == text
+
+
+def test_a_damaged_basin_leaves_nothing_half_written(scene: Path, tmp_path: Path) -> None:
+    file = run(scene, tmp_path / "out", "sift")
+    file.with_name("sift.basin.json").write_text("{}")
+    with pytest.raises(InputError, match=r"missing key '.*' in .*sift\.basin\.json"):
+        leaderboard([file], tmp_path / "board")
+    assert not (tmp_path / "board").exists()
 
 
 def test_changed_file_is_named(scene: Path, tmp_path: Path) -> None:

@@ -1,0 +1,72 @@
+"""Tables of results as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from benchmark.paper import TITLE, Line, columns
+from benchmark.results import TOTAL, Recall
+from benchmark.score import THRESHOLDS
+from benchmark.tables import Table, saturation
+
+
+def markdown(boards: Sequence[Table]) -> str:
+    """The leaderboard as Markdown."""
+    lines = [
+        "# Leaderboard",
+        "",
+        "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
+        "with its Wilson 95 % interval; failed queries and fallback poses count as wrong. Medians "
+        "are over the queries with a pose. Only rows of one table can be compared.",
+    ]
+    for board in boards:
+        lines += ["", f"## {board.track}: {board.dataset}", ""]
+        lines += [board.facts(), "", *_table(board)]
+        if note := saturation(board):
+            lines += ["", note]
+    return "\n".join(lines) + "\n"
+
+
+def paper_markdown(lines: Sequence[Line], note: str) -> str:
+    """The paper's table beside ours, as Markdown."""
+    header = ["method", "source", *columns()]
+    text = ["", f"## {TITLE}", "", note, "", _line(header)]
+    text.append(_line(["---", "---", *["--:"] * (len(header) - 2)]))
+    for line in lines:
+        cells = ["–" if cell is None else cell.text() for cell in line.cells]
+        text.append(_line([line.method, line.source, *cells]))
+    return "\n".join(text) + "\n"
+
+
+def _table(board: Table) -> Iterator[str]:
+    recalls = [f"{threshold} (%)" for threshold in THRESHOLDS]
+    header = ["method", "condition", "queries", *recalls, "median m", "median °"]
+    header += ["failed + fallback", "s/query"]
+    yield _line(header)
+    yield _line(["---", "---", *["--:"] * (len(header) - 2)])
+    for row in board.rows:
+        summary = row.summary
+        yield _line(
+            [
+                row.method,
+                row.condition,
+                str(summary.queries),
+                *(_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS),
+                _number(summary.median_t_m),
+                _number(summary.median_r_deg),
+                f"{summary.failed} + {summary.fallback}",
+                _number(summary.seconds.per_query.get(TOTAL)),
+            ]
+        )
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _recall(recall: Recall) -> str:
+    return f"{recall.value:.1f} [{recall.low:.1f}, {recall.high:.1f}]"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}"
