@@ -560,6 +560,41 @@ def build_map(
         print(report.text())
 
 
+class Stereo(StrEnum):
+    """Who matches the photographs."""
+
+    OWN = "own"
+    COLMAP = "colmap"
+
+
+@app.command(name="dense")
+def make_dense(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene with its map.")],
+    size: Annotated[
+        int, typer.Option(help="Longest side of a depth map, pixels; never enlarged.", min=64)
+    ] = 1024,
+    sources: Annotated[
+        int, typer.Option(help="Photographs to match each photograph with, at most.", min=2)
+    ] = 6,
+    stereo: Annotated[
+        Stereo, typer.Option(help="Our own PatchMatch, or COLMAP's where pycolmap has CUDA.")
+    ] = Stereo.OWN,
+    seed: Annotated[int, typer.Option(help="The same seed makes the same maps.", min=0)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Estimate depth maps of the map's photographs, fuse them to a cloud, and measure them.
+
+    Writes SCENE/dense as a COLMAP workspace. Run again, it goes on where it was interrupted.
+    """
+    from dense.command import dense as run
+
+    report = run(scene, size=size, sources=sources, stereo=stereo.value, seed=seed)
+    if as_json:
+        _print_json(report.as_dict())
+    else:
+        print(report.text())
+
+
 @app.command()
 def export(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to export.")],

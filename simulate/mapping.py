@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -16,8 +16,9 @@ from scene.errors import InputError
 from scene.features import write_features
 from scene.files import folder_written_whole, kept_while_working, remove_partial, sha256_of
 from scene.progress import progress_bar
+from scene.sparse_map import MapImage, SparseMap
 from simulate.class_spread import class_spread
-from simulate.map_report import MapReport, report
+from simulate.map_report import MapReport, objects_of_points, report
 from simulate.pictures import draw_pictures
 
 FEATURES = "features.h5"
@@ -75,8 +76,9 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
             )
             write_features(folder / FEATURES, features)
         draw_pictures(finish(path, scene.manifest))
+    owners = objects_of_points(len(sparse_map.xyz), _instances(scene, sparse_map))
     kinds = class_spread(scene, sparse_map, features)
-    return report(sparse_map, images, scene.objects.objects, seen, len(pairs), kinds)
+    return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs), kinds)
 
 
 def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str, str]]) -> str:
@@ -121,3 +123,14 @@ def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
     if not images:
         raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
     return images, seen
+
+
+def _instances(
+    scene: Scene, sparse_map: SparseMap
+) -> Iterator[tuple[MapImage, NDArray[np.uint16]]]:
+    """The photographs of a map with the objects in each pixel (H, W)."""
+    for session in scene.sessions:
+        with scene.dense(session) as dense:
+            for k, name in enumerate(scene.frames(session).names):
+                if name in sparse_map.images:
+                    yield sparse_map.images[name], dense.read("instance", k)
