@@ -413,10 +413,12 @@ def simulate(
     session: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="CONDITION:FLIGHT[:ROLE]",
+            metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
             help="A flight under a condition, as winter-dusk:oblique; repeat for several. FLIGHT "
             "is nadir, grid, oblique, corridor, free, street or plan=FILE (QGroundControl's). ROLE "
-            "is map or query; left out, the first flight builds the map, the others are queries.",
+            "is map or query; left out, the first flight builds the map, the others are queries. "
+            "CHANGE is what is no longer as the place was built, as "
+            "cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Photographs per session.")] = None,
@@ -470,6 +472,37 @@ def simulate(
 
 
 @app.command()
+def gallery(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for gallery.md and gallery/, its pictures.")
+    ],
+    preset: Annotated[
+        str | None, typer.Option(help="Kind of place to show under every condition.")
+    ] = None,
+    condition: Annotated[
+        str, typer.Option(metavar="SEASON-LIGHT[-WEATHER]", help="To show every kind of place in.")
+    ] = "summer-noon",
+    seed: Annotated[int | None, typer.Option(help="Of the places.")] = None,
+    area: Annotated[float | None, typer.Option(help="Side of the places, metres.")] = None,
+    size: Annotated[int, typer.Option(help="Side of a photograph, pixels.")] = 240,
+    spp: Annotated[int | None, typer.Option(help="Rendering samples per pixel.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Render a page of pictures: every kind of place, and one place in every season, light and
+    weather. Run again, it goes on where it was interrupted.
+    """
+    from simulate.config import SimulateConfig
+    from simulate.gallery import gallery as run
+
+    settings = {"preset": preset, "seed": seed, "area": area, "size": size, "spp": spp}
+    page = run(SimulateConfig.load(None, settings), out, condition)
+    if as_json:
+        _print_json({"page": str(page)})
+    else:
+        print(page)
+
+
+@app.command()
 def calibrate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the views and pictures.")],
     camera: Annotated[
@@ -499,6 +532,71 @@ def calibrate(
         print(result.text())
 
 
+class MapperName(StrEnum):
+    """Structure from motion."""
+
+    INCREMENTAL = "incremental"
+    GLOBAL = "global"
+
+
+class SplitBy(StrEnum):
+    """What every k-th of is left for queries."""
+
+    PHOTO = "photo"
+    LINE = "line"
+    NONE = "none"
+
+
+@app.command()
+def ingest(
+    photographs: Annotated[
+        Path, typer.Argument(metavar="PHOTOS", help="Folder of JPEGs with GPS in their EXIF.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'MODEL W H PARAMS'",
+            help="Calibration of all photographs; else focal lengths from EXIF.",
+        ),
+    ] = None,
+    size: Annotated[
+        int, typer.Option(help="Longest side of photographs in the scene, pixels.", min=64)
+    ] = 1600,
+    mapper: Annotated[
+        MapperName, typer.Option(help="One photograph after the other, or all at once.")
+    ] = MapperName.INCREMENTAL,
+    split: Annotated[
+        SplitBy, typer.Option(help="What queries are: single photographs, flight lines, none.")
+    ] = SplitBy.PHOTO,
+    every: Annotated[
+        int, typer.Option(help="One photograph or line of so many is for queries.", min=2)
+    ] = 4,
+    as_json: Json = False,
+) -> None:
+    """Turn a folder of geotagged photographs into a scene; run again, it goes on.
+
+    Writes SCENE with its map, a report ingest.json and a picture of the flight. The reference poses
+    are the photographs' own structure from motion, placed by GPS.
+    """
+    from ingest.command import ingest as run
+    from scene.camera import Camera
+
+    report = run(
+        photographs,
+        out,
+        camera=Camera.parse(camera.split()) if camera is not None else None,
+        size=size,
+        mapper=mapper.value,
+        split=split.value,
+        every=every,
+    )
+    if as_json:
+        _print_json(report.model_dump())
+    else:
+        print(report.text())
+
+
 class MapMethod(StrEnum):
     """How a map is built."""
 
@@ -521,6 +619,41 @@ def build_map(
     from simulate.mapping import build_map as run
 
     report = run(scene, method.value)
+    if as_json:
+        _print_json(report.as_dict())
+    else:
+        print(report.text())
+
+
+class Stereo(StrEnum):
+    """Who matches the photographs."""
+
+    OWN = "own"
+    COLMAP = "colmap"
+
+
+@app.command(name="dense")
+def make_dense(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene with its map.")],
+    size: Annotated[
+        int, typer.Option(help="Longest side of a depth map, pixels; never enlarged.", min=64)
+    ] = 1024,
+    sources: Annotated[
+        int, typer.Option(help="Photographs to match each photograph with, at most.", min=2)
+    ] = 6,
+    stereo: Annotated[
+        Stereo, typer.Option(help="Our own PatchMatch, or COLMAP's where pycolmap has CUDA.")
+    ] = Stereo.OWN,
+    seed: Annotated[int, typer.Option(help="The same seed makes the same maps.", min=0)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Estimate depth maps of the map's photographs, fuse them to a cloud, and measure them.
+
+    Writes SCENE/dense as a COLMAP workspace. Run again, it goes on where it was interrupted.
+    """
+    from dense.command import dense as run
+
+    report = run(scene, size=size, sources=sources, stereo=stereo.value, seed=seed)
     if as_json:
         _print_json(report.as_dict())
     else:

@@ -3,6 +3,12 @@
 What OpenCV recovers from pictures alone is held against the truth. Detected corners are moved by
 half a pixel from OpenCV's pixels (the first centre is 0, 0) to COLMAP's (0.5, 0.5), so that the
 recovered principal point is COLMAP's too.
+
+Corners are found twice. In a picture they are biased where the lens bends the edges that meet in
+them, and refined over few pixels where squares are small. So every view is warped to the board
+straight from the front by a first calibration, where edges are straight and squares symmetrical,
+and the corners found there are carried back (Datta, Kim and Kanade, "Accurate camera calibration
+using iterative refinement of control points", 2009).
 """
 
 from __future__ import annotations
@@ -24,6 +30,7 @@ from scene.errors import InputError
 from scene.files import written_whole
 from scene.progress import progress_bar
 from simulate.camera.lens import rendered_through
+from simulate.camera.resample import resample_colour
 from simulate.render.job import Board, RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 
@@ -31,10 +38,18 @@ Array = NDArray[np.float64]
 
 BOARD = Board(columns=7, rows=5, square_m=0.1)
 
-_SAMPLES = 32  # per pixel: edges are where corners are found
+_SAMPLES = 64  # per pixel: edges are where corners are found
 _TRIES = 400  # of a pose at which the whole board is seen
 _BORDER_PX = 4.0
-_WINDOW = 0.35  # half side of the window a corner is refined in, over the corners' spacing
+# Boards seen straight from the front say nothing of the focal length. In 20 views of 320 x 240 with
+# noise as measured, it is found within 0.044 % (one sigma), with 10 to 40 degrees within 0.059 %.
+_TILT_DEG = (20.0, 50.0)
+# Half sides of the windows corners are refined in, over their spacing: in a picture a window sees
+# no other corner; from the front all are symmetrical, and a wider one averages more noise.
+_WINDOW, _FRONT_WINDOW = 0.35, 0.6
+_FRONT_BLUR_PX = 1.0  # standard deviation; gradients of sharp edges are mostly noise
+_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-5)  # of corner refinement
+_PAD_PX = 4  # around a picture, for the kernel that resamples it
 
 
 @dataclass(frozen=True)
@@ -44,6 +59,7 @@ class Calibration:
     Attributes:
         truth: the simulated camera.
         found: the camera OpenCV recovers, of the same model, COLMAP pixels.
+        cam_from_board: the board poses OpenCV recovers (V, 4, 4).
         views: names of the views in which the board was found, V of them.
         corners: detected corners (V, K, 2), COLMAP pixels.
         reprojected: the same corners under ``found`` and its board poses.
@@ -56,6 +72,7 @@ class Calibration:
 
     truth: Camera
     found: Camera
+    cam_from_board: Array
     views: tuple[str, ...]
     corners: Array
     reprojected: Array
@@ -134,8 +151,16 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
             f"the chessboard was found in {len(kept)} of {views} views of {camera}: "
             "use a larger picture"
         )
+    views_kept = [list(pictures)[k] for k in kept]
     corners = np.stack([c for c in found.values() if c is not None])
-    result = _solve(camera, [list(pictures)[k] for k in kept], corners, poses[kept])
+    first = _solve(camera, views_kept, corners, poses[kept])
+    corners = np.stack(
+        [
+            refine_corners(pictures[name], first.found, pose, BOARD)
+            for name, pose in zip(views_kept, first.cam_from_board, strict=True)
+        ]
+    )
+    result = _solve(camera, views_kept, corners, poses[kept])
     _save_picture(result, pictures, out / "corners.png")
     return result
 
@@ -148,7 +173,7 @@ def board_points(board: Board) -> Array:
 
 
 def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
-    """A random `cam_from_board` (4, 4): anywhere in the picture, whole, tilted up to 40 degrees.
+    """A random `cam_from_board` (4, 4): anywhere in the picture, whole, tilted 20 to 50 degrees.
 
     Raises:
         InputError: the camera never sees the whole board.
@@ -161,7 +186,7 @@ def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
     size = np.array([camera.width, camera.height])
     for _ in range(_TRIES):
         axis = rng.uniform(0, 2 * np.pi)
-        tilt = np.radians(rng.uniform(10, 40)) * np.array([np.cos(axis), np.sin(axis), 0.0])
+        tilt = np.radians(rng.uniform(*_TILT_DEG)) * np.array([np.cos(axis), np.sin(axis), 0.0])
         roll = np.array([0.0, 0.0, np.radians(rng.uniform(-15, 15))])
         rotation = cv2.Rodrigues(tilt)[0] @ cv2.Rodrigues(roll)[0]
         ray, valid = camera.unproject(torch.from_numpy(rng.uniform(0.1, 0.9, 2) * size)[None])
@@ -186,16 +211,46 @@ def find_corners(picture: NDArray[np.uint8], board: Board) -> Array | None:
     )
     if not found:
         return None
-    # Refined in the largest window that sees no other corner: 0.09 instead of 0.15 px.
     grid = corners.reshape(board.rows, board.columns, 2)
     spacing = min(np.linalg.norm(np.diff(grid, axis=k), axis=-1).min() for k in (0, 1))
     window = max(2, int(_WINDOW * spacing))
-    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-5)
-    corners = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), stop)
+    corners = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), _STOP)
     grid = corners.reshape(board.rows, board.columns, 2).astype(np.float64)
     if grid[0, 0].sum() > grid[-1, -1].sum():  # boards roll little: the first is the upper left
         grid = grid[::-1, ::-1]
     return np.asarray(grid.reshape(-1, 2) + 0.5)
+
+
+def refine_corners(
+    picture: NDArray[np.uint8], camera: Camera, cam_from_board: Array, board: Board
+) -> Array:
+    """Inner corners (rows * columns, 2) in a picture (H, W, 3), COLMAP pixels, found in the board
+    as seen from the front.
+
+    Args:
+        camera: roughly that of the picture.
+        cam_from_board: (4, 4), rough.
+    """
+    near = _project(camera, cam_from_board[None], board_points(board))
+    steps = np.diff(near.reshape(board.rows, board.columns, 2), axis=1)
+    square_px = round(float(np.median(np.linalg.norm(steps, axis=-1))))  # as fine as the picture
+    y, x = np.mgrid[: (board.rows + 1) * square_px, : (board.columns + 1) * square_px]
+    across, along = (board.square_m * ((axis + 0.5) / square_px - 1) for axis in (x, y))
+    plane = np.stack([across, along, np.zeros(x.shape)], -1)
+    xy = _project(camera, cam_from_board[None], plane.reshape(-1, 3)).reshape(*x.shape, 2)
+    height, width = picture.shape[:2]
+    padded = np.pad(picture, [(_PAD_PX, _PAD_PX)] * 2 + [(0, 0)], "edge")
+    within = np.clip(xy, 0, [width, height]).astype(np.float64) + _PAD_PX
+    front = resample_colour(padded, within)
+    grey = cv2.GaussianBlur(cv2.cvtColor(front, cv2.COLOR_RGB2GRAY), (0, 0), _FRONT_BLUR_PX)
+    expected = (board_points(board)[:, :2] / board.square_m + 1) * square_px - 0.5
+    window = max(2, int(_FRONT_WINDOW * square_px))
+    corners = cv2.cornerSubPix(
+        grey, expected[:, None].astype(np.float32), (window, window), (-1, -1), _STOP
+    )
+    at = board.square_m * ((corners[:, 0].astype(np.float64) + 0.5) / square_px - 1)
+    found: Array = _project(camera, cam_from_board[None], np.insert(at, 2, 0.0, axis=1))[0]
+    return found
 
 
 def _photographs(camera: Camera, poses: Array, seed: int) -> dict[str, NDArray[np.uint8]]:
@@ -273,6 +328,7 @@ def _solve(camera: Camera, views: list[str], corners: Array, poses: Array) -> Ca
     return Calibration(
         truth=camera,
         found=found,
+        cam_from_board=recovered,
         views=tuple(views),
         corners=corners,
         reprojected=shown,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -39,6 +40,7 @@ from simulate.camera.lens import rendered_through
 from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
+from simulate.flight.gimbal import velocities
 from simulate.look.conditions import condition
 from simulate.pictures import draw_pictures
 from simulate.place.change import ChangedWorld, changed_worlds, every_object
@@ -154,7 +156,11 @@ def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifes
         origin=config.origin,
         sessions={
             name: Session(
-                condition=s.condition, flight=s.flight.kind, role=s.role, change=changed.declared
+                condition=s.condition,
+                flight=s.flight.kind,
+                role=s.role,
+                change=changed.declared,
+                readout_s=config.sensor.readout_s,
             )
             for name, s, changed in zip(
                 config.session_names(), config.sessions, worlds, strict=True
@@ -209,6 +215,7 @@ def render_job(
     `first_new_id` is that of the session's changed world.
     """
     pinhole, lens = rendered_through(config.photo_camera(session))
+    travel = config.sensor.readout_s * velocities(poses, config.interval_s)
     return RenderJob(
         preset=config.preset,
         seed=config.seed,
@@ -221,6 +228,7 @@ def render_job(
         lens=lens,
         samples=config.spp,
         poses={k: pose.tolist() for k, pose in enumerate(poses)},
+        travel={k: (x, y, z) for k, (x, y, z) in enumerate(travel.tolist()) if any((x, y, z))},
     )
 
 
@@ -292,20 +300,35 @@ def _frames(
     """The session's frames with priors drawn from their stated noise."""
     n = len(poses)
     truth = Pose.from_matrix(poses)
-    gps_sigma = np.tile(np.array(config.gps_sigma_m), (n, 1))
-    tilt = np.radians(config.attitude_sigma_deg) * rng.standard_normal((n, 3))
-    noise = Pose.exp(torch.from_numpy(np.hstack([tilt, np.zeros((n, 3))])))
+    tilt = config.attitude_sigma_deg * rng.standard_normal((n, 3))
+    off = np.array(config.gps_sigma_m) * rng.standard_normal((n, 3))
+    memory = math.exp(-config.interval_s / config.drift_s)
+    off += np.array(config.gps_drift_m) * lasting_noise(n, memory, rng)
+    tilt += config.attitude_drift_deg * lasting_noise(n, memory, rng)
+    noise = Pose.exp(torch.from_numpy(np.hstack([np.radians(tilt), np.zeros((n, 3))])))
+    gps_sigma = np.hypot(config.gps_sigma_m, config.gps_drift_m)
     start = condition(session.condition, config.origin).time.timestamp()
     return Frames(
         names=tuple(f"{name}/images/{k:06d}.jpg" for k in range(n)),
         cameras=(camera,) * n,
         cam_from_world=poses,
         time=start + config.interval_s * np.arange(n),
-        gps_prior=truth.centre().numpy() + gps_sigma * rng.standard_normal((n, 3)),
-        gps_sigma=gps_sigma,
+        gps_prior=truth.centre().numpy() + off,
+        gps_sigma=np.tile(gps_sigma, (n, 1)),
         attitude_prior=(noise @ truth).quaternion().numpy(),
-        attitude_sigma_deg=np.full(n, config.attitude_sigma_deg),
+        attitude_sigma_deg=np.full(
+            n, math.hypot(config.attitude_sigma_deg, config.attitude_drift_deg)
+        ),
     )
+
+
+def lasting_noise(count: int, memory: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Noise (count, 3) of unit variance at every time, correlated by `memory` from one row to the
+    next: a first-order Gauss-Markov process that has always been running."""
+    noise = rng.standard_normal((count, 3))
+    for k in range(1, count):
+        noise[k] = memory * noise[k - 1] + math.sqrt(1 - memory**2) * noise[k]
+    return noise
 
 
 def _pack(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -12,13 +12,14 @@ from pydantic import Field, field_validator, model_validator
 from scene.camera import Camera
 from scene.config import Config, load_config
 from scene.geodesy import Geodetic
-from simulate.camera.lens import CameraConfig
+from simulate.camera.lens import CameraConfig, rendered_through
 from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import Flight, NadirFlight, StreetFlight
 from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import preset
 
+NotNegative = Annotated[float, Field(ge=0)]
 Role = Literal["map", "query"]
 
 
@@ -151,14 +152,18 @@ class SimulateConfig(Config):
             ``size`` and ``fov_deg``.
         spp: paths per pixel, denoised.
         frames: photographs of a session that does not say.
-        sessions: flights; on the command line "condition:flight[:role]", where the first is the
-            map's and the others are queries unless they say.
+        sessions: flights; on the command line "condition:flight[:role][:change]", where the first
+            is the map's and the others are queries unless they say.
         map_plan: how map flights are flown.
         query_plan: how query flights are flown.
         position_jitter_m: wind, standard deviation per axis.
         attitude_jitter_deg: wind, standard deviation per axis.
-        gps_sigma_m: noise of the position prior: east, north, up.
-        attitude_sigma_deg: noise of the attitude prior per axis.
+        gps_sigma_m: white noise of the position prior: east, north, up.
+        gps_drift_m: its error that lasts, of zero mean over many flights and this standard
+            deviation: east, north, up.
+        attitude_sigma_deg: white noise of the attitude prior per axis.
+        attitude_drift_deg: its error that lasts, per axis.
+        drift_s: in which a lasting error forgets a share of 1 - 1/e.
         interval_s: between exposures.
         sensor: what lens and sensor do to the photographs.
         jpeg_quality: of the photographs.
@@ -186,7 +191,10 @@ class SimulateConfig(Config):
     position_jitter_m: float = Field(0.7, ge=0)
     attitude_jitter_deg: float = Field(1.5, ge=0)
     gps_sigma_m: tuple[float, float, float] = (1.5, 1.5, 2.5)
+    gps_drift_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     attitude_sigma_deg: float = Field(2.0, ge=0)
+    attitude_drift_deg: float = Field(0.0, ge=0)
+    drift_s: float = Field(600.0, gt=0)
     interval_s: float = Field(2.0, gt=0)
     sensor: SensorConfig = SensorConfig()
     jpeg_quality: int = Field(95, ge=1, le=100)
@@ -208,7 +216,7 @@ class SimulateConfig(Config):
     @field_validator("sessions", mode="before")
     @classmethod
     def _from_words(cls, sessions: object) -> object:
-        """The command line's "condition:flight[:role]"."""
+        """The command line's "condition:flight[:role][:change]"."""
         if not isinstance(sessions, list | tuple):
             return sessions
         return tuple(
@@ -220,6 +228,15 @@ class SimulateConfig(Config):
     def _map_exists(self) -> SimulateConfig:
         if not any(session.role == "map" for session in self.sessions):
             raise ValueError("at least one session must have the role map")
+        return self
+
+    @model_validator(mode="after")
+    def _rows_are_rendered(self) -> SimulateConfig:
+        cameras = (self.photo_camera(session) for session in self.sessions)
+        if self.sensor.readout_s and any(rendered_through(c)[1] is not None for c in cameras):
+            raise ValueError(
+                "sensor.readout_s needs a camera without distortion and with one focal length"
+            )
         return self
 
     @model_validator(mode="after")
@@ -264,13 +281,26 @@ class SimulateConfig(Config):
         return tuple(names)
 
 
-def _session_from_words(text: str, first: bool) -> dict[str, str]:
+def _session_from_words(text: str, first: bool) -> dict[str, object]:
     name, colon, flight = text.partition(":")
     if not colon:
-        raise ValueError(f"a session is written condition:flight[:role], got {text!r}")
-    role = "map" if first else "query"
+        raise ValueError(f"a session is written condition:flight[:role][:change], got {text!r}")
+    session: dict[str, object] = {"condition": name, "role": "map" if first else "query"}
     # The name of a plan's file may hold colons of its own.
-    head, colon, last = flight.rpartition(":")
-    if colon and (last in get_args(Role) or not flight.startswith("plan=")):
-        flight, role = head, last
-    return {"condition": name, "flight": flight, "role": role}
+    plan = flight.startswith("plan=")
+    head, _, last = flight.rpartition(":")
+    if head and (last.partition("=")[0] in Change.model_fields if plan else "=" in last):
+        session["change"] = dict(_setting(word) for word in last.split(","))
+        flight = head
+    head, _, last = flight.rpartition(":")
+    if head and (last in get_args(Role) or not plan):
+        session["role"] = last
+        flight = head
+    return session | {"flight": flight}
+
+
+def _setting(word: str) -> tuple[str, str]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise ValueError(f"a change is written share=value[,...], got {word!r}")
+    return key, value

@@ -1,11 +1,12 @@
-"""One place under many conditions, as one picture: ``python -m simulate.gallery --help``."""
+"""A page of pictures: every kind of place, and one place under every condition."""
 
 from __future__ import annotations
 
-import argparse
-import sys
-import tempfile
-from collections.abc import Sequence
+import hashlib
+import shutil
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,82 +14,197 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.files import written_whole
+from scene.files import remove_partial, write_text, written_whole
 from scene.progress import progress_bar
 from simulate.command import render_job
 from simulate.config import SessionConfig, SimulateConfig
-from simulate.flight.flights import plan_oblique
-from simulate.look.conditions import condition
-from simulate.place.presets import preset
-from simulate.render.job import frame_path
+from simulate.flight.clearance import check_flight
+from simulate.flight.config import NadirFlight, ObliqueFlight, StreetFlight
+from simulate.look.conditions import LIGHTS, SEASONS, WEATHER, condition
+from simulate.place.presets import PLANS, preset
+from simulate.place.world import World
+from simulate.planner import plan_session
+from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 
-_COLUMNS = 4
+PAGE, PICTURES = "gallery.md", "gallery"
+_RENDERED = ".gallery-rendered"
+# From an orbit, from above and from the street, each with the exposures one is chosen from.
+_VIEWS = ((ObliqueFlight(), 1), (NadirFlight(), 1), (StreetFlight(yaws_deg=(15,)), 40))
+_AHEAD_M = 40.0  # what lies there is in the middle of a picture from the street
+_INCH = 100  # pixels of a picture's inch
+_JPEG_QUALITY = 82
 
 
-def draw_conditions(config: SimulateConfig, conditions: Sequence[str], path: Path) -> None:
-    """Draw the place of a configuration under each condition, from the query orbit's first pose.
+@dataclass(frozen=True)
+class _Picture:
+    """A table of photographs: one frame each of a job, in rows."""
+
+    name: str
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    shots: tuple[tuple[RenderJob, int], ...]
+
+
+def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") -> Path:
+    """Write a page of pictures, or go on where an interrupted run stopped.
+
+    Every place is shown from an orbit, from above and from the street; then ``config.preset`` from
+    the orbit in every season, in every light and in every weather. New presets, seasons, lights and
+    weather come in by themselves.
+
+    Args:
+        config: seed, least area, camera and samples of all pictures, and the place shown under
+            every condition; its sessions are not used.
+        out: folder of ``gallery.md`` and of ``gallery/``, its pictures.
+        shown_in: condition of the pictures of every place.
+
+    Returns:
+        The page.
 
     Raises:
-        InputError: an unknown condition, rendering failed, or ``path`` cannot be written.
+        InputError: an unknown condition, a place without room for a view, rendering failed, or
+            ``out`` cannot be written.
     """
-    place = preset(config.preset)(config.seed, config.area)
-    pose = plan_oblique(
-        place.terrain.height,
-        radius_m=config.query_plan.orbit_radius_share * config.area,
-        altitude_m=config.query_plan.orbit_altitude_m,
-        start_deg=config.query_plan.orbit_start_deg,
-        frames=1,
-        rng=np.random.default_rng(config.seed),
-    )[0]
-    names = [condition(name, config.origin).name for name in conditions]
-    sessions = [SessionConfig(condition=name, flight="oblique", role="query") for name in names]
-    with tempfile.TemporaryDirectory(prefix="gallery-") as scratch:
-        shots = []
-        with progress_bar("conditions", len(sessions)) as advance:
-            for k, session in enumerate(sessions):
-                shots.append(_photograph(config, session, pose, Path(scratch) / str(k)))
-                advance(k + 1)
-    rows = -(-len(shots) // _COLUMNS)
-    figure = Figure(figsize=(3 * min(len(shots), _COLUMNS), 3.2 * rows), layout="constrained")
-    axes = figure.subplots(rows, min(len(shots), _COLUMNS), squeeze=False)
-    for ax in axes.flat:
-        ax.set_axis_off()
-    for ax, shot, session in zip(axes.flat, shots, sessions, strict=False):
-        ax.imshow(shot)
-        ax.set_title(session.condition, fontsize=10)
-    with written_whole(path) as partial:
-        figure.savefig(partial, format="png", dpi=110)
-
-
-def _photograph(
-    config: SimulateConfig, session: SessionConfig, pose: NDArray[np.float64], folder: Path
-) -> NDArray[np.uint8]:
-    """The place under a session's condition, (H, W, 3)."""
-    job = render_job(config, session, pose[None])
+    shown_in = condition(shown_in, config.origin).name
+    config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
+    configs = {
+        name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
+        for name, plan in PLANS.items()
+    }
+    places = {name: preset(name)(config.seed, own.area) for name, own in configs.items()}
+    kinds = [_of_place(configs[name], world, shown_in) for name, world in places.items()]
+    light, weather = _of_conditions(configs[config.preset], places[config.preset])
+    pictures = [*kinds, light, weather]
+    rendered = out / _RENDERED
+    jobs = {_folder(job): job for picture in pictures for job, _ in picture.shots}
     try:
-        render(job, folder)
+        (out / PICTURES).mkdir(parents=True, exist_ok=True)
+        remove_partial(out / PICTURES)
+        with progress_bar("gallery", len(jobs)) as advance:
+            for done, (folder, job) in enumerate(jobs.items(), 1):
+                render(job, rendered / folder)
+                advance(done)
+        for picture in pictures:
+            _draw(picture, config, rendered, out / PICTURES / f"{picture.name}.jpg")
+        write_text(out / PAGE, _page(config, out, shown_in, places))
+        shutil.rmtree(rendered)
     except RenderError as error:
         raise InputError(str(error)) from error
-    with np.load(frame_path(folder, 0)) as layers:
+    except OSError as error:
+        raise InputError(f"cannot write {out}: {error.strerror or error}") from error
+    return out / PAGE
+
+
+def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
+    """A place from every view."""
+    name = config.preset
+    job = _job(config, shown_in, world, len(_VIEWS))
+    shots = tuple((job, k) for k in range(len(_VIEWS)))
+    return _Picture(name, (name,), tuple(view.kind for view, _ in _VIEWS), shots)
+
+
+def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Picture]:
+    """A place from its orbit in every season: in every light, and in every weather at noon."""
+
+    def picture(name: str, columns: Iterable[str], after_season: str) -> _Picture:
+        names = [f"{season}-{after_season.format(word)}" for season in SEASONS for word in columns]
+        shots = tuple((_job(config, text, world, 1), 0) for text in names)
+        return _Picture(name, tuple(SEASONS), tuple(columns), shots)
+
+    return picture("light", LIGHTS, "{}"), picture("weather", WEATHER, "noon-{}")
+
+
+def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> RenderJob:
+    """The first views of a place under a condition."""
+    camera = config.photo_camera()
+    poses = []
+    for view, frames in _VIEWS[:views]:
+        session = SessionConfig(condition=shown_in, flight=view, role="query", frames=frames)
+        rng = np.random.default_rng(config.seed)
+        planned = plan_session(session, config, camera, world, rng)
+        # The photograph of the place's middle, or what comes nearest to one.
+        middle = planned[:, :3, 3] - [0, 0, _AHEAD_M]  # as the camera sees it
+        pose = planned[[np.linalg.norm(middle, axis=1).argmin()]]
+        check_flight(f"{config.preset} {view.kind}", pose, camera, world)
+        poses.append(pose)
+    return render_job(config, session, np.concatenate(poses))
+
+
+def _folder(job: RenderJob) -> str:
+    """Where a job's frames wait: another job has another folder, so that none is mistaken."""
+    return hashlib.sha256(job.model_dump_json().encode()).hexdigest()[:16]
+
+
+def _draw(picture: _Picture, config: SimulateConfig, rendered: Path, path: Path) -> None:
+    camera = config.photo_camera()
+    width, height = camera.width / _INCH, camera.height / _INCH
+    rows, columns = len(picture.rows), len(picture.columns)
+    left, top, gap = (0.22 if rows > 1 else 0.0), 0.22, 0.04
+    size = (left + columns * (width + gap), top + rows * (height + gap))
+    figure = Figure(figsize=size, facecolor="white")
+    for k, (job, frame) in enumerate(picture.shots):
+        row, column = divmod(k, columns)
+        x, y = left + column * (width + gap), size[1] - top - (row + 1) * (height + gap) + gap
+        ax = figure.add_axes((x / size[0], y / size[1], width / size[0], height / size[1]))
+        ax.set_axis_off()
+        ax.imshow(_photograph(rendered / _folder(job), frame), aspect="auto")
+        if row == 0:
+            ax.set_title(picture.columns[column], fontsize=9, pad=3)
+        if column == 0 and rows > 1:
+            ax.text(-0.02, 0.5, picture.rows[row], fontsize=9, rotation=90, ha="right",
+                    va="center", transform=ax.transAxes)  # fmt: skip
+    with written_whole(path) as partial:
+        figure.savefig(partial, format="jpeg", dpi=_INCH, pil_kwargs={"quality": _JPEG_QUALITY})
+
+
+def _photograph(folder: Path, frame: int) -> NDArray[np.uint8]:
+    with np.load(frame_path(folder, frame)) as layers:
         return np.asarray(layers["rgb"])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; 0 when the picture is written, else 2 after one line."""
-    parser = argparse.ArgumentParser("python -m simulate.gallery", description=__doc__)
-    parser.add_argument("conditions", nargs="+", metavar="SEASON-LIGHT[-WEATHER]")
-    parser.add_argument("--config", type=Path, metavar="YAML", help="as of objconnect simulate")
-    parser.add_argument("--out", type=Path, default=Path("pictures/conditions.png"), metavar="PNG")
-    options = parser.parse_args(arguments)
-    try:
-        config = SimulateConfig.load(options.config, {})
-        draw_conditions(config, options.conditions, options.out)
-    except InputError as error:
-        print(f"objconnect: error: {error}", file=sys.stderr)
-        return 2
-    return 0
+def _page(config: SimulateConfig, out: Path, shown_in: str, places: Mapping[str, World]) -> str:
+    """The Markdown of the page."""
+    kinds = "\n".join(
+        f"""
+### {name}
+
+{_inventory(world)}
+
+![{name} from an orbit, from above and from the street]({PICTURES}/{name}.jpg)"""
+        for name, world in places.items()
+    )
+    return f"""# Gallery
+
+Every kind of place and every condition, as the simulator renders them. Made by
+
+```sh
+objconnect gallery --out {out} --preset {config.preset} --condition {shown_in} \\
+  --seed {config.seed} --area {config.area:g} --size {config.size} --spp {config.spp}
+```
+
+## Places in {shown_in}
+
+Seed {config.seed}, {config.area:g} m a side or the least a place needs: from an orbit, from above
+and from the street.
+{kinds}
+
+## Conditions over {config.preset}
+
+Nothing moves between them but the leaves of broadleaved trees, which seasons without leaves
+declare. In every light, under a clear sky:
+
+![{config.preset} in every season and light]({PICTURES}/light.jpg)
+
+In every weather, at noon:
+
+![{config.preset} in every season and weather]({PICTURES}/weather.jpg)
+"""
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _inventory(world: World) -> str:
+    """How many objects of each class, most first."""
+    counts = Counter(thing.class_name for thing in world.objects)
+    return f"{len(world.objects)} objects: " + ", ".join(
+        f"{name} {count}" for name, count in counts.most_common()
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from scene.colmap import PosedImage
 from scene.manifest import SceneObject
 from scene.pose import Pose
-from scene.sparse_map import SparseMap
-
-# A point belongs to the object whose box, grown by this much, holds it: triangulation is not exact.
-_MARGIN_M = 0.25
+from scene.sparse_map import MapImage, SparseMap
+from simulate.class_spread import KindShare
 
 
 @dataclass(frozen=True)
@@ -67,6 +65,7 @@ class MapReport:
         rotation_deg: of the rotations from the truth.
         objects: by size class, of those seen in the map's photographs.
         small_objects: the small ones by their class.
+        kinds: shares of each kind of surface.
     """
 
     images: int
@@ -79,6 +78,7 @@ class MapReport:
     rotation_deg: Spread
     objects: Mapping[str, ObjectCoverage]
     small_objects: Mapping[str, ObjectCoverage]
+    kinds: Mapping[str, KindShare]
 
     def as_dict(self) -> dict[str, Any]:
         """For a program."""
@@ -97,6 +97,11 @@ class MapReport:
         ]
         lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
         lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
+        lines += [
+            f"{name}: {s.pixels:.1%} of pixels, {s.keypoints:.1%} of keypoints, "
+            f"{s.points:.1%} of points"
+            for name, s in self.kinds.items()
+        ]
         return "\n".join(lines)
 
 
@@ -105,7 +110,9 @@ def report(
     truth: Sequence[PosedImage],
     objects: Sequence[SceneObject],
     seen: set[int],
+    owners: NDArray[np.int64],
     pairs: int,
+    kinds: Mapping[str, KindShare],
 ) -> MapReport:
     """Measure a map.
 
@@ -114,7 +121,9 @@ def report(
         truth: every photograph given, with its exact pose.
         objects: of the scene.
         seen: identifiers of the objects in the photographs.
+        owners: identifier of the object that each point lies on, (M,).
         pairs: of photographs that were matched.
+        kinds: see ``simulate.class_spread``.
     """
     mapped = [image for image in truth if image.name in sparse_map.images]
     estimated = np.stack([sparse_map.images[image.name].cam_from_world for image in mapped])
@@ -131,30 +140,47 @@ def report(
         track_length=float(sparse_map.track_length.mean()),
         position_m=Spread.of(metres.numpy()),
         rotation_deg=Spread.of(degrees.numpy()),
-        objects=_coverage(sparse_map.xyz, in_view, lambda item: item.size_class),
-        small_objects=_coverage(sparse_map.xyz, small, lambda item: item.class_name),
+        objects=_coverage(owners, in_view, lambda item: item.size_class),
+        small_objects=_coverage(owners, small, lambda item: item.class_name),
+        kinds=kinds,
     )
 
 
 def _coverage(
-    xyz: NDArray[np.float64],
+    owners: NDArray[np.int64],
     objects: Sequence[SceneObject],
     kind: Callable[[SceneObject], str],
 ) -> dict[str, ObjectCoverage]:
     points: dict[str, list[int]] = {}
     for item in objects:
-        points.setdefault(kind(item), []).append(points_inside(xyz, item))
+        points.setdefault(kind(item), []).append(int((owners == item.id).sum()))
     return {
         name: ObjectCoverage(len(counts), sum(count > 0 for count in counts), sum(counts))
         for name, counts in sorted(points.items())
     }
 
 
-def points_inside(xyz: NDArray[np.float64], item: SceneObject) -> int:
-    """How many points (M, 3) lie in an object's oriented box, grown by a margin."""
-    yaw = np.radians(item.yaw_deg)
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    box_from_world = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
-    local = (xyz - np.array(item.centre)) @ box_from_world.T
-    inside = (np.abs(local) <= 0.5 * np.array(item.size) + _MARGIN_M).all(1)
-    return int(inside.sum())
+def objects_of_points(
+    points: int, seen: Iterable[tuple[MapImage, NDArray[np.uint16]]]
+) -> NDArray[np.int64]:
+    """The object that each point of a map lies on, by most of the photographs that observe it.
+
+    Args:
+        points: M of the map.
+        seen: photographs of the map with their instance images (H, W).
+
+    Returns:
+        (M,) identifiers, 0 where there is none.
+    """
+    votes = [np.zeros((0, 2), np.int64)]
+    for image, instance in seen:
+        observed = image.point_rows >= 0
+        columns, rows = np.floor(image.xy[observed]).astype(int).T
+        # The far edges of the picture belong to its last pixels.
+        ids = instance[rows.clip(0, instance.shape[0] - 1), columns.clip(0, instance.shape[1] - 1)]
+        votes.append(np.stack([image.point_rows[observed], ids], -1).astype(np.int64))
+    ballots, counts = np.unique(np.concatenate(votes), axis=0, return_counts=True)
+    owners = np.zeros(points, np.int64)
+    for row, owner in ballots[np.argsort(counts, kind="stable")]:
+        owners[row] = owner
+    return owners

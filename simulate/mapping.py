@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle import Scene, finish
+from scene.bundle import FEATURES, Scene, finish
 from scene.colmap import ADJUSTMENTS, VERSION, PosedImage, SiftOptions, reconstruct, triangulate
 from scene.errors import InputError
 from scene.features import write_features
 from scene.files import folder_written_whole, kept_while_working, remove_partial, sha256_of
 from scene.progress import progress_bar
-from simulate.map_report import MapReport, report
+from scene.sparse_map import MapImage, SparseMap
+from simulate.class_spread import class_spread
+from simulate.map_report import MapReport, objects_of_points, report
 from simulate.pictures import draw_pictures
 
-FEATURES = "features.h5"
 _KEPT = ".mapping"
 _SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
@@ -73,8 +74,15 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
                 scene.images_root, images, pairs, folder, _SIFT, advance, database
             )
             write_features(folder / FEATURES, features)
-        draw_pictures(finish(path, scene.manifest))
-    return report(sparse_map, images, scene.objects.objects, seen, len(pairs))
+        scene = finish(path, scene.manifest)
+        rendered = scene.manifest.preset is not None
+        if rendered:
+            draw_pictures(scene)
+    # Only rendered scenes know what each pixel shows.
+    instances = _instances(scene, sparse_map) if rendered else ()
+    owners = objects_of_points(len(sparse_map.xyz), instances)
+    kinds = class_spread(scene, sparse_map, features) if rendered else {}
+    return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs), kinds)
 
 
 def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str, str]]) -> str:
@@ -115,7 +123,19 @@ def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
                 if name in wanted:
                     camera, pose = frames.cameras[k], frames.cam_from_world[k]
                     images.append(PosedImage(name, camera, pose))
-                    seen |= set(np.unique(dense.read("instance", k)).tolist())
+                    if dense.has("instance"):
+                        seen |= set(np.unique(dense.read("instance", k)).tolist())
     if not images:
         raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
     return images, seen
+
+
+def _instances(
+    scene: Scene, sparse_map: SparseMap
+) -> Iterator[tuple[MapImage, NDArray[np.uint16]]]:
+    """The photographs of a map with the objects in each pixel (H, W)."""
+    for session in scene.sessions:
+        with scene.dense(session) as dense:
+            for k, name in enumerate(scene.frames(session).names):
+                if name in sparse_map.images:
+                    yield sparse_map.images[name], dense.read("instance", k)

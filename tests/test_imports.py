@@ -1,6 +1,7 @@
 """The import arrows of the project, held by reading every module.
 
-``benchmark -> objconnect -> baselines -> scene`` and ``benchmark -> simulate -> scene``.
+``benchmark -> objconnect -> baselines -> scene``, ``benchmark -> simulate -> scene``,
+``benchmark -> dense -> scene`` and ``benchmark -> ingest -> scene``.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ALLOWED = {
     "scene": set(),
+    "dense": {"scene"},
     "simulate": {"scene"},
+    "ingest": {"scene"},
     "baselines": {"scene"},
     "objconnect": {"baselines", "scene"},
-    "benchmark": {"objconnect", "baselines", "simulate", "scene"},
+    "benchmark": {"objconnect", "baselines", "simulate", "ingest", "dense", "scene"},
 }
 # The rooms of the simulator; what stands on its top floor may use them all.
 ROOMS = {

@@ -21,12 +21,6 @@ _MAX_FOV_DEG = 140.0
 _MARGIN_PX = 4.0  # around the view, for the resampling kernels
 _COARSE = 16  # pixels between the positions where the scale of the picture is looked at
 
-# Full resolution width and height (px), diagonal field of view (deg), k1 k2 p1 p2. All nominal:
-# size and field of view as the makers state them, principal point in the middle. These cameras
-# correct their distortion before they write a JPEG, except "phantom-4-rtk-raw", the survey drone
-# with that correction switched off, whose coefficients are typical of published calibrations.
-# "mini-2-wide" is the middle of the "mini-2". "cmu-c0" and "cmu-c1" are like the two cameras on the
-# car of CMU Seasons: wide lenses bent inwards, neither like the other nor centred.
 PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
     "mini-2": (4000, 3000, 83.0, ()),
     "mini-2-wide": (4000, 2250, 78.16, ()),
@@ -37,6 +31,19 @@ PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
     "cmu-c0": (1024, 768, 72.85, (-0.399, 0.189, 0.0002, 0.0006)),
     "cmu-c1": (1024, 768, 72.37, (-0.397, 0.182, 0.0002, -0.0006)),
 }
+"""Full resolution width and height (px), diagonal field of view (deg), k1 k2 p1 p2; principal point
+in the middle unless `_PRINCIPAL` says. Nominal: a drone at hand has to be calibrated.
+
+Held against published figures: all sizes (the DroneModels table of calibrated drone cameras has
+FC7303, L2D-20C, FC300 and FC6310 with these). 84 degrees of the Phantom 4 Pro and RTK is what
+8.8 mm before 13.2 x 8.8 mm sees, and 84 degrees of the Mavic 3 what its 24 mm equivalent does; 94
+degrees of the Phantom 3 is the diagonal that its owners quote. Not found again: 83 degrees of the
+Mini 2. Not of a maker: "mini-2-wide" is the middle of the "mini-2", and the coefficients of
+"phantom-4-rtk-raw", the survey drone with the correction of its JPEGs switched off, have the size
+of published ones but are of no camera. The others are taken to correct their distortion fully.
+"cmu-c0" and "cmu-c1" are like the two cameras on the car of CMU Seasons: wide lenses bent inwards,
+neither like the other nor centred.
+"""
 # Principal points that are not in the middle, as shares of width and height.
 _PRINCIPAL = {"cmu-c0": (0.514, 0.547), "cmu-c1": (0.517, 0.517)}
 

@@ -6,6 +6,7 @@ Blender and needs numpy alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -20,11 +21,11 @@ id (0: the ground); infinite where they miss it."""
 # Inverse depth interpolated between neighbours is exact on a plane. Where it bends by more than
 # this (metres of depth, over one pixel) the surface is not one plane and the ray is cast instead.
 _FLAT_M = 2e-4
-_MARGIN = 3  # source pixels around the outermost sample, for the widest kernel and the bends
+_AS_FINE = 0.2  # a source finer by this share is sampled as if it were as fine
 
 
 def resample(
-    layers: dict[str, NDArray[Any]], xy: Array, rays: Array, cast: Cast
+    layers: dict[str, NDArray[Any]], xy: Array, rays: Array, cast: Cast, boxes: dict[int, Array]
 ) -> dict[str, NDArray[Any]]:
     """Layers of a pinhole picture at other pixel centres.
 
@@ -39,11 +40,21 @@ def resample(
             least 3 pixels inside.
         rays: (H, W, 2) x/z and y/z of the same pixel centres.
         cast: the world.
+        boxes: by id, in rays' coordinates (left, top, right, bottom), around objects so small in
+            the picture that a part of them may lie between its pixel centres.
 
     Returns:
         The same layers, (H, W, ...).
     """
     depth, instance = _surface(layers["depth"], layers["instance"], xy, rays, cast)
+    for number, box in boxes.items():
+        inside = ((rays >= box[:2]) & (rays <= box[2:])).all(-1) & (instance != number)
+        if not inside.any():
+            continue
+        hit = cast(number, rays[inside])
+        closer = hit < depth[inside]
+        depth[inside] = np.where(closer, hit, depth[inside])
+        instance[inside] = np.where(closer, number, instance[inside])
     normal = _normals(layers, xy, depth, instance)
     return {
         "rgb": resample_colour(layers["rgb"], xy),
@@ -56,8 +67,32 @@ def resample(
 def resample_colour(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.uint8]:
     """Colours (H, W, 3) between the pixel centres of `rgb` (h, w, 3), by Catmull-Rom's cubic.
 
-    OpenCV's remap rounds positions to 1/32 pixel; these are exact.
+    Where neighbours of `xy` are farther apart than the pixels of `rgb`, as at the rim of a wide
+    lens, several colours are averaged: single ones would leave edges jagged. OpenCV's remap rounds
+    positions to 1/32 pixel; these are exact.
     """
+    across, down = np.gradient(xy, axis=1), np.gradient(xy, axis=0)
+    colours = np.zeros((*xy.shape[:2], 3), np.float32)
+    offsets = [(a, b) for b in _spread(down) for a in _spread(across)]
+    limit = np.array(rgb.shape[1::-1]) - 1.5
+    for a, b in offsets:
+        colours += _between(rgb, np.clip(xy + a + b, 1.5, limit - 1e-6))
+    return np.rint(np.clip(colours / len(offsets), 0, 255)).astype(np.uint8)
+
+
+def _spread(step: Array) -> list[Array]:
+    """Where to look along a pixel's side (H, W, 2), the pixels of the source being as wide as the
+    filter they were rendered with: together they are then as wide as the side."""
+    length = np.linalg.norm(step, axis=-1, keepdims=True)
+    count = math.ceil(length.max() - _AS_FINE)
+    if count < 2:
+        return [np.zeros_like(step)]
+    missing = step * np.sqrt(np.maximum(1 - 1 / np.maximum(length, 1) ** 2, 0))
+    return [missing * ((k + 0.5) / count - 0.5) for k in range(count)]
+
+
+def _between(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.float32]:
+    """Colours (H, W, 3) at positions, overshooting 0..255 at edges."""
     x, y = np.moveaxis(xy - 0.5, -1, 0)
     column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     across, down = _cubic(x - column), _cubic(y - row)
@@ -68,7 +103,7 @@ def resample_colour(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.uint8]:
         for i in range(4):
             line += across[i][..., None] * source[row + j - 1, column + i - 1]
         out += down[j][..., None] * line
-    return np.rint(np.clip(out, 0, 255)).astype(np.uint8)
+    return out
 
 
 def _cubic(t: Array) -> NDArray[np.float32]:
@@ -104,7 +139,14 @@ def _surface(
     found = instance[corners[0]]
 
     rough = np.nonzero(~plane)
-    near = [(row[rough], column[rough]) for row, column in corners]
+    row, column = (index[rough] for index in corners[0])
+    last = np.array(depth.shape) - 1
+    # Leaves and wires are often seen only by pixels next to the four around the ray.
+    near = [
+        (np.clip(row + j, 0, last[0]), np.clip(column + i, 0, last[1]))
+        for j in (0, 1, -1, 2)
+        for i in (0, 1, -1, 2)
+    ]
     # The ground hides what stands in it, also where no neighbour sees it.
     ways = rays[rough]
     best = cast(0, ways)
@@ -146,7 +188,8 @@ def _flat(
 def _normals(
     layers: dict[str, NDArray[Any]], xy: Array, depth: Array, instance: NDArray[np.uint16]
 ) -> NDArray[np.int8]:
-    """Of the neighbouring pixels on the same object, the normal of the one closest in depth."""
+    """Of the neighbouring pixels on the same object, the normal of the one closest in depth; where
+    there is none, as on a post thinner than a pixel, that of another object."""
     corners, _ = _corners(xy)
     far = np.inf
     gaps = np.stack(

@@ -1,8 +1,8 @@
 """What a lens and a sensor do to the light of a photograph. Geometry is never touched.
 
 The rendered picture is taken for a camera's sRGB picture and brought back to linear light, where
-exposure, vignetting, blur and noise happen. There is no rolling shutter: every row would need a
-pose of its own.
+exposure, vignetting, blur and noise happen. A rolling shutter is not made here: its rows have poses
+of their own and are rendered with them, every layer alike.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ class SensorConfig(Config):
         full_well_e: electrons of a white pixel, whose square root is the shot noise; None is
             without noise.
         read_noise_e: electrons, standard deviation; needs ``full_well_e``.
+        readout_s: between the readouts of the top and of the bottom of the picture; 0 is a global
+            shutter.
     """
 
     exposure_ev: float = Field(0.0, ge=0, le=3)
@@ -36,6 +38,7 @@ class SensorConfig(Config):
     motion_blur_px: float = Field(0.0, ge=0, le=50)
     full_well_e: float | None = Field(None, ge=100)
     read_noise_e: float = Field(0.0, ge=0)
+    readout_s: float = Field(0.0, ge=0, le=0.5)
 
     @model_validator(mode="after")
     def _noise_has_a_scale(self) -> SensorConfig:
@@ -55,7 +58,7 @@ def expose(
     # Drawn in a fixed order, the noise last.
     stops, red, blue = rng.standard_normal(3)
     direction, length = rng.uniform(0, np.pi), abs(rng.standard_normal())
-    if sensor == SensorConfig():
+    if sensor.model_copy(update={"readout_s": 0.0}) == SensorConfig():
         return rgb
     light = _linear(rgb)
     height, width = light.shape[:2]

@@ -68,6 +68,15 @@ def gimbal_poses(
     return pose
 
 
+def velocities(cam_from_world: ArrayLike, interval_s: float) -> Array:
+    """Velocities (N, 3), metres a second, of cameras with poses (N, 4, 4) at equal intervals:
+    central differences of their positions, one-sided at the ends, zero for a single one."""
+    centres = camera_centres(cam_from_world)
+    if len(centres) < 2:
+        return np.zeros_like(centres)
+    return np.asarray(np.gradient(centres, interval_s, axis=0))
+
+
 def camera_centres(cam_from_world: ArrayLike) -> Array:
     """World positions (N, 3) metres of cameras with poses (N, 4, 4)."""
     pose = np.asarray(cam_from_world, float)

@@ -11,16 +11,16 @@ from simulate.place.paint import SHIFT, to_raster
 from simulate.place.world import CLASSES, Ground, Rgb
 
 # What differs between materials besides their colour: contrast of the blotches (fraction of
-# albedo) and of the grain.
-_TEXTURE: dict[str, tuple[float, float]] = {
-    "grass": (0.22, 0.10),
-    "field": (0.18, 0.08),
-    "road": (0.10, 0.05),
-    "pavement": (0.08, 0.06),
-    "parking": (0.10, 0.05),
-    "driveway": (0.10, 0.07),
-    "path": (0.12, 0.08),
-    "water": (0.10, 0.0),
+# albedo), of the grain, and of single spots: tufts and weeds, stones and bare earth.
+_TEXTURE: dict[str, tuple[float, float, float]] = {
+    "grass": (0.22, 0.24, 0.24),
+    "field": (0.18, 0.22, 0.22),
+    "road": (0.12, 0.09, 0.10),
+    "pavement": (0.10, 0.12, 0.12),
+    "parking": (0.12, 0.09, 0.12),
+    "driveway": (0.12, 0.14, 0.20),
+    "path": (0.14, 0.18, 0.25),
+    "water": (0.10, 0.0, 0.0),
 }
 _SEALED = ("road", "pavement", "parking", "driveway")  # where rain stays on top
 _WET_DARKENING = 0.5
@@ -49,23 +49,26 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     across = n * ground.texel_m
     broad = _noise(rng, n, across / 40.0)
     blotch = 0.6 * _noise(rng, n, across / 9.0) + 0.4 * _noise(rng, n, across / 2.2)
-    grain = 0.5 * _noise(rng, n, across / 0.5) + 0.5 * _grain(rng, n)
+    grain = 0.4 * _noise(rng, n, across / 1.1) + 0.4 * _noise(rng, n, across / 0.5)
+    grain += 0.4 * _grain(rng, n)
+    spots = _spots(rng, n, across / 0.5) - _spots(rng, n, across / 0.8)
     drift = 0.45 * broad + 0.4 * blotch + 0.15 * grain
     tone = ground.tone.astype(np.float32) / 255.0 - 0.5
 
     size = max(CLASSES.values()) + 1
     colour = np.zeros((size, 3), np.float32)
     dry = np.zeros((size, 3), np.float32)
-    soft, sharp, snow = (np.zeros(size, np.float32) for _ in range(3))
-    for name, (low, high) in _TEXTURE.items():
+    soft, sharp, single, snow = (np.zeros(size, np.float32) for _ in range(4))
+    for name, (low, high, alone) in _TEXTURE.items():
         k = CLASSES[name]
         colour[k], dry[k] = _SEASONLESS.get(name) or condition.ground[name]
-        soft[k], sharp[k], snow[k] = low, high, _SNOW_KEPT[name]
+        soft[k], sharp[k], single[k], snow[k] = low, high, alone, _SNOW_KEPT[name]
 
     labels = ground.labels
     # The second colour of a class shows where the ground is worn, and in some parcels more.
     worn = np.clip(0.5 + 0.55 * broad + 0.35 * blotch + 0.9 * tone, 0, 1)
     value = 1 + soft[labels] * (0.6 * broad + blotch) + sharp[labels] * grain + 0.22 * tone
+    value *= np.maximum(1 + single[labels] * spots, 0.3)
     value *= 1 - _furrows(ground, tone)
     albedo = colour[labels]
     albedo += worn[..., None] * (dry - colour)[labels]
@@ -109,6 +112,11 @@ def _noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32
     return np.asarray(fine * np.float32(0.7))
 
 
+def _spots(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
+    """Single bumps (n, n) on 0, about 1 high, in one of ten of `cells` cells a side."""
+    return np.asarray(np.clip(2.5 * _noise(rng, n, cells) - 1.2, 0, 1.5))
+
+
 def _grain(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
     """White noise (n, n), tiled from a patch: nobody sees the period at this scale."""
     tile = rng.standard_normal((509, 509), np.float32) * np.float32(0.5)
@@ -130,22 +138,29 @@ def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _wear(rng: np.random.Generator, ground: Ground) -> NDArray[np.float32]:
-    """Albedo factor (n, n) of asphalt repairs, manholes and stains on sealed ground."""
+    """Albedo factor (n, n) of cracks, asphalt repairs, manholes and stains on sealed ground."""
     n = len(ground.labels)
     wear = np.ones((n, n), np.float32)
     sealed = np.isin(ground.labels, [CLASSES[c] for c in ("road", "parking", "driveway")])
     rows, columns = np.nonzero(sealed[::7, ::7])
     if len(rows) == 0:
         return wear
-    count = int(sealed.sum() * ground.texel_m**2 / 40.0)
+    count = int(sealed.sum() * ground.texel_m**2 / 18.0)
     for i in rng.integers(0, len(rows), count):
         at = (int(columns[i]) * 7, int(rows[i]) * 7)
         kind, angle = rng.random(), float(rng.uniform(0, 180))
         size = rng.uniform(0.6, 3.5, 2) / ground.texel_m
-        if kind < 0.45:  # a patch of newer or older asphalt
+        if kind < 0.25:  # a crack, or the tar that fills it
+            course = np.cumsum(np.radians(angle) + rng.normal(0, 0.5, 9))
+            steps = 0.35 * size[0] * np.column_stack([np.cos(course), np.sin(course)])
+            crack = [np.int32((np.cumsum(steps, 0) + at) * (1 << SHIFT))]
+            # A line of one texel: fainter where texels are wider than cracks.
+            dark = rng.uniform(0.2, 0.45) * min(1.0, 0.1 / ground.texel_m)
+            cv2.polylines(wear, crack, False, 1 - dark, 1, cv2.LINE_AA, SHIFT)
+        elif kind < 0.55:  # a patch of newer or older asphalt
             box = cv2.boxPoints((at, (float(size[0]), float(0.5 * size[1])), angle))
             cv2.fillPoly(wear, [box.astype(np.int32)], rng.uniform(0.72, 1.22))
-        elif kind < 0.6:  # a manhole
+        elif kind < 0.65:  # a manhole
             cv2.circle(wear, at, max(1, round(0.35 / ground.texel_m)), 0.55, -1, cv2.LINE_AA)
         else:  # oil and tyre marks
             axes = (max(1, int(0.4 * size[0])), max(1, int(0.12 * size[1])))

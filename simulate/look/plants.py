@@ -25,13 +25,14 @@ _BRANCHES = ((2.8, 0.26, 7), (2.3, 0.13, 5), (1.5, 0.07, 5), (1.0, 0.04, 6), (0.
 def broadleaf(variant: int) -> Mesh:
     """A broadleaved tree about 8 m high, crown radius about 4 m, base at z = 0."""
     rng = np.random.default_rng([31, variant])
-    crown = np.array([0.0, 0.0, 5.2])
-    radii = np.array([3.2, 3.2, 2.6]) * rng.uniform(0.9, 1.1, 3)
+    crown = np.array([*rng.normal(0, 0.35, 2), 5.2])
+    radii = np.array([3.2, 3.2, 2.6]) * rng.uniform(0.8, 1.15, 3)
     lumps = []
-    for direction in _sphere(rng, 16):
-        centre = crown + 0.62 * radii * direction * [1, 1, 0.9]
-        lumps.append((centre, rng.uniform(1.1, 1.9)))
-    lumps.append((crown, 2.2))
+    for direction in _sphere(rng, 18):
+        reach = rng.uniform(0.45, 0.75)
+        centre = crown + reach * radii * direction + rng.normal(0, 0.25, 3)
+        lumps.append((centre, rng.uniform(0.8, 2.0)))
+    lumps.append((crown, 2.0))
     parts = [_foliage(rng, lumps, leaves=4200, leaf_m=0.34)]
     parts += [_lump(centre, 0.86 * radius, rng) for centre, radius in lumps]
     parts.append(_trunk(3.8, 0.24))
@@ -158,8 +159,9 @@ def _foliage(
     points, outward = points[seen], outward[seen]
     low, high = points[:, 2].min(), points[:, 2].max()
     lit = 0.25 + 0.5 * (points[:, 2] - low) / (high - low) + 0.25 * outward[:, 2]
-    clump = rng.uniform(-0.18, 0.18, len(lumps))[which[seen]]
-    tone = np.clip(lit + clump + rng.normal(0, 0.16, len(seen)), 0, 1)
+    # Clumps differ more than leaves do: they are what a picture from the air keeps of a tree.
+    clump = rng.uniform(-0.3, 0.3, len(lumps))[which[seen]]
+    tone = np.clip(lit + clump + rng.normal(0, 0.08, len(seen)), 0, 1)
     return _leaves(rng, points, outward, leaf_m, tone)
 
 

@@ -64,9 +64,11 @@ def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
     corners = np.stack([(k, i), (k, i + 1), (k + 1, i + 1), (k + 1, i)], axis=1)  # (2, 4, P)
     flat = (corners[0] * len(kerb.rise) + corners[1]).T
     stone = k < 2
+    points = np.concatenate([edges, height[..., None]], -1).reshape(-1, 3)
     return Mesh(
-        vertices=np.concatenate([edges, height[..., None]], -1).reshape(-1, 3).astype(np.float32),
-        corners=flat.ravel().astype(np.int32),
+        # Faces share no vertex: shared ones would be shaded round, and wet ones bend their normals.
+        vertices=points[flat.ravel()].astype(np.float32),
+        corners=np.arange(flat.size, dtype=np.int32),
         sizes=np.full(len(k), 4, np.int32),
         uv=edges.reshape(-1, 2)[flat].reshape(-1, 2).astype(np.float32),
         tint=np.where(stone[:, None], _STONE_RGB, 1.0).astype(np.float32),

@@ -40,6 +40,9 @@ _SENSOR_MM = 36.0
 # Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by
 # this much to the right and upwards (px; found by ray casting, the same at every pixel).
 _FIRST_RAY_PX = 0.000526
+_NEAR_M = 0.1  # nothing closer is seen
+# Area of the box around an object that may have parts thinner than a pixel, a lamp or a bin.
+_SMALL_PX = 1000.0
 _NO_SURFACE_M = 1e9  # Cycles writes 1e10 where a ray hits nothing
 
 
@@ -71,12 +74,15 @@ def main(chunk_path: str) -> None:
             # Every frame has its own noise, the same whoever renders it and in what order.
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
-            arrays = _render(pose, Path(scratch))
+            travel = np.array(job.travel.get(frame, (0.0, 0.0, 0.0)))
+            arrays = _render(pose, travel, Path(scratch))
             if chunk.rays is not None:
                 c = job.camera
-                arrays = resample(arrays, c.f * rays + [c.cx, c.cy], rays, caster.seen_from(pose))
+                xy, small = c.f * rays + [c.cx, c.cy], caster.small(pose, c.f)
+                arrays = resample(arrays, xy, rays, caster.seen_from(pose), small)
             if world is not None:
-                arrays["semantic"] = _semantic(world, rays, pose, arrays)
+                shift = _row_shift(travel, len(rays))
+                arrays["semantic"] = _semantic(world, rays, pose, shift, arrays)
             _save(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
@@ -103,25 +109,35 @@ def _build_scene(world: World, light: Condition) -> None:
     albedo = ground.bake(world.ground, light, world.seed)
     mirror = ground.mirror(world.ground, light, world.seed)
     materials = build_materials(bpy.data, light, albedo, mirror)
-    for name, surface in (("terrain", ground_mesh(world, light)), ("kerbs", kerbs_mesh(world))):
-        if surface is not None:
-            _add(name, _mesh_data(name, surface, materials)).pass_index = 0
+    # Meshes first: a mesh that is given a material looks through every object there is.
+    surfaces = [
+        _mesh_data(name, surface, materials)
+        for name, surface in (("terrain", ground_mesh(world, light)), ("kerbs", kerbs_mesh(world)))
+        if surface is not None
+    ]
     shared: dict[str, Any] = {}
+    meshes = []
     for thing in world.objects:
         own = _own_mesh(thing, world)
         if own is not None:
-            placed = _add(thing.shape, _mesh_data(thing.shape, own, materials))
-        else:
-            if thing.shape not in shared:
-                shared[thing.shape] = _mesh_data(thing.shape, shape_mesh(thing.shape), materials)
-            placed = _add(thing.shape, shared[thing.shape])
-            placed.scale = thing.size
+            meshes.append(_mesh_data(f"{thing.id:05d}", own, materials))
+            continue
+        if thing.shape not in shared:
+            shared[thing.shape] = _mesh_data(thing.shape, shape_mesh(thing.shape), materials)
+        meshes.append(shared[thing.shape])
+    for surface in surfaces:
+        _add(surface.name, surface)
+    for thing, data in zip(world.objects, meshes, strict=True):
+        # Blender keeps its objects sorted: names that only grow are put at the end at once.
+        placed = _add(f"{thing.id:05d}", data)
+        placed.pass_index = thing.id
         placed.location = thing.centre
+        placed.rotation_euler = (0.0, 0.0, thing.yaw)
+        placed.color = (*thing.colour, 1.0)
+        if thing.shape in shared:
+            placed.scale = thing.size
         if thing.class_name == "building":  # whose mesh starts at the ground
             placed.location.z -= 0.5 * thing.size[2]
-        placed.rotation_euler = (0.0, 0.0, thing.yaw)
-        placed.pass_index = thing.id
-        placed.color = (*thing.colour, 1.0)
     _add_light(light)
 
 
@@ -177,10 +193,10 @@ def _mesh_data(name: str, mesh: Mesh, materials: dict[str, Any]) -> Any:
     starts = np.concatenate([[0], np.cumsum(mesh.sizes)[:-1]]).astype(np.int32)
     data.polygons.foreach_set("loop_start", starts)
     data.polygons.foreach_set("material_index", mesh.material)
-    data.uv_layers.new(name="uv").data.foreach_set("uv", mesh.uv.ravel())
-    tint = data.attributes.new("tint", "FLOAT_COLOR", "CORNER")
-    rgba = np.insert(mesh.tint, 3, 1.0, axis=1)
-    tint.data.foreach_set("color", np.repeat(rgba, mesh.sizes, axis=0).ravel())
+    if mesh.uv.any():
+        data.uv_layers.new(name="uv").data.foreach_set("uv", mesh.uv.ravel())
+    tint = data.attributes.new("tint", "FLOAT_COLOR", "FACE")
+    tint.data.foreach_set("color", np.insert(mesh.tint, 3, 1.0, axis=1).ravel())
     for material in mesh.materials:
         data.materials.append(materials[material])
     data.update(calc_edges=True)
@@ -219,6 +235,9 @@ def _add_light(light: Condition) -> None:
     tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs[0], output.inputs["Surface"])
+    # A smooth sky is met often enough by the rays that leave surfaces. Were it sampled as a lamp
+    # too, half the shadow rays would miss the sun: a third more processor time, and more noise.
+    sky.cycles.sampling_method = "NONE"
     bpy.context.scene.view_settings.exposure = light.exposure
 
 
@@ -234,7 +253,7 @@ def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
     data.lens = camera.f * _SENSOR_MM / camera.width
     data.shift_x = (0.5 * camera.width - camera.cx - _FIRST_RAY_PX) / camera.width
     data.shift_y = (camera.cy - _FIRST_RAY_PX - 0.5 * camera.height) / camera.width
-    data.clip_start, data.clip_end = 0.1, 1e4
+    data.clip_start, data.clip_end = _NEAR_M, 1e4
     scene.camera = _add("camera", data)
     scene.camera.rotation_mode = "QUATERNION"
 
@@ -267,12 +286,16 @@ def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
     layer.use_pass_z = layer.use_pass_normal = layer.use_pass_object_index = True
 
 
-def _render(cam_from_world: NDArray[np.float64], scratch: Path) -> dict[str, NDArray[Any]]:
-    """One frame's rgb, depth, instance and normal."""
+def _render(
+    cam_from_world: NDArray[np.float64], travel: NDArray[np.float64], scratch: Path
+) -> dict[str, NDArray[Any]]:
+    """One frame's rgb, depth, instance and normal, of a camera that moves by `travel` (3,) metres
+    while it is read out."""
     scene = bpy.context.scene
     world_from_cam = np.linalg.inv(cam_from_world)
     # Blender's camera looks along -z with y up.
     scene.camera.matrix_world = (world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])).T.tolist()
+    _roll_shutter(scene, travel)
     settings = scene.render.image_settings
     settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
     settings.exr_codec = "NONE"
@@ -285,7 +308,10 @@ def _render(cam_from_world: NDArray[np.float64], scratch: Path) -> dict[str, NDA
 
     with OpenEXR.File(str(scratch / "passes.exr"), separate_channels=True) as exr:
         channels = {name.split(".", 1)[1]: c.pixels for name, c in exr.channels().items()}
-    depth = np.where(channels["Depth.Z"] < _NO_SURFACE_M, channels["Depth.Z"], 0)
+    depth = channels["Depth.Z"]
+    # Cycles measures depth from where the camera is at the frame; rows are elsewhere.
+    ahead = (_row_shift(travel, len(depth)) + _late(travel, len(depth))) @ cam_from_world[2, :3]
+    depth = np.where(depth < _NO_SURFACE_M, depth - ahead[:, None], 0)
     normal = np.stack([channels[f"Normal.{axis}"] for axis in "XYZ"], -1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
     return {
@@ -294,6 +320,38 @@ def _render(cam_from_world: NDArray[np.float64], scratch: Path) -> dict[str, NDA
         "instance": np.rint(channels["IndexOB.X"]).astype(np.uint16),
         "normal": np.rint(127 * normal).astype(np.int8),
     }
+
+
+def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
+    """Let Cycles read the picture out row by row while the camera, standing at the middle of the
+    picture, moves by `travel`."""
+    camera = scene.camera
+    camera.animation_data_clear()
+    scene.render.use_motion_blur = bool(travel.any())
+    if not travel.any():
+        return
+    scene.render.motion_blur_shutter = 1.0  # from half a frame before to half a frame after
+    scene.render.motion_blur_position = "CENTER"
+    scene.cycles.rolling_shutter_type = "TOP"
+    scene.cycles.rolling_shutter_duration = 0.0  # a row at a time, no streaks
+    now = scene.frame_current
+    middle = np.array(camera.location) - _late(travel, scene.render.resolution_y)
+    for step in (-1, 1):
+        camera.location = middle + step * travel
+        camera.keyframe_insert("location", frame=now + step)
+    for curve in camera.animation_data.action.fcurves:
+        for key in curve.keyframe_points:
+            key.interpolation = "LINEAR"
+
+
+def _late(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
+    """How much too far Cycles has the camera at every row: it takes the time of the row's end."""
+    return 0.5 * travel / height
+
+
+def _row_shift(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
+    """Where the camera is at every row, (height, 3) metres from where it is at the middle."""
+    return ((np.arange(height) + 0.5) / height - 0.5)[:, None] * travel
 
 
 def _pinhole_rays(camera: PinholeCamera) -> NDArray[np.float64]:
@@ -311,6 +369,27 @@ class _Caster:
         for thing in bpy.context.scene.objects:
             if thing.type == "MESH":
                 self._objects.setdefault(thing.pass_index, []).append(thing)
+        things = [(number, things[0]) for number, things in self._objects.items() if number > 0]
+        self._numbers = [number for number, _ in things]
+        boxes = [np.insert(np.array(thing.bound_box), 3, 1, axis=1) for _, thing in things]
+        self._corners = np.array(
+            [
+                box @ np.array(thing.matrix_world).T
+                for box, (_, thing) in zip(boxes, things, strict=True)
+            ]
+        ).reshape(-1, 8, 4)
+
+    def small(
+        self, cam_from_world: NDArray[np.float64], f: float
+    ) -> dict[int, NDArray[np.float64]]:
+        """Boxes, as `simulate.camera.resample` asks for them, in a pinhole picture."""
+        x, y, z = np.moveaxis((self._corners @ cam_from_world.T)[..., :3], -1, 0)
+        ahead = (z > _NEAR_M).all(-1)
+        xy = np.stack([x, y], -1) / np.where(ahead[:, None], z, 1)[..., None]
+        boxes = np.concatenate([xy.min(1), xy.max(1)], -1)
+        area = f**2 * (boxes[:, 2:] - boxes[:, :2]).prod(-1)
+        chosen = np.flatnonzero(ahead & (area < _SMALL_PX))
+        return {self._numbers[k]: boxes[k] for k in chosen}
 
     def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
         """Of the camera at a pose."""
@@ -340,13 +419,16 @@ def _semantic(
     world: World,
     rays: NDArray[np.float64],
     cam_from_world: NDArray[np.float64],
+    shift: NDArray[np.float64],
     arrays: dict[str, NDArray[Any]],
 ) -> NDArray[np.uint8]:
-    """Labels (H, W): the class of the object, or of the ground each pixel's ray (H, W, 2) meets."""
+    """Labels (H, W): the class of the object, or of the ground each pixel's ray (H, W, 2) meets.
+
+    `shift` (H, 3) is how far from its pose the camera is at each row."""
     depth, instance = arrays["depth"], arrays["instance"]
     ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], -1)
     rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
-    points = (ahead * depth[..., None] - translation) @ rotation
+    points = (ahead * depth[..., None] - translation) @ rotation + shift[:, None]
     labels = class_lookup(world.objects)[instance]
     on_ground = (instance == 0) & (depth > 0)
     labels[on_ground] = world.ground.label(points[on_ground, 0], points[on_ground, 1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from scene.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
@@ -31,7 +31,8 @@ class RenderJob(BaseModel):
     paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from. `change`
     and `first_new_id` make the world as `simulate.place.change.changed_world` does. `lens` is the
     camera of the photographs, as `str(scene.camera.Camera)`, when it is not the pinhole `camera`,
-    which then covers its view.
+    which then covers its view. `travel` is how far a frame's camera moves, in world metres, while
+    its rows are read out from top to bottom; its pose is that of the middle of the picture.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -48,6 +49,7 @@ class RenderJob(BaseModel):
     board: Board | None = None
     samples: int = Field(default=4, ge=1)
     poses: dict[int, list[list[float]]]
+    travel: dict[int, tuple[float, float, float]] = {}
 
     @field_validator("poses")
     @classmethod
@@ -56,6 +58,12 @@ class RenderJob(BaseModel):
             if [len(row) for row in rows] != [4, 4, 4, 4]:
                 raise ValueError(f"the pose of frame {frame} is not a 4 x 4 matrix")
         return poses
+
+    @model_validator(mode="after")
+    def _rows_are_the_photographs(self) -> RenderJob:
+        if self.travel and self.lens is not None:
+            raise ValueError("rows of a lens's photograph are not those of the pinhole it is of")
+        return self
 
 
 class RenderChunk(BaseModel):

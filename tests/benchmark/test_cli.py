@@ -322,7 +322,7 @@ def test_leaderboard_of_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["evaluate", "basin", "leaderboard", "simulate", "map", "validate"]
+    "command", ["evaluate", "basin", "leaderboard", "simulate", "map", "dense", "validate"]
 )
 def test_help_is_complete(command: str) -> None:
     result = invoke(command, "--help")
@@ -389,8 +389,9 @@ def test_simulate_refuses_what_it_does_not_know(tmp_path: Path, words: list[str]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_map_of_no_scene(tmp_path: Path) -> None:
-    result = invoke("map", tmp_path)
+@pytest.mark.parametrize("command", ["map", "dense"])
+def test_there_is_no_scene(tmp_path: Path, command: str) -> None:
+    result = invoke(command, tmp_path)
     assert result.exit_code == 2
     assert "is not a finished scene" in error_line(result.stderr)
 

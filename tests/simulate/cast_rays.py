@@ -1,7 +1,7 @@
 """Casts Blender's rays at the scene a job renders: `python -m tests.simulate.cast_rays JOB OUT`.
 
-OUT is npz of arrays (F, M): pixel columns and rows, and what the ray through each pixel's centre
-meets: planar depth in metres and object id, zero where it meets nothing.
+OUT is npz of arrays (F, M): pixel columns and rows of the photograph, and what the ray through each
+pixel's centre meets: planar depth in metres and object id, zero where it meets nothing.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from mathutils import Vector
 
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
-from simulate.render.blender import _build_scene
+from simulate.render.blender import _build_scene, _pinhole_rays
 from simulate.render.job import RenderJob
+from simulate.render.pool import _lens_rays
 
 PIXELS = 1000
 
@@ -25,14 +26,16 @@ def main(job_path: str, out: str) -> None:
     job = RenderJob.model_validate_json(Path(job_path).read_text())
     _build_scene(preset(job.preset)(job.seed, job.area_m), condition(job.condition))
     graph = bpy.context.evaluated_depsgraph_get()
-    camera, rng = job.camera, np.random.default_rng(0)
+    rays = _pinhole_rays(job.camera) if job.lens is None else _lens_rays(job.lens)
+    height, width = rays.shape[:2]
+    rng = np.random.default_rng(0)
     found = {name: np.zeros((len(job.poses), PIXELS)) for name in ("depth", "instance")}
-    pixels = rng.integers(0, [camera.width, camera.height], (len(job.poses), PIXELS, 2))
+    pixels = rng.integers(0, [width, height], (len(job.poses), PIXELS, 2))
     for f, rows in enumerate(job.poses.values()):
         cam_from_world = np.array(rows)
         rotation, centre = cam_from_world[:3, :3], np.linalg.inv(cam_from_world)[:3, 3]
-        for k, (x, y) in enumerate(pixels[f] + 0.5):
-            ray = np.array([(x - camera.cx) / camera.f, (y - camera.cy) / camera.f, 1.0])
+        for k, (column, row) in enumerate(pixels[f]):
+            ray = np.array([*rays[row, column], 1.0])
             hit, at, _, _, thing, _ = bpy.context.scene.ray_cast(
                 graph, Vector(centre), Vector(ray @ rotation)
             )

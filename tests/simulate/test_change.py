@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,6 +10,7 @@ from scene.errors import InputError
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.look.props import shape_mesh
+from simulate.map_report import points_inside
 from simulate.place.change import (
     LOOSE,
     VEHICLES,
@@ -115,42 +114,104 @@ def test_a_share_is_a_share() -> None:
         SimulateConfig.load(None, {"sessions": [{**session, "change": {"cars_moved": 1.5}}]})
 
 
-def test_pixels_differ_only_where_objects_are_declared(tmp_path: Path) -> None:
-    """The same poses over the place as built, and over it changed and leafless."""
-    flight = {"flight": "nadir", "role": "map", "frames": 2}
-    change = {"cars_moved": 0.4, "objects_removed": 0.2, "objects_added": 0.3}
+@pytest.fixture(scope="module")
+def two_sessions(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The same poses over the place as built, and over it changed and leafless in the rain."""
+    changed = "leafoff-dusk-wet:oblique:map:cars_moved=0.4,objects_removed=0.2,objects_added=0.3"
     config = SimulateConfig.model_validate(
         {
-            "seed": 5, "area": 120, "size": 128, "spp": 1,
+            "seed": 5, "area": 120, "size": 160, "spp": 1, "frames": 2,
             "position_jitter_m": 0, "attitude_jitter_deg": 0,
-            "sessions": [
-                {"condition": "summer-noon", **flight},
-                {"condition": "leafoff-noon", "change": change, **flight},
-            ],
+            "sessions": ["summer-noon:oblique:map", changed],
         }
     )  # fmt: skip
-    simulate(config, tmp_path / "scene")
-    scene = Scene.open(tmp_path / "scene")
-    (before, as_built), (after, session) = scene.sessions.items()
-    declared = session.change
-    assert not any(as_built.change.model_dump().values())
-    gone = [*declared.removed, *(old for old, _ in declared.moved)]
-    new = [*declared.added, *(new for _, new in declared.moved)]
+    path = tmp_path_factory.mktemp("changed") / "scene"
+    simulate(config, path)
+    return Scene.open(path)
+
+
+def test_pixels_differ_only_where_the_manifest_declares_it(two_sessions: Scene) -> None:
+    """Every layer, bit for bit: whatever pixel differs shows an object of the change record."""
+    scene = two_sessions
     ids = [item.id for item in scene.objects.objects]
     assert len(set(ids)) == len(ids)
-    assert {*gone, *new, *declared.bare} <= set(ids)
-    assert np.array_equal(scene.frames(before).cam_from_world, scene.frames(after).cam_from_world)
-    seen = np.zeros(3, int)
+    seen = dict.fromkeys(("gone", "new", "bare"), 0)
+    (before, as_built), (after, session) = scene.sessions.items()
+    assert not any(as_built.change.model_dump().values())
+    declared = session.change
+    named = {
+        "gone": [*declared.removed, *(old for old, _ in declared.moved)],
+        "new": [*declared.added, *(new for _, new in declared.moved)],
+        "bare": [*declared.bare],
+    }
+    assert {number for part in named.values() for number in part} <= set(ids)
+    poses = [scene.frames(name).cam_from_world for name in (before, after)]
+    assert np.array_equal(*poses)
     with scene.dense(before) as a, scene.dense(after) as b:
-        for k in range(2):
+        for k in range(len(poses[0])):
             was, now = a.read("instance", k), b.read("instance", k)
-            parts = [np.isin(was, gone), np.isin(now, new), np.isin(was, declared.bare)]
-            told = parts[0] | parts[1] | parts[2] | np.isin(now, declared.bare)
-            assert np.array_equal(was[~told], now[~told])
-            assert np.array_equal(a.read("semantic", k)[~told], b.read("semantic", k)[~told])
-            apart = np.abs(a.read("depth", k) - b.read("depth", k))
-            assert apart[~told].max() < 1e-4
-            seen += [int((apart[part] > 0.3).sum()) for part in parts]
-            assert not np.isin(now, gone).any()
-            assert not np.isin(was, new).any()
-    assert (seen > 20).all()  # and what is declared is there to see
+            assert not np.isin(now, named["gone"]).any()
+            assert not np.isin(was, named["new"]).any()
+            shown = {
+                "gone": np.isin(was, named["gone"]),
+                "new": np.isin(now, named["new"]),
+                "bare": np.isin(was, named["bare"]) | np.isin(now, named["bare"]),
+            }
+            differs = was != now
+            for layer in ("depth", "semantic", "normal"):
+                unlike = a.read(layer, k) != b.read(layer, k)
+                differs |= unlike.any(-1) if unlike.ndim == 3 else unlike
+            assert not (differs & ~(shown["gone"] | shown["new"] | shown["bare"])).any()
+            apart = np.abs(a.read("depth", k) - b.read("depth", k)) > 0.3
+            for part, where in shown.items():
+                seen[part] += int((apart & where).sum())
+    assert min(seen.values()) > 20, seen  # and what is declared is there to see
+
+
+def test_what_is_declared_is_all_that_was_rendered_elsewhere(two_sessions: Scene) -> None:
+    """Depth lifted to the world: what is new stands in its own box of objects.json."""
+    scene = two_sessions
+    session = "leafoff-dusk-wet-oblique-map"
+    declared = scene.sessions[session].change
+    boxes = {item.id: item for item in scene.objects.objects}
+    frames = scene.frames(session)
+    checked = 0
+    with scene.dense(session) as dense:
+        for k, pose in enumerate(frames.cam_from_world):
+            instance, depth = dense.read("instance", k), dense.read("depth", k)
+            fx, fy, cx, cy = frames.cameras[k].params
+            rows, columns = np.nonzero(np.isin(instance, [new for _, new in declared.moved]))
+            z = depth[rows, columns]
+            seen = np.stack([(columns + 0.5 - cx) / fx * z, (rows + 0.5 - cy) / fy * z, z], -1)
+            world = (seen - pose[:3, 3]) @ pose[:3, :3]
+            for number in np.unique(instance[rows, columns]).tolist():
+                mine = world[instance[rows, columns] == number]
+                assert points_inside(mine, boxes[number]) == len(mine)
+                checked += 1
+    assert checked > 2
+
+
+def test_a_session_in_words_declares_its_change() -> None:
+    words = ["summer-noon:nadir", "snow-dusk:oblique:cars_moved=0.3,bare_trees=true",
+             "snow-noon:grid:query:objects_removed=0.1,seed=2"]  # fmt: skip
+    first, second, third = SimulateConfig.load(None, {"sessions": words}).sessions
+    assert (first.role, first.change) == ("map", Change())
+    assert (second.role, second.change) == ("query", Change(cars_moved=0.3, bare_trees=True))
+    assert (third.flight.kind, third.role) == ("grid", "query")
+    assert third.change == Change(objects_removed=0.1, seed=2)
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("cars_moved=2", "'sessions.1.change.cars_moved'"),
+        ("cars_gone=0.2", "unknown key 'sessions.1.change.cars_gone'"),
+        ("cars_moved=0.2,bare_trees", "a change is written share=value"),
+        ("cars_moved=much", "'sessions.1.change.cars_moved'"),
+    ],
+)
+def test_a_mistaken_change_is_refused(word: str, message: str) -> None:
+    words = ["summer-noon:nadir", f"snow-noon:nadir:{word}"]
+    with pytest.raises(InputError, match=message) as caught:
+        SimulateConfig.load(None, {"sessions": words})
+    assert "\n" not in str(caught.value)

@@ -16,10 +16,10 @@ import pytest
 
 from scene.bundle import Scene
 from scene.errors import InputError
-from scene.frames import LAYERS
+from scene.frames import LAYERS, Frames
 from scene.geodesy import geodetic_from_enu
 from scene.images import read_exif, read_rgb
-from simulate.command import _finished, simulate
+from simulate.command import _finished, _frames, lasting_noise, simulate
 from simulate.config import SimulateConfig
 from simulate.render.disk import bytes_needed
 from simulate.render.libraries import PACKAGES, require_libraries
@@ -65,7 +65,8 @@ def test_photographs_carry_what_a_drone_writes(rendered: Scene) -> None:
         assert np.allclose(exif.position, expected, atol=[1e-7, 1e-7, 1e-3])
         assert exif.time is not None
         assert exif.time.timestamp() == pytest.approx(frames.time[k], abs=1)
-        assert exif.focal_35mm == round(36 * frames.cameras[k].focal[0] / frames.cameras[k].width)
+        camera = frames.cameras[k]
+        assert exif.focal_35mm == pytest.approx(36 * camera.focal[0] / camera.width, rel=1e-4)
         assert read_rgb(rendered.images_root / name, frames.cameras[k]).std() > 10
 
 
@@ -272,3 +273,34 @@ def test_missing_libraries_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PACKAGES, "libnowhere.so.9", "libnowhere9")
     with pytest.raises(InputError, match="sudo apt-get install -y libnowhere9"):
         require_libraries()
+
+
+def test_lasting_noise_is_what_it_says() -> None:
+    """Of unit variance from its first to its last row, and correlated as asked."""
+    rng = np.random.default_rng(0)
+    noise = np.stack([lasting_noise(40, 0.9, rng) for _ in range(4000)])
+    assert np.abs(noise.std(0) - 1).max() < 0.06
+    assert (noise[:, 10] * noise[:, 11]).mean() == pytest.approx(0.9, abs=0.03)
+    assert (noise[:, 10] * noise[:, 20]).mean() == pytest.approx(0.9**10, abs=0.04)
+
+
+def test_priors_state_all_their_noise() -> None:
+    """White noise alone is drawn as without drift; with it, the error of a flight lasts."""
+    poses = np.tile(np.eye(4), (400, 1, 1))
+    base = {"gps_sigma_m": [1, 1, 2], "attitude_sigma_deg": 0.5}
+    drift = {"gps_drift_m": [3, 3, 4], "attitude_drift_deg": 1.2, "drift_s": 1e6}
+
+    def frames(values: dict[str, object]) -> Frames:
+        config = SimulateConfig.load(None, values)
+        rng = np.random.default_rng(4)
+        return _frames("x", poses, config.photo_camera(), config.sessions[0], config, rng)
+
+    white, lasting = frames(base), frames({**base, **drift})
+    assert white.gps_sigma[0].tolist() == [1, 1, 2]
+    assert lasting.gps_sigma[0] == pytest.approx([10**0.5, 10**0.5, 20**0.5])
+    assert lasting.attitude_sigma_deg[0] == pytest.approx(1.3)
+    moved = lasting.gps_prior - white.gps_prior
+    assert np.abs(moved.mean(0)).max() > 1
+    assert (moved.std(0) < 0.3).all()
+    turned = np.abs((white.attitude_prior * lasting.attitude_prior).sum(-1)).min()
+    assert turned < np.cos(np.radians(0.1))

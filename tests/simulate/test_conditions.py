@@ -6,17 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from scene.errors import InputError
 from scene.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
 from simulate.flight.flights import plan_oblique
-from simulate.gallery import main
 from simulate.look import ground
 from simulate.look.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
 from simulate.look.sun import sun_position
+from simulate.place.change import Change
 from simulate.place.town import build_town
 from simulate.place.world import CLASSES
 from simulate.render.job import RenderJob, frame_path
@@ -99,41 +98,53 @@ SEED, AREA = 5, 120.0
 CAMERA = PinholeCamera(width=96, height=72, f=80.0, cx=48.0, cy=36.0)
 
 
-def shoot(name: str, folder: Path) -> dict[str, np.ndarray]:
+def shoot(name: str, folder: Path, bare: bool = False) -> dict[str, np.ndarray]:
     height = build_town(SEED, AREA).terrain.height
     rng = np.random.default_rng(0)
     pose = plan_oblique(height, radius_m=50.0, altitude_m=45.0, frames=1, rng=rng)[0]
     job = RenderJob(
-        seed=SEED, area_m=AREA, condition=name, camera=CAMERA, samples=1, poses={0: pose.tolist()}
-    )
+        seed=SEED, area_m=AREA, condition=name, change=Change(bare_trees=bare),
+        camera=CAMERA, samples=1, poses={0: pose.tolist()},
+    )  # fmt: skip
     render(job, folder)
     with np.load(frame_path(folder, 0)) as arrays:
         return dict(arrays)
 
 
+def same_geometry(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+    return all(np.array_equal(a[layer], b[layer]) for layer in a.keys() - {"rgb"})
+
+
 def test_season_light_and_weather_move_nothing(tmp_path: Path) -> None:
-    names = ("summer-noon", "autumn-morning-fog", "snow-dusk-wet")
-    summer, fog, snow = (shoot(name, tmp_path / name) for name in names)
-    for other in (fog, snow):
-        for layer in ("depth", "instance", "semantic"):
-            assert np.array_equal(summer[layer], other[layer]), layer
-        assert np.abs(summer["rgb"].astype(int) - other["rgb"]).mean() > 15
+    """Every season, every light and every weather once, bit for bit."""
+    seasons = [name for name, season in SEASONS.items() if not season.bare]
+    size = max(len(seasons), len(LIGHTS), len(WEATHER))
+    names = ["-".join(list(part)[k % len(part)] for part in (seasons, LIGHTS, WEATHER))
+             for k in range(size)]  # fmt: skip
+    shots = {name: shoot(name, tmp_path / name) for name in names}
+    first = shots[names[0]]
+    for name in names[1:]:
+        assert same_geometry(first, shots[name]), name
+        assert np.abs(first["rgb"].astype(int) - shots[name]["rgb"]).mean() > 8, name
     # Fog takes contrast, more of it farther away.
-    near = (summer["depth"] > 0) & (summer["depth"] < 60)
-    far = summer["depth"] > 90
-    contrast = [np.abs(np.diff(c["rgb"].astype(float), axis=0, append=0)) for c in (summer, fog)]
+    fog = next(shot for name, shot in shots.items() if name.endswith("fog"))
+    near = (first["depth"] > 0) & (first["depth"] < 60)
+    far = first["depth"] > 90
+    contrast = [np.abs(np.diff(c["rgb"].astype(float), axis=0, append=0)) for c in (first, fog)]
     kept = [contrast[1][part].mean() / contrast[0][part].mean() for part in (near, far)]
     assert kept[1] < 0.8 * kept[0] < 0.8
 
 
-def test_gallery(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = tmp_path / "config.yaml"
-    config.write_text("{seed: 5, area: 120, size: 64, spp: 1}")
-    out = tmp_path / "pictures" / "conditions.png"
-    where = ["--config", str(config), "--out", str(out)]
-    assert main([*where, "summer-noon", "summer-moon"]) == 2
-    assert "choose one of morning" in capsys.readouterr().err
-    assert main([*where, "summer-noon", "winter-dusk"]) == 0
-    with Image.open(out) as picture:
-        assert picture.size[0] > picture.size[1] > 200
-        assert np.asarray(picture.convert("RGB")).std() > 30
+@pytest.mark.slow
+def test_no_season_light_and_weather_together_move_anything(tmp_path: Path) -> None:
+    """Conditions that hold every pair of parts: those that declare nothing show one geometry, those
+    that declare bare trees another."""
+    shown: dict[bool, dict[str, np.ndarray]] = {}
+    weather = list(WEATHER)
+    for k, season in enumerate(SEASONS):
+        for i, light in enumerate(LIGHTS):
+            name = f"{season}-{light}-{weather[(k + i) % len(weather)]}"
+            bare = condition(name).bare
+            shot = shoot(name, tmp_path / name, bare)
+            assert same_geometry(shown.setdefault(bare, shot), shot), name
+    assert not same_geometry(shown[False], shown[True])

@@ -20,6 +20,7 @@ from simulate.place.town import build_town
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from tests.scene.made_cameras import CAMERAS
+from tests.simulate.blender_says import check_rays, dot_errors
 
 SEED, AREA = 5, 120.0
 # Off-centre, not square, and with unequal focal lengths, so that a mistaken axis shows.
@@ -71,7 +72,7 @@ def test_depth_is_exact_at_edges_and_on_planes(name: str) -> None:
         asked.append(len(rays))
         return box(rays) if number == 7 else ground(rays)
 
-    out = resample(layers, xy, rays, cast)
+    out = resample(layers, xy, rays, cast, {})
     truth, objects = surface(rays)
     assert np.array_equal(out["instance"], objects)
     assert np.array_equal(out["normal"][..., 0], objects)
@@ -95,7 +96,7 @@ def test_colours_are_taken_from_where_they_are() -> None:
         "normal": np.zeros((60, 80, 3), np.int8),
     }
     xy = np.stack(np.meshgrid(np.linspace(4, 75, 50), np.linspace(4, 55, 40)), -1)
-    out = resample(layers, xy, 0 * xy, lambda number, rays: np.zeros(len(rays)))
+    out = resample(layers, xy, 0 * xy, lambda number, rays: np.zeros(len(rays)), {})
     assert np.abs(out["rgb"][..., 1] - pattern(xy[..., 0], xy[..., 1])).max() < 2
 
 
@@ -117,7 +118,7 @@ def test_the_pinhole_covers_the_view_as_finely(name: str) -> None:
 
 @pytest.fixture(scope="module", params=LENSES)
 def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory):
-    """A camera, poses, and its frames."""
+    """A camera, its job, poses, and its frames."""
     camera = LENSES[request.param]
     town = build_town(SEED, AREA)
     rng = np.random.default_rng(0)
@@ -138,11 +139,32 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     for i in range(len(poses)):
         with np.load(frame_path(out, i)) as arrays:
             frames.append(dict(arrays))
-    return camera, poses, frames
+    return camera, job, poses, frames
+
+
+def test_depth_is_what_rays_through_the_lens_meet(flown, tmp_path: Path) -> None:
+    _, job, _, frames = flown
+    check_rays(job, frames, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera("PINHOLE", 128, 96, (100, 100, 61.5, 50.25)),
+        Camera("PINHOLE", 128, 96, (100, 102, 61.5, 50.25)),
+        *LENSES.values(),
+    ],
+    ids=["pinhole", "resampled", *LENSES],
+)
+def test_known_points_appear_where_they_are_projected(camera: Camera, tmp_path: Path) -> None:
+    length = np.linalg.norm(dot_errors(camera, tmp_path), axis=-1)
+    print(f"{len(length)} points: median {np.median(length):.4f} px, most {length.max():.4f} px")
+    assert len(length) == 30
+    assert length.max() < 0.02
 
 
 def test_frames_agree_through_the_lens(flown) -> None:
-    camera, poses, frames = flown
+    camera, _, poses, frames = flown
     check = check_depth(
         "lens",
         DepthFrames(
@@ -157,7 +179,7 @@ def test_frames_agree_through_the_lens(flown) -> None:
 
 
 def test_ground_and_objects_are_where_they_stand(flown) -> None:
-    camera, poses, frames = flown
+    camera, _, poses, frames = flown
     town = build_town(SEED, AREA)
     by_id = {o.id: o for o in town.objects}
     for pose, arrays in zip(poses, frames, strict=True):

@@ -20,6 +20,7 @@ from simulate.place.town import build_town
 from simulate.place.world import CLASSES, MAX_OBJECT_ID, class_lookup
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
+from tests.simulate.blender_says import check_rays
 
 SEED, AREA = 5, 120.0
 # Off-centre and not square, so that a mistaken principal point or axis shows.
@@ -88,22 +89,8 @@ def test_a_frame_holds_what_is_promised(summer):
 
 def test_depth_is_what_rays_meet(summer, tmp_path):
     """Against Blender's own ray casts through pixel centres, edges of objects included."""
-    path, out = tmp_path / "job.json", tmp_path / "rays.npz"
-    path.write_text(job("summer-noon").model_dump_json())
-    root = Path(__file__).parents[2]
-    words = [sys.executable, "-m", "tests.simulate.cast_rays", str(path), str(out)]
-    subprocess.run(words, check=True, cwd=root, stdout=subprocess.DEVNULL)
-    rays = np.load(out)
-    for frame in range(3):
-        arrays = load(summer, frame)
-        at = rays["rows"][frame], rays["columns"][frame]
-        error = np.abs(arrays["depth"][at] - rays["depth"][frame])
-        assert len(error) == 1000
-        median, most = 1e3 * np.percentile(error, [50, 99])
-        print(f"frame {frame}: median {median:.4f} mm, 99th percentile {most:.4f} mm")
-        assert np.median(error) < 1e-4
-        assert np.percentile(error, 99) < 1e-3
-        assert np.array_equal(arrays["instance"][at], rays["instance"][frame])
+    frames = [load(summer, frame) for frame in range(3)]
+    check_rays(job("summer-noon"), frames, tmp_path)
 
 
 def pavement_rise(town, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

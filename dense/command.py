@@ -1,0 +1,280 @@
+"""Depth maps and a dense cloud for the photographs of a scene's map."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+import time
+import zlib
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dense.consistency import agreeing
+from dense.patchmatch import consistent_estimate, first_estimate
+from dense.pictures import draw_cloud, draw_maps
+from dense.planes import normals_of, planes_of
+from dense.report import DenseReport, read_truth, report
+from dense.sources import choose_sources, seeds_in
+from dense.undistort import pinhole_of, undistorted_map, write_undistorted
+from dense.warp import View
+from dense.workspace import Stage, Workspace
+from scene.bundle import Scene, finish
+from scene.camera import Camera
+from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
+from scene.errors import InputError
+from scene.files import folder_written_whole, read_text, remove_partial, write_text
+from scene.images import read_rgb
+from scene.progress import progress_bar
+from scene.sparse_map import SparseMap
+
+DENSE = "dense"
+UNFINISHED = ".dense"
+KEY = "dense.json"
+Stereo = Literal["own", "colmap"]
+
+# A depth is kept when so many sources confirm it, and a point of the cloud when so many maps do.
+_CONFIRMED = 2
+_FUSED = 3
+# Depth maps of the picture for people.
+_SHOWN = 3
+# Seconds are told for a map of so many pixels.
+_UNIT = 512 * 512
+# Photographs and maps in memory at once.
+_CACHED = 64
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32) / 255
+
+logger = logging.getLogger(__name__)
+
+
+def dense(
+    path: Path, *, size: int = 1024, sources: int = 6, stereo: Stereo = "own", seed: int = 0
+) -> DenseReport:
+    """Estimate a depth map for every photograph of the map, fuse them, and measure the result.
+
+    Writes ``dense/`` into the scene, in the layout of COLMAP's workspaces. It grows in a hidden
+    folder, map by map; an interrupted run goes on with the next map, to the same bytes.
+
+    Args:
+        path: of a finished scene with its map.
+        size: longest side of the depth maps, pixels; photographs are never enlarged.
+        sources: photographs that each is matched with, at most.
+        stereo: our own PatchMatch, or COLMAP's where pycolmap has CUDA.
+        seed: of every random choice; the same seed makes the same files.
+
+    Returns:
+        Its figures, against the truth where the scene has depth.
+
+    Raises:
+        InputError: not a finished scene, no map, no photograph with enough others that see the
+            same, a damaged photograph, or a folder that cannot be written.
+    """
+    scene = Scene.open(path)
+    sparse_map = scene.sparse_map()
+    cameras = {i.camera: pinhole_of(i.camera, size) for i in sparse_map.images.values()}
+    pinhole_map = undistorted_map(sparse_map, cameras)
+    pairs = _choose_all(pinhole_map, sources)
+    if not pairs:
+        raise InputError(
+            f"no photograph of the map of {path} has {_CONFIRMED} others that see enough of the "
+            "same: fly with more overlap"
+        )
+    skipped = sorted(set(sparse_map.names) - set(pairs))
+    if skipped:
+        logger.warning(
+            "%d of %d photographs share too little with others for a depth map, as %s",
+            len(skipped), len(sparse_map.names), skipped[0],
+        )  # fmt: skip
+    key = {"map": sparse_map.sha256, "size": size, "sources": sources, "stereo": stereo,
+           "seed": seed}  # fmt: skip
+    workspace = _open_workspace(scene, key)
+    _write_photographs(scene, sparse_map, cameras, workspace)
+    _write_model(pinhole_map, workspace)
+    workspace.write_lists(pairs)
+    maps = _Maps(pinhole_map, workspace, pairs, seed)
+    began = time.process_time()
+    if stereo == "own":
+        pixels = maps.make()
+    else:
+        patch_match_stereo(workspace.path)
+        pixels = 0
+    seconds = (time.process_time() - began) / pixels * _UNIT if pixels else None
+    for name in pairs:  # COLMAP would end the process where we say what is damaged
+        workspace.depth(name, "geometric")
+        workspace.normals(name, "geometric")
+    xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, _FUSED)
+    truth = read_truth(scene, pinhole_map)
+    shown = [tuple(pairs)[k] for k in np.linspace(0, len(pairs) - 1, _SHOWN + 2).astype(int)[1:-1]]
+    confirmations = {name: maps.confirmations(name) for name in shown}
+    draw_maps(workspace, shown, confirmations, truth, path / "pictures" / "dense-maps.png")
+    draw_cloud(xyz, rgb, path / "pictures" / "dense-cloud.png")
+    result = report(scene, pinhole_map, workspace, tuple(pairs), len(xyz), seconds, truth)
+    _finish(scene, workspace)
+    return result
+
+
+def _choose_all(sparse_map: SparseMap, count: int) -> dict[str, list[str]]:
+    """Sources of every photograph that has enough of them."""
+    pairs = {}
+    for name in sparse_map.names:
+        seeds = seeds_in(sparse_map, name)
+        chosen = choose_sources(sparse_map, name, seeds, count) if len(seeds) else []
+        if len(chosen) >= _CONFIRMED:
+            pairs[name] = chosen
+    # A source must have a map, and so sources, of its own.
+    while True:
+        kept = {name: [o for o in chosen if o in pairs] for name, chosen in pairs.items()}
+        kept = {name: chosen for name, chosen in kept.items() if len(chosen) >= _CONFIRMED}
+        if kept == pairs:
+            return pairs
+        pairs = kept
+
+
+def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
+    """The unfinished folder: what an earlier run with the same key left, or an empty one."""
+    unfinished, whole = scene.path / UNFINISHED, scene.path / DENSE
+    wanted = json.dumps(key, indent=1) + "\n"
+
+    def holds(folder: Path) -> bool:
+        return (folder / KEY).is_file() and read_text(folder / KEY, "dense key") == wanted
+
+    try:
+        if not holds(unfinished):
+            shutil.rmtree(unfinished, ignore_errors=True)
+            if holds(whole):
+                whole.replace(unfinished)
+        remove_partial(unfinished)
+    except OSError as error:
+        raise InputError(f"cannot write {scene.path}: {error.strerror or error}") from None
+    write_text(unfinished / KEY, wanted)
+    return Workspace(unfinished)
+
+
+def _finish(scene: Scene, workspace: Workspace) -> None:
+    """Put the finished folder in its place, and into the scene's manifest."""
+    whole = scene.path / DENSE
+    try:
+        if whole.exists():
+            shutil.rmtree(whole)
+        workspace.path.replace(whole)
+    except OSError as error:
+        raise InputError(f"cannot write {whole}: {error.strerror or error}") from None
+    finish(scene.path, scene.manifest)
+
+
+def _write_photographs(
+    scene: Scene,
+    sparse_map: SparseMap,
+    cameras: Mapping[Camera, Camera],
+    workspace: Workspace,
+) -> None:
+    with progress_bar("undistorted photographs", len(sparse_map.names)) as advance:
+        for done, name in enumerate(sparse_map.names, 1):
+            camera, out = sparse_map.images[name].camera, workspace.images / name
+            if not out.is_file():
+                write_undistorted(scene.images_root / name, camera, cameras[camera], out)
+            advance(done)
+
+
+def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
+    images = [sparse_map.images[name] for name in sparse_map.names]
+    posed = [PosedImage(image.name, image.camera, image.cam_from_world) for image in images]
+    with folder_written_whole(workspace.sparse) as folder:
+        write_posed(posed, sparse_map, folder)
+
+
+class _Maps:
+    """Makes the depth maps of a workspace that are not there yet."""
+
+    def __init__(
+        self, sparse_map: SparseMap, workspace: Workspace, pairs: dict[str, list[str]], seed: int
+    ) -> None:
+        self._map = sparse_map
+        self._workspace = workspace
+        self._pairs = pairs
+        self._seed = seed
+        self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.view = lru_cache(_CACHED)(self._read_view)
+        self.first = lru_cache(_CACHED)(self._read_first)
+
+    @torch.inference_mode()
+    def make(self) -> int:
+        """Make all; first every one alone, then each against its sources.
+
+        Returns:
+            Pixels of the maps made, both kinds together counting as one.
+        """
+        todo: list[tuple[Stage, str]] = [
+            (stage, name)
+            for stage in ("photometric", "geometric")
+            for name in self._pairs
+            if not self._workspace.has(name, stage)
+        ]
+        finished = 2 * len(self._pairs) - len(todo)
+        pixels = 0
+        with progress_bar("depth maps", 2 * len(self._pairs)) as advance:
+            for stage, name in todo:
+                advance(finished)
+                planes, depth = self._first(name) if stage == "photometric" else self._last(name)
+                normals = normals_of(planes, self.view(name).camera)
+                self._workspace.write(name, stage, depth.cpu().numpy(), normals.cpu().numpy())
+                finished += 1
+                pixels += depth.numel()
+            advance(finished)
+        return pixels // 2
+
+    @torch.inference_mode()
+    def confirmations(self, name: str) -> NDArray[np.int64]:
+        """How many sources confirm each pixel of a finished map, (H, W)."""
+        depth = torch.from_numpy(self._workspace.depth(name, "geometric")).to(self._device)
+        inverse = torch.where(depth > 0, 1 / depth, 0)
+        return self._confirmations(name, inverse).cpu().numpy()
+
+    def _confirmations(self, name: str, inverse: Tensor) -> Tensor:
+        others = self._pairs[name]
+        return agreeing(
+            self.view(name),
+            [self.view(other) for other in others],
+            inverse,
+            [self.first(other)[0] for other in others],
+        )
+
+    def _first(self, name: str) -> tuple[Tensor, Tensor]:
+        sources = [self.view(other) for other in self._pairs[name]]
+        seeds = seeds_in(self._map, name)
+        planes, _ = first_estimate(self.view(name), sources, seeds, self._generator(name))
+        return planes, 1 / planes[0]
+
+    def _last(self, name: str) -> tuple[Tensor, Tensor]:
+        others = self._pairs[name]
+        planes, _ = consistent_estimate(
+            self.view(name),
+            [self.view(other) for other in others],
+            self.first(name),
+            [self.first(other)[0] for other in others],
+            self._generator(name),
+        )
+        confirmed = self._confirmations(name, planes[0]) >= _CONFIRMED
+        return planes, torch.where(confirmed, 1 / planes[0], 0)
+
+    def _generator(self, name: str) -> torch.Generator:
+        """Of the photograph's own, so that the order in which maps are made does not matter."""
+        return torch.Generator().manual_seed(zlib.crc32(f"{self._seed} {name}".encode()))
+
+    def _read_view(self, name: str) -> View:
+        image = self._map.images[name]
+        rgb = read_rgb(self._workspace.images / name, image.camera)
+        grey = torch.from_numpy(rgb.astype(np.float32) @ _LUMA)
+        return View(grey.to(self._device), image.camera, image.cam_from_world)
+
+    def _read_first(self, name: str) -> Tensor:
+        depth = torch.from_numpy(self._workspace.depth(name, "photometric")).to(self._device)
+        normals = torch.from_numpy(self._workspace.normals(name, "photometric")).to(self._device)
+        return planes_of(depth, normals, self._map.images[name].camera)

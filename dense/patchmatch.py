@@ -1,0 +1,250 @@
+"""PatchMatch stereo of one view: planes spread from pixel to pixel and are refined at random.
+
+Red and black pixels of a checkerboard take turns, so that all of one colour are done at once
+(Galliani et al., Gipuma, ICCV 2015); a pixel asks the best of several neighbours in each of four
+regions (after Xu and Tao, ACMH, CVPR 2019). Coarse to fine: the first planes are found in a small
+picture, from the points of the sparse map and from chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import interpolate, pad
+
+from dense.photometry import Photometry, Window
+from dense.planes import moved, planes_through, resized
+from dense.warp import View
+
+# The first planes are sought in a picture whose long side has at most so many pixels.
+_COARSEST = 160
+_FIRST_ROUNDS = 4
+_ROUNDS = 1
+# Pixels done at once: their windows stay in the processor's cache.
+_CHUNK = 16384
+# A first guess by chance is a slope of up to so many pixels of disparity per pixel.
+_STEEPEST = 0.5
+# Random steps, in pixels of disparity, and of the slope, in pixels per pixel; halved each round.
+_STEP_PX = 1.0
+_STEP_SLOPE = 0.2
+# Inverse depths by chance lie this much (relative) beyond those of the map's points.
+_MARGIN = 0.2
+
+
+def _regions() -> tuple[tuple[tuple[int, int], ...], ...]:
+    """Neighbours (dx, dy) of the other colour to each of four sides: a wedge and a line."""
+    side = [(0, -1), (-1, -2), (1, -2), (-2, -3), (2, -3), (0, -3), (0, -5), (0, -7)]
+    regions = []
+    for _ in range(4):
+        regions.append(tuple(side))
+        side = [(-y, x) for x, y in side]
+    return tuple(regions)
+
+
+_REGIONS = _regions()
+_REACH = max(max(abs(x), abs(y)) for region in _REGIONS for x, y in region)
+
+
+class Estimate(NamedTuple):
+    """Planes (3, H, W) of every pixel and their cost (H, W)."""
+
+    planes: Tensor
+    cost: Tensor
+
+
+def first_estimate(
+    reference: View, sources: Sequence[View], seeds: NDArray[np.float64], generator: torch.Generator
+) -> Estimate:
+    """Planes from photographs alone.
+
+    Args:
+        reference: the view whose planes are sought.
+        sources: other views of the same surface.
+        seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of map points in the reference.
+        generator: of every random choice.
+    """
+    shrink = [1]
+    while max(reference.grey.shape) / shrink[-1] > _COARSEST:
+        shrink.append(2 * shrink[-1])
+    planes = None
+    for factor in reversed(shrink):
+        here, others = _shrunk(reference, factor), [_shrunk(view, factor) for view in sources]
+        height, width = here.grey.shape
+        if planes is None:
+            scale = np.array([width, height]) / reference.grey.shape[::-1]
+            guesses = planes_through(seeds * [*scale, 1.0], height, width)
+            search = _Search(here, others, guesses[0][0], None, generator)
+            estimate = search.begin([guess.to(here.grey.device) for guess in guesses])
+            rounds, step = _FIRST_ROUNDS, 4.0
+        else:
+            planes = resized(planes, height, width)
+            search = _Search(here, others, planes[0], None, generator)
+            estimate = search.evaluate(planes)
+            rounds, step = _ROUNDS, 1.0
+        estimate = search.run(estimate, rounds, step)
+        planes = estimate.planes
+    return estimate
+
+
+def consistent_estimate(
+    reference: View,
+    sources: Sequence[View],
+    planes: Tensor,
+    inverse_depths: Sequence[Tensor],
+    generator: torch.Generator,
+) -> Estimate:
+    """Planes refined against the first estimates of the sources.
+
+    Args:
+        reference: the view whose planes are sought.
+        sources: other views of the same surface.
+        planes: (3, H, W) first estimate of the reference.
+        inverse_depths: (H, W) first estimates of the sources.
+        generator: of every random choice.
+    """
+    search = _Search(reference, sources, planes[0], inverse_depths, generator)
+    return search.run(search.evaluate(planes), _ROUNDS, 0.5)
+
+
+def _shrunk(view: View, factor: int) -> View:
+    if factor == 1:
+        return view
+    height, width = (max(1, side // factor) for side in view.grey.shape)
+    grey = interpolate(view.grey[None, None], (height, width), mode="area")[0, 0]
+    return View(grey, view.camera.resized(width, height), view.cam_from_world)
+
+
+class _Search:
+    """The search in one picture of one size."""
+
+    def __init__(
+        self,
+        reference: View,
+        sources: Sequence[View],
+        expected: Tensor,
+        inverse_depths: Sequence[Tensor] | None,
+        generator: torch.Generator,
+    ) -> None:
+        self._photometry = Photometry(reference, sources, expected, inverse_depths)
+        self._generator = generator
+        self._device = reference.grey.device
+        self._shape = reference.grey.shape
+        centres = [np.linalg.inv(v.cam_from_world)[:3, 3] for v in (reference, *sources)]
+        baseline = float(np.median([np.linalg.norm(c - centres[0]) for c in centres[1:]]))
+        # Inverse depth of one pixel of disparity.
+        self._pixel = 1 / (reference.camera.focal[0] * baseline)
+        height, width = self._shape
+        rows, columns = torch.meshgrid(
+            torch.arange(height, device=self._device),
+            torch.arange(width, device=self._device),
+            indexing="ij",
+        )
+        self._colours = [
+            torch.stack([rows[chosen], columns[chosen]])
+            for chosen in ((rows + columns) % 2 == 0, (rows + columns) % 2 == 1)
+        ]
+
+    def begin(self, seeded: Sequence[Tensor]) -> Estimate:
+        """The best of four guesses per pixel: planes (3, H, W) from the seeds, and from chance."""
+        nearest = seeded[-1][0]
+        low, high = float(nearest.min()) * (1 - _MARGIN), float(nearest.max()) * (1 + _MARGIN)
+        random = []
+        for _ in range(2):
+            w = low + (high - low) * self._uniform(1)
+            slope = (2 * self._uniform(2) - 1) * (_STEEPEST * self._pixel)
+            random.append(torch.cat([w, slope]))
+        tried = []
+        for guess in (*seeded, *random):
+            guess[0].clamp_(low, high)
+            tried.append(self.evaluate(guess))
+        cost, which = torch.stack([estimate.cost for estimate in tried]).min(0)
+        planes = torch.stack([estimate.planes for estimate in tried])
+        return Estimate(planes.gather(0, which.expand(1, 3, -1, -1))[0], cost)
+
+    def evaluate(self, planes: Tensor) -> Estimate:
+        """The cost of one plane per pixel."""
+        cost = torch.empty(self._shape, device=self._device)
+        for colour in self._colours:
+            for rows, columns in _chunks(colour):
+                window = self._photometry.window(rows, columns)
+                cost[rows, columns] = self._photometry.cost(window, planes[:, rows, columns])
+        return Estimate(planes.clone(), cost)
+
+    def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
+        """Spread and refine, ``rounds`` times over both colours."""
+        for k in range(rounds):
+            for colour in self._colours:
+                noise = [self._normal() for _ in range(2)]
+                # Neighbours are of the other colour, so the order of the chunks does not matter.
+                cost = pad(estimate.cost, (_REACH,) * 4, value=torch.inf)
+                for rows, columns in _chunks(colour):
+                    window = self._photometry.window(rows, columns)
+                    best = _Best(
+                        self._photometry,
+                        window,
+                        estimate.planes[:, rows, columns],
+                        estimate.cost[rows, columns],
+                    )
+                    for region in _REGIONS:
+                        best.offer(_from_neighbour(estimate.planes, cost, region, rows, columns))
+                    scale = step * 0.5**k * self._pixel
+                    for drawn in noise:
+                        random = drawn[:, rows, columns] * scale
+                        w, gx, gy = best.planes
+                        best.offer(torch.stack([w + _STEP_PX * random[0], gx, gy]))
+                        w, gx, gy = best.planes
+                        sx, sy = _STEP_SLOPE * random[1:]
+                        best.offer(torch.stack([w, gx + sx, gy + sy]))
+                    estimate.planes[:, rows, columns] = best.planes
+                    estimate.cost[rows, columns] = best.cost
+        return estimate
+
+    def _uniform(self, channels: int) -> Tensor:
+        return torch.rand(channels, *self._shape, generator=self._generator).to(self._device)
+
+    def _normal(self) -> Tensor:
+        return torch.randn(3, *self._shape, generator=self._generator).to(self._device)
+
+
+class _Best:
+    """The best plane so far at each pixel of a window."""
+
+    def __init__(self, photometry: Photometry, window: Window, planes: Tensor, cost: Tensor):
+        self._photometry = photometry
+        self._window = window
+        self.planes = planes
+        self.cost = cost
+
+    def offer(self, planes: Tensor) -> None:
+        cost = self._photometry.cost(self._window, planes)
+        better = (cost < self.cost) & (planes[0] > 0)
+        self.planes = torch.where(better, planes, self.planes)
+        self.cost = torch.where(better, cost, self.cost)
+
+
+def _from_neighbour(
+    planes: Tensor,
+    cost: Tensor,
+    region: Sequence[tuple[int, int]],
+    rows: Tensor,
+    columns: Tensor,
+) -> Tensor:
+    """The plane of the cheapest neighbour in a region, carried to each pixel (n,)."""
+    dx, dy = torch.tensor(region, device=rows.device).T[..., None]
+    costs = cost[rows + dy + _REACH, columns + dx + _REACH]
+    which = costs.argmin(0)
+    # A neighbour outside the picture wins only among its like: the pixel's own plane is as good.
+    inside = torch.isfinite(costs.gather(0, which[None])[0])
+    dx, dy = (torch.where(inside, d[which, 0], 0) for d in (dx, dy))
+    return moved(planes[:, rows + dy, columns + dx], -dx, -dy)
+
+
+def _chunks(colour: Tensor) -> Sequence[tuple[Tensor, Tensor]]:
+    rows, columns = colour
+    starts = range(0, len(rows), _CHUNK)
+    return [(rows[k : k + _CHUNK], columns[k : k + _CHUNK]) for k in starts]

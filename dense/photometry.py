@@ -1,0 +1,143 @@
+"""How well a plane carries the window around a pixel over into the other views.
+
+Bilaterally weighted normalised cross-correlation, as Gipuma and COLMAP measure it: the cost is
+1 - NCC, 0 where two windows are equal up to gain and offset. Within its small window the warp is
+taken for affine, so that one division serves all samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample, pad
+
+from dense.warp import View, Warp, round_trip
+
+WORST = 2.0
+"""Cost of the opposite picture, and of a view that does not see the plane at all."""
+
+# Every second pixel of a window of 9 x 9.
+_STEPS = (-4, -2, 0, 2, 4)
+_SIGMA_PX = 4.0
+_SIGMA_GREY = 0.1
+# Variance (of grey in 0..1) that is only noise: windows without texture match nothing.
+_NOISE = 1e-5
+# A view whose own map sends the pixel back elsewhere costs so much more per pixel, up to a limit.
+_GEOMETRIC_WEIGHT = 0.2
+_GEOMETRIC_LIMIT_PX = 3.0
+
+
+class Window(NamedTuple):
+    """Samples around each of n pixels of the reference view, S per pixel.
+
+    Attributes:
+        rows: (n,) of the pixel.
+        columns: (n,) of the pixel.
+        weights: (S, n), of sum one.
+        correlator: (S, n); times another window and summed, their covariance in units of this
+            one's standard deviation.
+    """
+
+    rows: Tensor
+    columns: Tensor
+    weights: Tensor
+    correlator: Tensor
+
+
+class Photometry:
+    """Costs of planes at pixels of one reference view against all its sources.
+
+    Args:
+        reference: the view whose planes are sought.
+        sources: the others.
+        expected: (H, W) inverse depths that say which sources have each pixel in their picture; a
+            plane that flees from one of them costs, and one outside all along does not count.
+        inverse_depths: of the sources, (H, W), 0 where unknown; with them a plane costs more where
+            a source's own map contradicts it.
+    """
+
+    def __init__(
+        self,
+        reference: View,
+        sources: Sequence[View],
+        expected: Tensor,
+        inverse_depths: Sequence[Tensor] | None = None,
+    ) -> None:
+        self._grey = reference.grey
+        self._sources = [source.grey[None, None] for source in sources]
+        self._there = [Warp.between(reference, source) for source in sources]
+        self._back = [Warp.between(source, reference) for source in sources]
+        self._inverse_depths = inverse_depths
+        grid = reference.camera.pixel_grid(torch.float32).to(reference.grey.device)
+        x, y = grid.unbind(-1)
+        self._seen = torch.stack([warp(x, y, expected).seen for warp in self._there])
+        count = self._seen.sum(0)
+        # An occluded view is outvoted: the better half counts, but two where there are two.
+        self._best = torch.maximum((count + 1) // 2, count.clamp_max(2))
+        reach, device = _STEPS[-1], reference.grey.device
+        self._padded = pad(reference.grey[None, None], (reach,) * 4, mode="replicate")[0, 0]
+        self._steps = torch.tensor(_STEPS, dtype=torch.float32, device=device)
+        dy, dx = torch.meshgrid(self._steps, self._steps, indexing="ij")
+        offsets = (dy + reach) * self._padded.shape[1] + dx + reach
+        self._offsets = offsets.reshape(-1, 1).long()
+        self._near = torch.exp(-(dx**2 + dy**2) / (2 * _SIGMA_PX**2)).reshape(-1, 1)
+
+    def window(self, rows: Tensor, columns: Tensor) -> Window:
+        """The windows around pixels (n,) of the reference."""
+        grey = self._padded.view(-1)[self._offsets + rows * self._padded.shape[1] + columns]
+        weights = self._near * torch.exp((grey - self._grey[rows, columns]).abs() / -_SIGMA_GREY)
+        weights = weights / weights.sum(0)
+        central = grey - (weights * grey).sum(0)
+        deviation = ((weights * central**2).sum(0) + _NOISE).sqrt()
+        return Window(rows, columns, weights, weights * central / deviation)
+
+    def cost(self, window: Window, planes: Tensor) -> Tensor:
+        """Cost of a plane at each pixel: mean over the better half of the sources that see it.
+
+        Args:
+            window: around n pixels.
+            planes: (3, n).
+        """
+        each = torch.stack([self._cost_in(k, window, planes) for k in range(len(self._sources))])
+        at = window.rows, window.columns
+        each = torch.where(self._seen[:, *at], each, torch.inf).sort(0).values
+        best = self._best[at]
+        counted = torch.arange(len(each), device=best.device)[:, None] < best
+        mean = torch.where(counted, each, 0).sum(0) / best.clamp_min(1)
+        return torch.where(best > 0, mean, WORST)
+
+    def _cost_in(self, k: int, window: Window, planes: Tensor) -> Tensor:
+        w, gx, gy = planes
+        warp = self._there[k]
+        x, y = window.columns + 0.5, window.rows + 0.5
+        at = warp(x, y, w)
+        ux, uy, vx, vy = warp.slopes(at, gx, gy)
+        # In grid_sample's units, in which -1 and 1 are the picture's edges.
+        side = len(_STEPS)
+        grid = torch.empty(side, side, len(w), 2, device=w.device)
+        step = self._steps[:, None]
+        for axis, (centre, along_x, along_y, size) in enumerate(
+            ((at.u, ux, uy, warp.width), (at.v, vx, vy, warp.height))
+        ):
+            columns = step * (along_x * (2 / size)) + (centre * (2 / size) - 1)
+            rows = step * (along_y * (2 / size))
+            torch.add(rows[:, None], columns[None], out=grid[..., axis])
+        # As a batch: torch spreads batches over the cores, single pictures it does not.
+        grey = grid_sample(
+            self._sources[k].expand(side, -1, -1, -1),
+            grid,
+            padding_mode="border",
+            align_corners=False,
+        ).view(side * side, -1)
+        weighted = window.weights * grey
+        mean = weighted.sum(0)
+        variance = weighted.mul_(grey).sum(0) - mean * mean
+        correlation = grey.mul_(window.correlator).sum(0) / (variance.clamp_min(0) + _NOISE).sqrt()
+        cost = 1 - correlation.clamp(-1, 1)
+        if self._inverse_depths is not None:
+            pixels, _ = round_trip(warp, self._back[k], self._inverse_depths[k], x, y, w)
+            cost = cost + _GEOMETRIC_WEIGHT * pixels.clamp_max(_GEOMETRIC_LIMIT_PX)
+        return torch.where(at.seen, cost, WORST)

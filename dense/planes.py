@@ -1,0 +1,102 @@
+"""Slanted planes as PatchMatch holds them: inverse depth at a pixel, and its slope.
+
+Over a plane the inverse depth is linear in the pixel, 1/z(x, y) = w + gx dx + gy dy. So a plane is
+three numbers (w in 1/m, gx and gy in 1/m per pixel), to move it to a neighbour is one product, and
+where it lands in another view is linear in it before the division. Any such plane with w > 0 faces
+the camera.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scene.camera import Camera
+
+# The plane through a pixel's nearest seeds; fewer say nothing of a slope.
+_NEIGHBOURS = 8
+# Holds the slope back where the seeds lie on a line.
+_RIDGE = 1e-2
+# Pixels times seeds whose distances are held at once.
+_DISTANCES = 1 << 23
+
+
+def moved(planes: Tensor, dx: Tensor | float, dy: Tensor | float) -> Tensor:
+    """The same planes seen from ``dx``, ``dy`` pixels away. (3, ...) -> (3, ...)."""
+    w, gx, gy = planes
+    return torch.stack([w + gx * dx + gy * dy, gx, gy])
+
+
+def resized(planes: Tensor, height: int, width: int) -> Tensor:
+    """Planes of the same picture at another size. (3, H, W) -> (3, height, width)."""
+    sy, sx = planes.shape[1] / height, planes.shape[2] / width
+    y = (torch.arange(height, device=planes.device) + 0.5) * sy
+    x = (torch.arange(width, device=planes.device) + 0.5) * sx
+    row, column = y.long(), x.long()
+    parents = planes[:, row][:, :, column]
+    w, gx, gy = moved(parents, x - column - 0.5, (y - row - 0.5)[:, None])
+    return torch.stack([w, gx * sx, gy * sy])
+
+
+def normals_of(planes: Tensor, camera: Camera) -> Tensor:
+    """Unit normals in the camera's frame, turned towards it. (3, H, W) -> (3, H, W)."""
+    (fx, fy), (cx, cy) = camera.focal, camera.principal
+    x, y = camera.pixel_grid(planes.dtype).to(planes.device).unbind(-1)
+    ahead, gx, gy = moved(planes, cx - x, cy - y)
+    return -torch.nn.functional.normalize(torch.stack([gx * fx, gy * fy, ahead]), dim=0)
+
+
+def planes_of(depth: Tensor, normals: Tensor, camera: Camera) -> Tensor:
+    """Planes of depth (H, W) > 0 and of normals (3, H, W) as ``normals_of`` gives them."""
+    (fx, fy), (cx, cy) = camera.focal, camera.principal
+    x, y = camera.pixel_grid(depth.dtype).to(depth.device).unbind(-1)
+    nx, ny, nz = normals
+    along = nx * (x - cx) / fx + ny * (y - cy) / fy + nz
+    return torch.stack([torch.ones_like(depth), nx / (fx * along), ny / (fy * along)]) / depth
+
+
+def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Two guesses at every pixel from points scattered over a picture.
+
+    Args:
+        seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of M >= 1 points.
+        height: of the picture.
+        width: of the picture.
+
+    Returns:
+        The plane fitted to the nearest seeds, and the nearest seed's depth facing the camera; both
+        (3, height, width) float32.
+    """
+    points = torch.from_numpy(seeds)
+    y, x = torch.meshgrid(
+        torch.arange(height, dtype=points.dtype) + 0.5,
+        torch.arange(width, dtype=points.dtype) + 0.5,
+        indexing="ij",
+    )
+    pixels = torch.stack([x, y], -1).reshape(-1, 2)
+    count = min(_NEIGHBOURS, len(points))
+    fitted, nearest = [], []
+    step = max(1, _DISTANCES // len(points))
+    for start in range(0, len(pixels), step):
+        chunk = pixels[start : start + step]
+        distance, which = torch.cdist(chunk, points[:, :2]).topk(count, largest=False)
+        near = points[which]
+        offset = near[..., :2] - chunk[:, None]
+        scale = distance.mean(1)[:, None, None] + 1e-9
+        design = torch.cat([torch.ones_like(offset[..., :1]), offset / scale], -1)
+        weight = torch.exp(-((distance[..., None] / scale) ** 2))
+        normal = design.mT @ (weight * design)
+        normal[:, 1, 1] += _RIDGE
+        normal[:, 2, 2] += _RIDGE
+        solved = torch.linalg.solve(normal, design.mT @ (weight * near[..., 2:]))[..., 0]
+        fitted.append(torch.cat([solved[:, :1], solved[:, 1:] / scale[:, 0]], -1))
+        nearest.append(near[:, 0, 2])
+    level = torch.zeros(len(pixels), 3, dtype=points.dtype)
+    level[:, 0] = torch.cat(nearest)
+
+    def image(rows: Tensor) -> Tensor:
+        return rows.T.reshape(3, height, width).float()
+
+    return image(torch.cat(fitted)), image(level)

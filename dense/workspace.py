@@ -1,0 +1,111 @@
+"""The folder dense stereo works in, laid out as COLMAP's own, so that COLMAP opens it.
+
+https://colmap.github.io/format.html#dense-reconstruction
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.errors import InputError
+from scene.files import write_text, written_whole
+
+Stage = Literal["photometric", "geometric"]
+Kind = Literal["depth_maps", "normal_maps"]
+_HEADER_BYTES = 64
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Paths and arrays of one workspace.
+
+    Attributes:
+        path: of the folder.
+    """
+
+    path: Path
+
+    @property
+    def images(self) -> Path:
+        """Undistorted photographs, by name."""
+        return self.path / "images"
+
+    @property
+    def sparse(self) -> Path:
+        """The map with undistorted cameras."""
+        return self.path / "sparse"
+
+    @property
+    def cloud(self) -> Path:
+        """The fused cloud."""
+        return self.path / "fused.ply"
+
+    def has(self, name: str, stage: Stage) -> bool:
+        """Whether the depth map of a photograph is done; it is written after its normals."""
+        return self._file(name, stage, "depth_maps").is_file()
+
+    def write(
+        self, name: str, stage: Stage, depth: NDArray[np.float32], normals: NDArray[np.float32]
+    ) -> None:
+        """Write depth (H, W), 0 where unknown, and normals (3, H, W) in the camera's frame.
+
+        Raises:
+            InputError: the folder cannot be written, or the disk is full.
+        """
+        write_array(self._file(name, stage, "normal_maps"), normals)
+        write_array(self._file(name, stage, "depth_maps"), depth[None])
+
+    def depth(self, name: str, stage: Stage) -> NDArray[np.float32]:
+        """(H, W) metres, 0 where unknown; InputError when missing or damaged."""
+        return read_array(self._file(name, stage, "depth_maps"), 1).squeeze(0)
+
+    def normals(self, name: str, stage: Stage) -> NDArray[np.float32]:
+        """(3, H, W) in the camera's frame; InputError when missing or damaged."""
+        return read_array(self._file(name, stage, "normal_maps"), 3)
+
+    def write_lists(self, sources: dict[str, list[str]]) -> None:
+        """Write which photographs were matched with which, and which are fused."""
+        stereo = self.path / "stereo"
+        pairs = "".join(f"{name}\n{', '.join(others)}\n" for name, others in sources.items())
+        write_text(stereo / "patch-match.cfg", pairs)
+        write_text(stereo / "fusion.cfg", "".join(f"{name}\n" for name in sources))
+
+    def _file(self, name: str, stage: Stage, kind: Kind) -> Path:
+        return self.path / "stereo" / kind / f"{name}.{stage}.bin"
+
+
+def write_array(path: Path, array: NDArray[np.float32]) -> None:
+    """Write (C, H, W) as COLMAP does: "width&height&channels&", then float32 row by row.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    channels, height, width = array.shape
+    header = f"{width}&{height}&{channels}&".encode()
+    with written_whole(path) as partial:
+        partial.write_bytes(header + np.ascontiguousarray(array, "<f4").tobytes())
+
+
+def read_array(path: Path, channels: int) -> NDArray[np.float32]:
+    """Read what ``write_array`` or COLMAP wrote, (C, H, W).
+
+    Raises:
+        InputError: missing, not such a file, of other channels, or not as long as it claims.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    words = data[:_HEADER_BYTES].split(b"&", 3)
+    if len(words) == 4 and all(word.isdigit() for word in words[:3]):
+        width, height, found = (int(word) for word in words[:3])
+        start = sum(len(word) + 1 for word in words[:3])
+        if found == channels and len(data) - start == 4 * width * height * channels:
+            values = np.frombuffer(data, "<f4", offset=start)
+            return values.reshape(channels, height, width).astype(np.float32)
+    raise InputError(f"{path} is damaged: remove it and run dense again")

@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from dense.consistency import agreeing
+from dense.patchmatch import consistent_estimate, first_estimate
+from dense.photometry import Photometry
+from tests.dense.made_views import REFERENCE, SOURCES, inverse_depth_at
+
+TRUE = inverse_depth_at(REFERENCE)
+
+
+def some_seeds(count: int) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    rows, columns = rng.integers(0, 80, count), rng.integers(0, 96, count)
+    return np.column_stack([columns + 0.5, rows + 0.5, TRUE[rows, columns].numpy()])
+
+
+def right(planes: torch.Tensor) -> float:
+    """Share of pixels within half a percent of the truth."""
+    return float(((planes[0] / TRUE - 1).abs() < 0.005).double().mean())
+
+
+def test_the_true_plane_costs_least() -> None:
+    photometry = Photometry(REFERENCE, SOURCES, TRUE.float())
+    rows, columns = torch.arange(15, 65), torch.arange(20, 70)
+    window = photometry.window(rows, columns)
+    w = TRUE.float()
+    planes = torch.stack([w, (w[0, 1] - w[0, 0]).expand_as(w), (w[1, 0] - w[0, 0]).expand_as(w)])
+    planes = planes[:, rows, columns]
+    true = photometry.cost(window, planes)
+    assert true.median() < 0.02
+    for off in (0.95, 1.05):
+        assert (photometry.cost(window, planes * torch.tensor([[off], [1.0], [1.0]])) > true).all()
+
+
+def test_first_estimate_finds_the_plane() -> None:
+    estimate = first_estimate(REFERENCE, SOURCES, some_seeds(12), torch.Generator().manual_seed(1))
+    assert right(estimate.planes) > 0.85
+
+
+def test_without_good_seeds_chance_finds_it() -> None:
+    """Two seeds that only say the range: the planes come from random guesses and neighbours."""
+    seeds = np.array([[1.0, 1.0, float(TRUE.min())], [95.0, 79.0, float(TRUE.max())]])
+    estimate = first_estimate(REFERENCE, SOURCES, seeds, torch.Generator().manual_seed(1))
+    assert right(estimate.planes) > 0.7
+
+
+def test_the_same_seed_gives_the_same_planes() -> None:
+    runs = [
+        first_estimate(REFERENCE, SOURCES, some_seeds(12), torch.Generator().manual_seed(seed))
+        for seed in (1, 1, 2)
+    ]
+    assert torch.equal(runs[0].planes, runs[1].planes)
+    assert not torch.equal(runs[0].planes, runs[2].planes)
+
+
+def test_maps_of_the_sources_pull_and_confirm() -> None:
+    """A tenth of the planes is thrown off; the sources' true maps bring them back."""
+    w = TRUE.float()
+    slopes = [(w[0, 1] - w[0, 0]).expand_as(w), (w[1, 0] - w[0, 0]).expand_as(w)]
+    generator = torch.Generator().manual_seed(3)
+    off = torch.rand(w.shape, generator=generator) < 0.1
+    start = torch.stack([torch.where(off, 1.3 * w, w), *slopes])
+    maps = [inverse_depth_at(source).float() for source in SOURCES]
+    before = agreeing(REFERENCE, SOURCES, start[0], maps)
+    assert before[off].max() == 0
+    estimate = consistent_estimate(REFERENCE, SOURCES, start, maps, generator)
+    assert right(estimate.planes) > 0.95
+    after = agreeing(REFERENCE, SOURCES, estimate.planes[0], maps)
+    assert (after >= 2).double().mean() > 0.9

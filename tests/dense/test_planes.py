@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from dense.planes import moved, normals_of, planes_of, planes_through, resized
+from tests.dense.made_views import CAMERA, PLANE, REFERENCE, inverse_depth_at
+
+
+def true_planes() -> torch.Tensor:
+    w = inverse_depth_at(REFERENCE)
+    gx = (w[:, 1:] - w[:, :-1]).mean().expand_as(w)
+    gy = (w[1:] - w[:-1]).mean().expand_as(w)
+    return torch.stack([w, gx, gy])
+
+
+def test_a_plane_is_linear_in_inverse_depth() -> None:
+    planes = true_planes()
+    shifted = moved(planes[:, :-2, :-3], 3, 2)
+    assert torch.allclose(shifted, planes[:, 2:, 3:], rtol=0, atol=1e-14)
+
+
+def test_normals_face_the_camera() -> None:
+    normals = normals_of(true_planes(), CAMERA)
+    expected = -PLANE / PLANE.norm()  # the reference stands at the origin, unturned
+    assert torch.allclose(normals, expected[:, None, None].expand_as(normals), atol=1e-10)
+
+
+def test_planes_of_depth_and_normals_are_the_planes() -> None:
+    planes = true_planes()
+    back = planes_of(1 / planes[0], normals_of(planes, CAMERA), CAMERA)
+    assert torch.allclose(back, planes, rtol=1e-9, atol=1e-14)
+
+
+def test_resizing_stays_on_the_plane() -> None:
+    """Also to a size that is no multiple."""
+    planes = true_planes()
+    small = resized(planes, 27, 41)
+    assert small.shape == (3, 27, 41)
+    assert torch.allclose(resized(small, *planes.shape[1:]), planes, rtol=1e-6, atol=1e-9)
+
+
+def test_planes_through_seeds_of_one_plane() -> None:
+    w = inverse_depth_at(REFERENCE)
+    rng = np.random.default_rng(0)
+    rows, columns = rng.integers(0, 80, 60), rng.integers(0, 96, 60)
+    seeds = np.column_stack([columns + 0.5, rows + 0.5, w[rows, columns].numpy()])
+    fitted, nearest = planes_through(seeds, 80, 96)
+    error = (fitted[0] / w - 1).abs()
+    assert error.median() < 0.002
+    assert error.max() < 0.05  # in the corners, beyond the seeds
+    assert (nearest[0] / w - 1).abs().median() < 0.05
+    assert torch.equal(nearest[1:], torch.zeros_like(nearest[1:]))
+
+
+def test_a_single_seed_is_enough() -> None:
+    fitted, nearest = planes_through(np.array([[3.0, 4.0, 0.02]]), 8, 9)
+    assert torch.allclose(nearest[0], torch.tensor(0.02))
+    assert torch.isfinite(fitted).all()
