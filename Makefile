@@ -50,5 +50,8 @@ lint: install
 clean:
 	rm -rf $(VENV) runs build *.egg-info
 
-bench: install
-	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-columns=median,iqr,rounds
+# Everything about speed and memory, in one run; tens of minutes.
+bench: libraries
+	$(BIN)/python -m pytest tests/benchmarks -m '' -s --benchmark-enable --benchmark-columns=median,iqr,rounds
+	$(BIN)/python -m tests.benchmarks.frame_cost
+	$(BIN)/python -m tests.benchmarks.build_cost

@@ -532,6 +532,71 @@ def calibrate(
         print(result.text())
 
 
+class MapperName(StrEnum):
+    """Structure from motion."""
+
+    INCREMENTAL = "incremental"
+    GLOBAL = "global"
+
+
+class SplitBy(StrEnum):
+    """What every k-th of is left for queries."""
+
+    PHOTO = "photo"
+    LINE = "line"
+    NONE = "none"
+
+
+@app.command()
+def ingest(
+    photographs: Annotated[
+        Path, typer.Argument(metavar="PHOTOS", help="Folder of JPEGs with GPS in their EXIF.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'MODEL W H PARAMS'",
+            help="Calibration of all photographs; else focal lengths from EXIF.",
+        ),
+    ] = None,
+    size: Annotated[
+        int, typer.Option(help="Longest side of photographs in the scene, pixels.", min=64)
+    ] = 1600,
+    mapper: Annotated[
+        MapperName, typer.Option(help="One photograph after the other, or all at once.")
+    ] = MapperName.INCREMENTAL,
+    split: Annotated[
+        SplitBy, typer.Option(help="What queries are: single photographs, flight lines, none.")
+    ] = SplitBy.PHOTO,
+    every: Annotated[
+        int, typer.Option(help="One photograph or line of so many is for queries.", min=2)
+    ] = 4,
+    as_json: Json = False,
+) -> None:
+    """Turn a folder of geotagged photographs into a scene; run again, it goes on.
+
+    Writes SCENE with its map, a report ingest.json and a picture of the flight. The reference poses
+    are the photographs' own structure from motion, placed by GPS.
+    """
+    from ingest.command import ingest as run
+    from scene.camera import Camera
+
+    report = run(
+        photographs,
+        out,
+        camera=Camera.parse(camera.split()) if camera is not None else None,
+        size=size,
+        mapper=mapper.value,
+        split=split.value,
+        every=every,
+    )
+    if as_json:
+        _print_json(report.model_dump())
+    else:
+        print(report.text())
+
+
 class MapMethod(StrEnum):
     """How a map is built."""
 

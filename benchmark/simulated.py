@@ -1,4 +1,5 @@
-"""Simulated scenes: exact reference poses, many conditions over one ground."""
+"""Scenes: simulated ones with exact reference poses and many conditions over one ground, and
+flights of real photographs whose reference poses are their own structure from motion."""
 
 from __future__ import annotations
 
@@ -7,9 +8,11 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.datasets import BenchmarkQuery, Dataset, digest
+from benchmark.flight import TRACK as FLIGHT
 from scene.bundle import MANIFEST, Scene
 from scene.colmap_files import check_pose
 from scene.errors import InputError
+from scene.frames import Frames
 from scene.localizer import Prior
 from scene.pose import Pose
 
@@ -38,7 +41,7 @@ def open_scene(path: Path) -> Dataset:
             raise InputError(f"scene {path}: query {query.name} is a photograph of the map")
     return Dataset(
         name=scene.name,
-        track=TRACK,
+        track=TRACK if scene.manifest.reference == "exact" else FLIGHT,
         sha256=digest(sparse_map, queries, [_photograph(scene, query.name) for query in queries]),
         map_conditions=tuple(sorted({_condition(scene, name) for name in sparse_map.images})),
         load_map=scene.sparse_map,
@@ -54,22 +57,32 @@ def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
         if name not in row_of:
             raise InputError(f"scene {scene.path}: query {name} is no frame of session {session}")
         row = row_of[name]
-        attitude = frames.attitude_prior[row]
-        check_pose(attitude, frames.gps_prior[row], f"scene {scene.path}: prior of {name}")
         yield BenchmarkQuery(
             name=name,
             condition=scene.sessions[session].condition,
             group=session,
             camera=frames.cameras[row],
             image=scene.images_root / name,
-            prior=Prior(
-                position=frames.gps_prior[row],
-                position_sigma=frames.gps_sigma[row],
-                cam_from_world_rotation=Pose.from_quaternion(attitude, [0, 0, 0]).rotation.numpy(),
-                attitude_sigma_deg=float(frames.attitude_sigma_deg[row]),
-            ),
+            prior=_prior(frames, row, f"scene {scene.path}: prior of {name}"),
             reference=Pose.from_matrix(frames.cam_from_world[row]),
         )
+
+
+def _prior(frames: Frames, row: int, what: str) -> Prior | None:
+    """What was measured of a frame; None without a position."""
+    if not frames.has_gps[row]:
+        return None
+    position, sigma = frames.gps_prior[row], frames.gps_sigma[row]
+    if not frames.has_attitude[row]:
+        return Prior(position, sigma)
+    attitude = frames.attitude_prior[row]
+    check_pose(attitude, position, what)
+    return Prior(
+        position=position,
+        position_sigma=sigma,
+        cam_from_world_rotation=Pose.from_quaternion(attitude, [0, 0, 0]).rotation.numpy(),
+        attitude_sigma_deg=float(frames.attitude_sigma_deg[row]),
+    )
 
 
 def _condition(scene: Scene, name: str) -> str:

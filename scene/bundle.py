@@ -21,6 +21,7 @@ from scene.sparse_map import SparseMap
 
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
+FEATURES = "features.h5"
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class Scene:
             raise InputError(f"scene folder {path} does not exist")
         if not (path / MANIFEST).is_file():
             raise InputError(
-                f"{path} is not a finished scene: it has no {MANIFEST} (run simulate again on it "
-                "to finish it)"
+                f"{path} is not a finished scene: it has no {MANIFEST} (run simulate or ingest "
+                "again on it to finish it)"
             )
         return Scene(path, read_json(path / MANIFEST, Manifest, "scene manifest"))
 

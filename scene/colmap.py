@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pycolmap
@@ -46,6 +47,8 @@ _ALIGN_M = 1.0
 _PAIR_CHUNK = 32
 # Matches within this distance of the epipolar line agree with it (px).
 _VERIFIED_PX = 2.0
+# The same before the lens is calibrated; COLMAP's own.
+_GUESSED_PX = 4.0
 # Robust adjustment: the outliers' least residual in standard deviations, the least angle between
 # the rays of a point (COLMAP's own), and the relative change of cost that ends a round.
 _OUTLIER = 5.0
@@ -68,6 +71,7 @@ _LEAST_SIGMA = 1e-3
 pycolmap.logging.minloglevel = pycolmap.logging.ERROR
 
 Progress = Callable[[int], None]
+Mapper = Literal["incremental", "global"]
 
 
 def read_map(folder: Path) -> SparseMap:
@@ -326,16 +330,22 @@ def triangulate(
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
         database = database or Path(scratch) / "database.db"
         posed, features = _match_all(root, images, pairs, database, options, on_progress)
-        result = pycolmap.triangulate_points(
-            posed, database, root, out, clear_points=True, options=_pipeline_options()
+        return _triangulate(posed, database, root, out), features
+
+
+def _triangulate(
+    posed: pycolmap.Reconstruction, database: Path, root: Path, out: Path
+) -> SparseMap:
+    result = pycolmap.triangulate_points(
+        posed, database, root, out, clear_points=True, options=_pipeline_options()
+    )
+    if not result.num_points3D():
+        raise InputError(
+            f"no point could be triangulated from the {posed.num_images()} images of {root}: "
+            "they need overlap and texture"
         )
-        if not result.num_points3D():
-            raise InputError(
-                f"no point could be triangulated from the {len(images)} images of {root}: "
-                "they need overlap and texture"
-            )
-        result.write(out)
-    return read_map(out), features
+    result.write(out)
+    return read_map(out)
 
 
 def reconstruct(
@@ -444,6 +454,241 @@ def _residual_sigma(model: pycolmap.Reconstruction) -> float:
     return float(max(error / np.sqrt(np.pi / 2), np.sqrt(_LEAST_VARIANCE)))
 
 
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph whose pose nobody knows: what structure from motion of a flight starts from.
+
+    Attributes:
+        name: path relative to the folder of all images.
+        camera: its calibration, or a first guess of it.
+        lens: photographs of one lens share one camera, and it is refined from all of them.
+        calibrated: the camera is right, and stays as it is.
+        focal_known: the guess of the focal length was measured, as EXIF says it.
+    """
+
+    name: str
+    camera: Camera
+    lens: str
+    calibrated: bool = False
+    focal_known: bool = False
+
+
+def match_photographs(
+    root: Path,
+    photographs: Sequence[Photograph],
+    pairs: Sequence[tuple[str, str]],
+    database: Path,
+    options: SiftOptions,
+    on_progress: Progress | None = None,
+) -> None:
+    """Fill ``database`` with features and verified matches; goes on with what an interrupted call
+    of the same arguments left in it.
+
+    Args:
+        root: folder the names are relative to.
+        photographs: all of them, whole files of the size of their cameras.
+        pairs: names to match.
+        database: file, new or left by an interrupted call.
+        options: of the detector.
+        on_progress: called with the number of photographs and pairs done.
+
+    Raises:
+        InputError: a photograph is missing or damaged, or the file cannot be written.
+    """
+    ids = {photograph.name: k for k, photograph in enumerate(photographs, 1)}
+    numbers = _lens_ids(photographs)
+    cameras = {p.lens: _native_camera(p.camera, numbers[p.lens]) for p in photographs}
+    for photograph in photographs:
+        cameras[photograph.lens].has_prior_focal_length = photograph.focal_known
+    model = _empty_model(cameras.values())
+    for photograph in photographs:
+        native = pycolmap.Image(
+            name=photograph.name,
+            camera_id=numbers[photograph.lens],
+            image_id=ids[photograph.name],
+        )
+        model.add_image_with_trivial_frame(native)
+    _require_database(database, model)
+    _fill_database(database, root, ids, pairs, options, _GUESSED_PX, on_progress)
+
+
+def map_photographs(
+    root: Path,
+    photographs: Sequence[Photograph],
+    database: Path,
+    out: Path,
+    mapper: Mapper,
+    on_progress: Progress | None = None,
+) -> list[Path]:
+    """Structure from motion, poses and calibration unknown.
+
+    Args:
+        root: folder the names are relative to.
+        photographs: of ``database``.
+        database: filled by ``match_photographs``.
+        out: existing folder for the models.
+        mapper: "incremental" (one photograph after the other) or "global" (all at once).
+        on_progress: called with the number of photographs registered; never by the global mapper.
+
+    Returns:
+        Folders of the models, each in a frame and scale of its own, those of most photographs
+        first. Photographs that do not hang together are in several models, or in none.
+    """
+    numbers = _lens_ids(photographs)
+    # A focal length refined early, from few photographs, may lead the whole model astray.
+    refine_focal = not all(p.focal_known for p in photographs)
+    fixed = {
+        numbers[p.lens] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
+    }
+    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
+        if mapper == "global":
+            pipeline = _global_options()
+            adjustment = pipeline.mapper.bundle_adjustment
+            adjustment.refine_focal_length = refine_focal
+            adjustment.refine_extra_params = len(fixed) < len(numbers)
+            models = pycolmap.global_mapping(database, root, scratch, pipeline)
+        else:
+            pipeline = _pipeline_options()
+            pipeline.ba_refine_focal_length = refine_focal
+            pipeline.mapper.abs_pose_refine_focal_length = refine_focal
+            pipeline.ba_refine_extra_params = True
+            pipeline.constant_cameras = pipeline.mapper.constant_cameras = fixed
+            pipeline.min_model_size = _ALIGNABLE
+            models = _map_incrementally(database, root, Path(scratch), pipeline, on_progress)
+    ordered = sorted(models.values(), key=lambda m: -m.num_reg_images())
+    folders = [out / str(k) for k in range(len(ordered))]
+    for model, folder in zip(ordered, folders, strict=True):
+        folder.mkdir()
+        model.write(folder)
+    return folders
+
+
+def _map_incrementally(
+    database: Path,
+    root: Path,
+    scratch: Path,
+    pipeline: pycolmap.IncrementalPipelineOptions,
+    on_progress: Progress | None,
+) -> dict[int, pycolmap.Reconstruction]:
+    registered = 0
+
+    def on_image(number: int) -> None:
+        nonlocal registered
+        registered += number
+        if on_progress is not None:
+            on_progress(registered)
+
+    return dict(
+        pycolmap.incremental_mapping(
+            database,
+            root,
+            scratch,
+            pipeline,
+            initial_image_pair_callback=lambda: on_image(2),
+            next_image_callback=lambda: on_image(1),
+        )
+    )
+
+
+def _global_options() -> pycolmap.GlobalPipelineOptions:
+    pipeline = pycolmap.GlobalPipelineOptions()
+    pipeline.random_seed = pipeline.mapper.random_seed = _SEED
+    pipeline.mapper.rotation_averaging.random_seed = _SEED
+    pipeline.mapper.global_positioning.random_seed = _SEED
+    pipeline.mapper.retriangulation.random_seed = _SEED
+    pipeline.num_threads = pipeline.mapper.num_threads = 1
+    pipeline.mapper.global_positioning.use_gpu = False
+    pipeline.mapper.bundle_adjustment.ceres.use_gpu = False
+    return pipeline
+
+
+def adjust_to_positions(
+    model: Path,
+    photographs: Sequence[Photograph],
+    world_from_model: NDArray[np.float64],
+    positions: Mapping[str, NDArray[np.float64]],
+    sigma: NDArray[np.float64],
+    refined: Collection[str],
+    out: Path,
+) -> SparseMap:
+    """Move a model into the world, then adjust poses, points and lenses to the pixels and to
+    measured positions together, with a robust loss on the positions.
+
+    Args:
+        model: folder of ``map_photographs``.
+        photographs: of the model, and others.
+        world_from_model: (3, 4) similarity, scale times rotation and translation.
+        positions: (3,) measured camera centres by name, world metres.
+        sigma: (3,) their standard deviation per axis, metres.
+        refined: lenses whose focal length is adjusted too; with none, only the distortion of those
+            that are not calibrated.
+        out: existing folder for the adjusted model.
+    """
+    native = pycolmap.Reconstruction(model)
+    native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in native.reg_image_ids():
+        config.add_image(image_id)
+    numbers = _lens_ids(photographs)
+    for photograph in photographs:
+        if photograph.calibrated or (refined and photograph.lens not in refined):
+            config.set_constant_cam_intrinsics(numbers[photograph.lens])
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = bool(refined)
+    options.ceres.solver_options.num_threads = 1
+    with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
+    with_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    with_priors.alignment_ransac.random_seed = _SEED
+    priors = [
+        pycolmap.PosePrior(
+            corr_data_id=image.data_id,
+            position=positions[image.name],
+            position_covariance=np.diag(sigma**2),
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+        )
+        for image in native.images.values()
+        if image.name in positions
+    ]
+    pycolmap.create_pose_prior_bundle_adjuster(options, with_priors, config, priors, native).solve()
+    native.update_point_3d_errors()
+    native.write(out)
+    return read_map(out)
+
+
+def triangulate_matched(
+    root: Path, images: Sequence[PosedImage], database: Path, out: Path
+) -> tuple[SparseMap, dict[str, Features]]:
+    """Triangulate some of the images of a filled database anew, with poses that stay as they are.
+
+    Args:
+        root: folder the names are relative to.
+        images: some of those of ``database``; matches with others are left out.
+        database: filled by ``match_photographs``.
+        out: existing folder for the model.
+
+    Returns:
+        The map as written, and the features it was built from by image name.
+
+    Raises:
+        InputError: no point could be triangulated.
+    """
+    features = _read_features(database, root)
+    wanted = {image.name: features[image.name] for image in images}
+    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
+        part = Path(scratch) / "database.db"
+        posed, ids = _posed_model(images, {name: item.xy for name, item in wanted.items()})
+        _write_database(part, posed)
+        with pycolmap.Database.open(database) as db, pycolmap.Database.open(part) as copy:
+            old = {image.name: image.image_id for image in db.read_all_images()}
+            for name, item in wanted.items():
+                copy.write_keypoints(ids[name], item.xy)
+            for a, b in combinations(wanted, 2):
+                if db.exists_two_view_geometry(old[a], old[b]):
+                    geometry = db.read_two_view_geometry(old[a], old[b])
+                    copy.write_two_view_geometry(ids[a], ids[b], geometry)
+        return _triangulate(posed, part, root, out), wanted
+
+
 def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out: Path) -> None:
     """Write images with their poses as a binary model.
 
@@ -470,6 +715,10 @@ def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out:
     model.write(out)
 
 
+def _lens_ids(photographs: Sequence[Photograph]) -> dict[str, int]:
+    return {lens: k for k, lens in enumerate(dict.fromkeys(p.lens for p in photographs), 1)}
+
+
 def _pipeline_options() -> pycolmap.IncrementalPipelineOptions:
     pipeline = pycolmap.IncrementalPipelineOptions()
     pipeline.random_seed = pipeline.triangulation.random_seed = _SEED
@@ -493,13 +742,9 @@ def _match_all(
 ) -> tuple[pycolmap.Reconstruction, dict[str, Features]]:
     """Fill a database with verified matches; the posed images as a model, and their features."""
     check_photographs(root, {image.name: image.camera for image in images})
-    if not _is_sound(database):
-        for journal in ("-journal", "-wal", "-shm"):
-            database.with_name(database.name + journal).unlink(missing_ok=True)
-        model, _ = _posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
-        _write_database(database, model)
-    ids = {image.name: k for k, image in enumerate(images, 1)}
-    _fill_database(database, root, ids, pairs, options, on_progress)
+    empty, ids = _posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
+    _require_database(database, empty)
+    _fill_database(database, root, ids, pairs, options, _VERIFIED_PX, on_progress)
     features = _read_features(database, root)
     return _posed_model(images, {name: item.xy for name, item in features.items()})[0], features
 
@@ -510,6 +755,7 @@ def _fill_database(
     ids: Mapping[str, int],
     pairs: Sequence[tuple[str, str]],
     options: SiftOptions,
+    max_error: float,
     on_progress: Progress | None,
 ) -> None:
     """Extract, match and verify what a database of images does not hold yet."""
@@ -536,7 +782,7 @@ def _fill_database(
     }
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = _SEED
-    verification.ransac.max_error = _VERIFIED_PX
+    verification.ransac.max_error = max_error
     pair_list = database.with_suffix(".pairs")
     for start in range(0, len(pairs), _PAIR_CHUNK):
         chunk_of_pairs = pairs[start : start + _PAIR_CHUNK]
@@ -555,6 +801,14 @@ def _fill_database(
     pair_list.unlink(missing_ok=True)
 
 
+def _require_database(database: Path, model: pycolmap.Reconstruction) -> None:
+    """A database of the model's images, unless a sound one is there."""
+    if not _is_sound(database):
+        for journal in ("-journal", "-wal", "-shm"):
+            database.with_name(database.name + journal).unlink(missing_ok=True)
+        _write_database(database, model)
+
+
 def _is_sound(database: Path) -> bool:
     """Whether a database is there and whole: COLMAP ends the process on a damaged one."""
     if not database.is_file():
@@ -570,20 +824,25 @@ def _posed_model(
     images: Sequence[PosedImage], keypoints: Mapping[str, NDArray[Any]]
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
     """A model of keypoints (K, 2) and poses without points, and the identifier of each image."""
-    model = pycolmap.Reconstruction()
-    cameras = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
-    for camera, camera_id in cameras.items():
-        model.add_camera_with_trivial_rig(_native_camera(camera, camera_id))
-    ids = {image.name: k for k, image in enumerate(images, 1)}
+    numbers = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
+    cameras = [_native_camera(camera, number) for camera, number in numbers.items()]
+    model, ids = _empty_model(cameras), {image.name: k for k, image in enumerate(images, 1)}
     for image in images:
         native = pycolmap.Image(
             name=image.name,
             keypoints=keypoints[image.name].astype(np.float64),
-            camera_id=cameras[image.camera],
+            camera_id=numbers[image.camera],
             image_id=ids[image.name],
         )
         model.add_image_with_trivial_frame(native, _native_pose(image.cam_from_world))
     return model, ids
+
+
+def _empty_model(cameras: Iterable[pycolmap.Camera]) -> pycolmap.Reconstruction:
+    model = pycolmap.Reconstruction()
+    for camera in cameras:
+        model.add_camera_with_trivial_rig(camera)
+    return model
 
 
 def _write_database(path: Path, model: pycolmap.Reconstruction) -> None:

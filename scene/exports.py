@@ -139,6 +139,10 @@ def _nerfstudio_camera(camera: Camera) -> dict[str, float]:
 
 def _write_tum(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
     for name, frames in sessions.items():
+        if np.isnan(frames.time).any():
+            raise InputError(
+                f"photographs of session {name} tell no time, and a trajectory needs it"
+            )
         world_from_cam = frames.poses.inverse()
         wxyz = world_from_cam.quaternion().numpy()
         rows = np.hstack([world_from_cam.translation.numpy(), np.roll(wxyz, -1, axis=1)])

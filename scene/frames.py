@@ -30,6 +30,9 @@ LAYERS: dict[Layer, np.dtype[Any]] = {
 class Frames:
     """The frames of one session, N of them.
 
+    What a real flight did not measure is NaN: a time, a position with its sigma, an attitude with
+    its sigma.
+
     Attributes:
         names: image names, relative to the scene's ``sessions`` folder.
         cameras: one per frame.
@@ -55,6 +58,16 @@ class Frames:
         """All poses as one batch."""
         return Pose.from_matrix(self.cam_from_world)
 
+    @property
+    def has_gps(self) -> NDArray[np.bool_]:
+        """Whether each frame's position was measured, (N,)."""
+        return np.asarray(np.isfinite(self.gps_prior).all(1))
+
+    @property
+    def has_attitude(self) -> NDArray[np.bool_]:
+        """Whether each frame's attitude was measured, (N,)."""
+        return np.asarray(np.isfinite(self.attitude_prior).all(1))
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -75,6 +88,10 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "attitude_prior": (4,),
     "attitude_sigma_deg": (),
 }
+
+
+# Measured together, or not at all.
+_MEASURED = (("time",), ("gps_prior", "gps_sigma"), ("attitude_prior", "attitude_sigma_deg"))
 
 
 class DenseLayers:
@@ -193,7 +210,12 @@ def read_frames(path: Path) -> Frames:
             raise InputError(
                 f"{path}: {key} has shape {array.shape}, expected {(len(names), *_SHAPES[key])}"
             )
-        finite = np.isfinite(array).all(tuple(range(1, array.ndim)))
+    absent = {key: np.zeros(len(names), bool) for key in _VECTORS}
+    for group in _MEASURED:
+        nowhere = [np.isnan(arrays[k]).all(tuple(range(1, arrays[k].ndim))) for k in group]
+        absent |= dict.fromkeys(group, np.logical_and.reduce(nowhere))
+    for key, array in arrays.items():
+        finite = np.isfinite(array).all(tuple(range(1, array.ndim))) | absent[key]
         if not finite.all():
             raise InputError(f"{path}: {key} of frame {names[int(finite.argmin())]} is not finite")
     if len(cameras) != len(names):

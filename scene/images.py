@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +21,15 @@ from scene.camera import Camera
 from scene.errors import InputError
 from scene.files import written_whole
 from scene.geodesy import Geodetic
+
+# The film that focal lengths are told for, millimetres.
+_FILM_WIDTH = 36.0
+_FILM_DIAGONAL = math.hypot(36, 24)
+# Pictures wider than 3:2 by far.
+_WIDE = 1.6
+# What EXIF's units of resolution are, millimetres.
+_CENTIMETRE = 3
+_MILLIMETRES = {2: 25.4, _CENTIMETRE: 10.0}
 
 
 def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
@@ -72,7 +84,9 @@ class Exif:
         time: when, or None.
         make: of the camera.
         model: of the camera.
-        focal_35mm: focal length in millimetres of a 36 mm wide film, or None.
+        focal_35mm: focal length in millimetres of a film 36 mm wide, or None.
+        gimbal: yaw clockwise from north, pitch above the horizon and roll of the camera in degrees,
+            as DJI's XMP says them, or None.
     """
 
     position: Geodetic | None
@@ -80,6 +94,7 @@ class Exif:
     make: str = "ObjConnect"
     model: str = "simulated camera"
     focal_35mm: float | None = None
+    gimbal: tuple[float, float, float] | None = None
 
 
 def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95) -> None:
@@ -92,11 +107,35 @@ def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95
     """
     with written_whole(path) as partial:
         Image.fromarray(rgb).save(
-            partial, "JPEG", quality=quality, subsampling=0, exif=_encode(exif).tobytes()
+            partial,
+            "JPEG",
+            quality=quality,
+            subsampling=0,
+            exif=_encode(exif, rgb.shape[1]).tobytes(),
         )
 
 
-def _encode(exif: Exif) -> Image.Exif:
+def write_resized(source: Path, out: Path, longest: int) -> None:
+    """Copy a photograph with its metadata, made smaller where a side is over ``longest`` pixels.
+
+    Raises:
+        InputError: it is missing or damaged, or ``out`` cannot be written.
+    """
+    rgb = read_rgb(source)
+    height, width = rgb.shape[:2]
+    scale = longest / max(width, height)
+    with written_whole(out) as partial:
+        if scale >= 1:
+            shutil.copyfile(source, partial)
+            return
+        with Image.open(source) as original:
+            kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
+        size = (round(scale * width), round(scale * height))
+        smaller = Image.fromarray(rgb).resize(size, Image.Resampling.LANCZOS)
+        smaller.save(partial, "JPEG", quality=95, subsampling=0, **kept)
+
+
+def _encode(exif: Exif, width: int) -> Image.Exif:
     tags = Image.Exif()
     tags[ExifTags.Base.Make] = exif.make
     tags[ExifTags.Base.Model] = exif.model
@@ -109,6 +148,10 @@ def _encode(exif: Exif) -> Image.Exif:
     if exif.focal_35mm is not None:
         detail[ExifTags.Base.FocalLength] = _rational(exif.focal_35mm)
         detail[ExifTags.Base.FocalLengthIn35mmFilm] = round(exif.focal_35mm)
+        # Whole millimetres are coarse: the pitch of the pixels says the same exactly.
+        detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * width / _FILM_WIDTH)
+        detail[ExifTags.Base.FocalPlaneResolutionUnit] = _CENTIMETRE
+        detail[ExifTags.Base.ExifImageWidth] = width
     if exif.position is not None:
         gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
         place = exif.position
@@ -129,21 +172,61 @@ def read_exif(path: Path) -> Exif:
     """
     try:
         with Image.open(path) as image:
-            tags = image.getexif()
+            tags, size, xmp = image.getexif(), image.size, image.info.get("xmp", b"")
     except FileNotFoundError:
         raise InputError(f"image {path} does not exist") from None
-    except (OSError, SyntaxError) as error:
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"{path} is not an image this program can read: {error}") from None
     detail = tags.get_ifd(ExifTags.IFD.Exif)
     stamp = detail.get(ExifTags.Base.DateTimeOriginal)
-    focal = detail.get(ExifTags.Base.FocalLengthIn35mmFilm)
     return Exif(
         position=_decode_position(tags.get_ifd(ExifTags.IFD.GPSInfo)),
         time=_decode_time(stamp),
-        make=str(tags.get(ExifTags.Base.Make, "")),
-        model=str(tags.get(ExifTags.Base.Model, "")),
-        focal_35mm=float(focal) if focal else None,
+        make=_text(tags.get(ExifTags.Base.Make)),
+        model=_text(tags.get(ExifTags.Base.Model)),
+        focal_35mm=_decode_focal(detail, size),
+        gimbal=_decode_gimbal(xmp),
     )
+
+
+def _text(value: object) -> str:
+    """Cameras fill the field up with zero bytes."""
+    return str(value or "").strip("\0 ")
+
+
+def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None:
+    """Millimetres on a film 36 mm wide: by the pitch of the pixels where the camera tells it, else
+    by the equivalent that makers print."""
+    try:
+        unit = _MILLIMETRES[int(detail.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
+        pitch = unit / float(detail[ExifTags.Base.FocalPlaneXResolution])
+        sensor = pitch * float(detail[ExifTags.Base.ExifImageWidth])
+        focal = _FILM_WIDTH * float(detail[ExifTags.Base.FocalLength]) / sensor
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        focal = math.nan
+    if math.isfinite(focal) and focal > 0:
+        return focal
+    try:
+        focal = float(detail[ExifTags.Base.FocalLengthIn35mmFilm])
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    if not (math.isfinite(focal) and focal > 0):
+        return None
+    # The equivalent holds for the diagonal (CIPA DCG-001); wide pictures are cut from 4:3 sensors.
+    aspect = max(size) / min(size)
+    diagonal = math.hypot(1, 1 / aspect) if aspect < _WIDE else math.hypot(1, 3 / 4)
+    return focal * _FILM_WIDTH / _FILM_DIAGONAL * diagonal
+
+
+def _decode_gimbal(xmp: bytes) -> tuple[float, float, float] | None:
+    """DJI's attitude of the camera, which stands in an attribute or in an element."""
+    angles = []
+    for axis in (b"Yaw", b"Pitch", b"Roll"):
+        found = re.search(rb"Gimbal" + axis + rb"Degree(?:=\"|>)\s*([+-]?[0-9.]+)", xmp)
+        if found is None or found[1].count(b".") > 1:
+            return None
+        angles.append(float(found[1]))
+    return angles[0], angles[1], angles[2]
 
 
 def _decode_time(stamp: object) -> datetime | None:

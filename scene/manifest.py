@@ -47,7 +47,8 @@ class Session(_File):
     Attributes:
         condition: season and light, as "summer-noon".
         flight: kind of flight, as "nadir".
-        role: whether its frames build the map or are localized in it.
+        role: whether its frames build the map, are localized in it, or some do one and some the
+            other.
         change: how its world differs from that of the scene's seed.
         readout_s: between the readouts of the top and the bottom of its photographs. Where it is
             not zero (a rolling shutter), poses are those of the middle row, cameras move in between
@@ -57,7 +58,7 @@ class Session(_File):
 
     condition: str
     flight: str
-    role: Literal["map", "query"]
+    role: Literal["map", "query", "both"]
     change: DeclaredChange = DeclaredChange()
     readout_s: FiniteFloat = 0.0
 
@@ -71,6 +72,8 @@ class Manifest(_File):
         seed: of the world, or None for a real flight.
         config: everything else that made it.
         origin: geodetic place of the world's origin.
+        reference: where the frames' poses come from: "exact" ones were rendered; those of "sfm" are
+            the structure from motion of all photographs together, good to centimetres at best.
         sessions: by folder name.
         sha256: digest of every other file of the scene, by relative path.
         pixels_sha256: by image name, digests of its decoded "image" and of each of its layers, to
@@ -83,6 +86,7 @@ class Manifest(_File):
     seed: int | None
     config: dict[str, Any]
     origin: Geodetic
+    reference: Literal["exact", "sfm"] = "exact"
     sessions: dict[str, Session]
     sha256: dict[str, str]
     pixels_sha256: dict[str, dict[str, str]] = {}

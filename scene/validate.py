@@ -98,9 +98,11 @@ def _check_rigid(session: str, frames: Frames) -> Check:
 def _check_priors(session: str, frames: Frames) -> Check:
     """Measured positions and attitudes lie within their stated noise."""
     name = f"{session}: priors fit the poses"
-    truth = frames.poses
-    off = (frames.gps_prior - truth.centre().numpy()) / np.maximum(frames.gps_sigma, 1e-3)
-    gps = float(np.sqrt((off**2).mean()))
+    there = frames.has_gps
+    if not there.any():
+        return Check(name, True, "no position was measured")
+    off = (frames.gps_prior - frames.poses.centre().numpy()) / np.maximum(frames.gps_sigma, 1e-3)
+    gps = float(np.sqrt((off[there] ** 2).mean()))
     attitude = _attitude_sigmas(frames, frames.attitude_prior)
     figures = {"gps_sigmas": gps, "attitude_sigmas": attitude}
     if gps > _MAX_PRIOR_SIGMAS:
@@ -118,11 +120,15 @@ def _check_priors(session: str, frames: Frames) -> Check:
 
 
 def _attitude_sigmas(frames: Frames, wxyz: NDArray[np.float64]) -> float:
-    """Root mean square of the attitude's error per axis, in stated standard deviations."""
-    measured = Pose.from_quaternion(wxyz, torch.zeros(len(frames), 3, dtype=torch.float64))
-    upright = Pose(frames.poses.rotation, measured.translation)
+    """Root mean square of the attitude's error per axis, in stated standard deviations; zero where
+    none was measured."""
+    there = frames.has_attitude
+    if not there.any():
+        return 0.0
+    measured = Pose.from_quaternion(wxyz[there], torch.zeros(there.sum(), 3, dtype=torch.float64))
+    upright = Pose(frames.poses.rotation[torch.from_numpy(there)], measured.translation)
     _, degrees = measured.error_to(upright)
-    sigma = np.maximum(frames.attitude_sigma_deg, 1e-3)
+    sigma = np.maximum(frames.attitude_sigma_deg[there], 1e-3)
     return float(np.sqrt((degrees.numpy() ** 2 / 3 / sigma**2).mean()))
 
 

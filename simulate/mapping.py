@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle import Scene, finish
+from scene.bundle import FEATURES, Scene, finish
 from scene.colmap import ADJUSTMENTS, VERSION, PosedImage, SiftOptions, reconstruct, triangulate
 from scene.errors import InputError
 from scene.features import write_features
@@ -21,7 +21,6 @@ from simulate.class_spread import class_spread
 from simulate.map_report import MapReport, objects_of_points, report
 from simulate.pictures import draw_pictures
 
-FEATURES = "features.h5"
 _KEPT = ".mapping"
 _SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
@@ -75,9 +74,14 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
                 scene.images_root, images, pairs, folder, _SIFT, advance, database
             )
             write_features(folder / FEATURES, features)
-        draw_pictures(finish(path, scene.manifest))
-    owners = objects_of_points(len(sparse_map.xyz), _instances(scene, sparse_map))
-    kinds = class_spread(scene, sparse_map, features)
+        scene = finish(path, scene.manifest)
+        rendered = scene.manifest.preset is not None
+        if rendered:
+            draw_pictures(scene)
+    # Only rendered scenes know what each pixel shows.
+    instances = _instances(scene, sparse_map) if rendered else ()
+    owners = objects_of_points(len(sparse_map.xyz), instances)
+    kinds = class_spread(scene, sparse_map, features) if rendered else {}
     return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs), kinds)
 
 
@@ -119,7 +123,8 @@ def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
                 if name in wanted:
                     camera, pose = frames.cameras[k], frames.cam_from_world[k]
                     images.append(PosedImage(name, camera, pose))
-                    seen |= set(np.unique(dense.read("instance", k)).tolist())
+                    if dense.has("instance"):
+                        seen |= set(np.unique(dense.read("instance", k)).tolist())
     if not images:
         raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
     return images, seen

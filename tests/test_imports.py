@@ -1,7 +1,7 @@
 """The import arrows of the project, held by reading every module.
 
-``benchmark -> objconnect -> baselines -> scene``, ``benchmark -> simulate -> scene`` and
-``benchmark -> dense -> scene``.
+``benchmark -> objconnect -> baselines -> scene``, ``benchmark -> simulate -> scene``,
+``benchmark -> dense -> scene`` and ``benchmark -> ingest -> scene``.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ ALLOWED = {
     "scene": set(),
     "dense": {"scene"},
     "simulate": {"scene"},
+    "ingest": {"scene"},
     "baselines": {"scene"},
     "objconnect": {"baselines", "scene"},
-    "benchmark": {"objconnect", "baselines", "simulate", "dense", "scene"},
+    "benchmark": {"objconnect", "baselines", "simulate", "ingest", "dense", "scene"},
 }
 # The rooms of the simulator; what stands on its top floor may use them all.
 ROOMS = {

@@ -109,25 +109,35 @@ def _build_scene(world: World, light: Condition) -> None:
     albedo = ground.bake(world.ground, light, world.seed)
     mirror = ground.mirror(world.ground, light, world.seed)
     materials = build_materials(bpy.data, light, albedo, mirror)
-    for name, surface in (("terrain", ground_mesh(world, light)), ("kerbs", kerbs_mesh(world))):
-        if surface is not None:
-            _add(name, _mesh_data(name, surface, materials)).pass_index = 0
+    # Meshes first: a mesh that is given a material looks through every object there is.
+    surfaces = [
+        _mesh_data(name, surface, materials)
+        for name, surface in (("terrain", ground_mesh(world, light)), ("kerbs", kerbs_mesh(world)))
+        if surface is not None
+    ]
     shared: dict[str, Any] = {}
+    meshes = []
     for thing in world.objects:
         own = _own_mesh(thing, world)
         if own is not None:
-            placed = _add(thing.shape, _mesh_data(thing.shape, own, materials))
-        else:
-            if thing.shape not in shared:
-                shared[thing.shape] = _mesh_data(thing.shape, shape_mesh(thing.shape), materials)
-            placed = _add(thing.shape, shared[thing.shape])
-            placed.scale = thing.size
+            meshes.append(_mesh_data(f"{thing.id:05d}", own, materials))
+            continue
+        if thing.shape not in shared:
+            shared[thing.shape] = _mesh_data(thing.shape, shape_mesh(thing.shape), materials)
+        meshes.append(shared[thing.shape])
+    for surface in surfaces:
+        _add(surface.name, surface)
+    for thing, data in zip(world.objects, meshes, strict=True):
+        # Blender keeps its objects sorted: names that only grow are put at the end at once.
+        placed = _add(f"{thing.id:05d}", data)
+        placed.pass_index = thing.id
         placed.location = thing.centre
+        placed.rotation_euler = (0.0, 0.0, thing.yaw)
+        placed.color = (*thing.colour, 1.0)
+        if thing.shape in shared:
+            placed.scale = thing.size
         if thing.class_name == "building":  # whose mesh starts at the ground
             placed.location.z -= 0.5 * thing.size[2]
-        placed.rotation_euler = (0.0, 0.0, thing.yaw)
-        placed.pass_index = thing.id
-        placed.color = (*thing.colour, 1.0)
     _add_light(light)
 
 
@@ -183,10 +193,10 @@ def _mesh_data(name: str, mesh: Mesh, materials: dict[str, Any]) -> Any:
     starts = np.concatenate([[0], np.cumsum(mesh.sizes)[:-1]]).astype(np.int32)
     data.polygons.foreach_set("loop_start", starts)
     data.polygons.foreach_set("material_index", mesh.material)
-    data.uv_layers.new(name="uv").data.foreach_set("uv", mesh.uv.ravel())
-    tint = data.attributes.new("tint", "FLOAT_COLOR", "CORNER")
-    rgba = np.insert(mesh.tint, 3, 1.0, axis=1)
-    tint.data.foreach_set("color", np.repeat(rgba, mesh.sizes, axis=0).ravel())
+    if mesh.uv.any():
+        data.uv_layers.new(name="uv").data.foreach_set("uv", mesh.uv.ravel())
+    tint = data.attributes.new("tint", "FLOAT_COLOR", "FACE")
+    tint.data.foreach_set("color", np.insert(mesh.tint, 3, 1.0, axis=1).ravel())
     for material in mesh.materials:
         data.materials.append(materials[material])
     data.update(calc_edges=True)
@@ -225,6 +235,9 @@ def _add_light(light: Condition) -> None:
     tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs[0], output.inputs["Surface"])
+    # A smooth sky is met often enough by the rays that leave surfaces. Were it sampled as a lamp
+    # too, half the shadow rays would miss the sun: a third more processor time, and more noise.
+    sky.cycles.sampling_method = "NONE"
     bpy.context.scene.view_settings.exposure = light.exposure
 
 

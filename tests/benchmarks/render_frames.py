@@ -1,8 +1,11 @@
 """Renders one frame per line of standard input: `python -m tests.benchmarks.render_frames JOB OUT`.
 
-A line is "bare N": Blender renders and writes the picture of frame N and nothing else; or "ours N":
-the frame with all its layers, as the generator writes it. Answers with the processor seconds it
-took, of all threads, which a busy machine stretches less than seconds; and with the bytes held.
+A line is a kind and the number of a frame. "bare": Blender renders and writes the picture and
+nothing else. "ours": the frame with all its layers, as the generator writes it. Three more leave
+out of the bare picture, each what the one before still has: "raw" the denoiser, "flat" all light
+(every surface shines by itself: a ray ends where it hits first), "still" all pixels but a few (what
+is left is taking the scene in, and calling Blender). Answers with the processor seconds it took, of
+all threads, which a busy machine stretches less than seconds; and with the bytes held.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -36,12 +40,16 @@ def main(job_path: str, out: str) -> None:
     world = preset(job.preset)(job.seed, job.area_m)
     _build_scene(world, condition(job.condition))
     _set_up_render(job.camera, job.samples, 0)
-    layer, rays = bpy.context.scene.view_layers[0], _pinhole_rays(job.camera)
+    scene = bpy.context.scene
+    layer, rays, glow = scene.view_layers[0], _pinhole_rays(job.camera), _glow()
     with tempfile.TemporaryDirectory() as scratch:
         for line in sys.stdin:
             kind, number = line.split()
             ours = kind == "ours"
             layer.use_pass_z = layer.use_pass_normal = layer.use_pass_object_index = ours
+            scene.cycles.use_denoising = kind in ("ours", "bare")
+            layer.material_override = glow if kind in ("flat", "still") else None
+            scene.render.resolution_percentage = 1 if kind == "still" else 100
             pose = np.array(job.poses[int(number)])
             start = time.process_time()
             if ours:
@@ -52,6 +60,18 @@ def main(job_path: str, out: str) -> None:
                 _render_picture(pose, Path(scratch))
             took = time.process_time() - start
             print(took, resident_bytes(), file=answers, flush=True)
+
+
+def _glow() -> Any:
+    """A material that shines by itself, and lights nothing."""
+    material = bpy.data.materials.new("glow")
+    material.use_nodes = True
+    material.cycles.emission_sampling = "NONE"
+    tree = material.node_tree
+    tree.nodes.clear()
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(tree.nodes.new("ShaderNodeEmission").outputs[0], output.inputs["Surface"])
+    return material
 
 
 def _render_picture(cam_from_world: np.ndarray, scratch: Path) -> None:

@@ -184,11 +184,27 @@ def test_flipped_bytes_are_refused_or_harmless(
 )
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_number_that_is_not_finite_names_its_frame(path: Path, key: str, value: float) -> None:
+    if key == "time":
+        value = np.inf  # a time that is NaN was not measured
     with h5py.File(path, "r+") as file:
         row = np.atleast_1d(file[key][1])
         row.flat[0] = value
         file[key][1] = row.reshape(file[key].shape[1:])
     with pytest.raises(InputError, match=f"{key} of frame .*000001.jpg is not finite"):
+        read_frames(path)
+
+
+def test_what_was_not_measured_is_nan(path: Path) -> None:
+    frames = made_frames(3)
+    for key in ("time", "gps_prior", "gps_sigma", "attitude_prior", "attitude_sigma_deg"):
+        getattr(frames, key)[1] = np.nan
+    write_frames(path, frames, (), iter([{}] * 3))
+    again = read_frames(path)
+    assert_equal(again, frames)
+    assert again.has_gps.tolist() == again.has_attitude.tolist() == [True, False, True]
+    frames.gps_sigma[1] = 1.0
+    write_frames(path, frames, (), iter([{}] * 3))
+    with pytest.raises(InputError, match=r"gps_prior of frame .*000001.jpg is not finite"):
         read_frames(path)
 
 

@@ -1,0 +1,193 @@
+"""Where a model of unknown frame and scale stands, from GPS that may be bad.
+
+Similarities are (3, 4): scale times rotation, and translation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.errors import InputError
+from scene.sparse_map import SparseMap
+
+Array = NDArray[np.float64]
+_Fit = Callable[[Array, Array], Array]
+
+_SAMPLES = 500
+# A fix further from its camera than this many standard deviations of the others is a blunder, ...
+_BLUNDER = 5.0
+# ... but not within the metres that receivers without corrections are off on a good day.
+_USUAL_M = 5.0
+# Squared standard deviations per axis from the median of squared distances, in 2 and 3 axes.
+_CHI2_MEDIAN = {2: 1.386, 3: 2.366}
+# No receiver of a drone is better than this, metres.
+_LEAST_SIGMA = 0.02
+# Cameras on a line do not tell how the model is turned about it: width over length.
+_LINE = 0.05
+# Ground and cameras that agree with each other and are this far from GPS's vertical, contradict it.
+_TILT_DEG = 8.0
+# Points further from the ground's plane than this many deviations are no ground.
+_OFF_GROUND = 2.5
+
+
+@dataclass(frozen=True)
+class Georegistration:
+    """Where a model stands.
+
+    Attributes:
+        world_from_model: (3, 4) similarity.
+        level: which way is up: by "gps", or by the "ground" where altitudes or a straight flight
+            cannot tell.
+        blunders: photographs whose fix contradicts the others.
+        sigma: (3,) of the other fixes per axis, metres.
+    """
+
+    world_from_model: Array
+    level: str
+    blunders: tuple[str, ...]
+    sigma: Array
+
+    def apply(self, points: Array) -> Array:
+        """Points (N, 3) of the model in the world."""
+        return _apply(self.world_from_model, points)
+
+
+def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
+    """Find the similarity from camera centres to GPS by least median of squares.
+
+    It holds with up to half of the fixes wrong, and needs no threshold that only one receiver fits.
+    Altitudes take part unless both the ground (the plane most points lie near) and the cameras'
+    mean direction say that they tilt the world, as those of a barometer that drifts do. Then, and
+    where the cameras stand on one line, the ground is level. A hillside is not mistaken for a tilt:
+    there the cameras look down plumb.
+
+    Args:
+        model: in a frame of its own.
+        fixes: (3,) measured centres by name, east, north, up in metres.
+
+    Raises:
+        InputError: fewer than three photographs of the model have a fix, or all stand in one place.
+    """
+    names = [name for name in model.names if name in fixes]
+    if len(names) < 3:
+        raise InputError(
+            f"only {len(names)} of the {len(model.names)} photographs that hang together have a "
+            "GPS position, three are needed to place them"
+        )
+    centres = np.array([model.images[name].centre for name in names])
+    measured = np.array([fixes[name] for name in names])
+    if np.linalg.norm(measured - np.median(measured, 0), axis=1).max() < _LEAST_SIGMA:
+        raise InputError("all GPS positions are one: they do not tell scale and direction")
+
+    upright = _upright(model)
+    similarity, good = _robust(_similarity, centres, measured, 3)
+    level = "gps"
+    if _width_over_length(centres) < _LINE or _tilts(similarity, model, upright[2]):
+        similarity, good = _fit_level(upright, centres, measured)
+        level = "ground"
+    off = (_apply(similarity, centres) - measured)[good]
+    return Georegistration(
+        world_from_model=similarity,
+        level=level,
+        blunders=tuple(name for name, ok in zip(names, good, strict=True) if not ok),
+        sigma=np.maximum(np.sqrt((off**2).mean(0)), _LEAST_SIGMA),
+    )
+
+
+def _apply(similarity: Array, points: Array) -> Array:
+    return np.asarray(points @ similarity[:, :3].T + similarity[:, 3])
+
+
+def _tilts(similarity: Array, model: SparseMap, ground: Array) -> bool:
+    """Whether ground and cameras contradict the vertical of a similarity together.
+
+    Args:
+        similarity: from GPS with its altitudes.
+        model: in its own frame.
+        ground: (3,) upward normal of the ground, in that frame.
+    """
+    vertical = similarity[2, :3]
+    backwards = -np.sum([model.images[name].cam_from_world[2, :3] for name in model.names], axis=0)
+    apart = _degrees(ground, backwards)
+    off = min(_degrees(vertical, ground), _degrees(vertical, backwards))
+    return off > max(_TILT_DEG, apart)
+
+
+def _degrees(a: Array, b: Array) -> float:
+    cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def _width_over_length(centres: Array) -> float:
+    singular = np.linalg.svd(centres - centres.mean(0), compute_uv=False)
+    return float(singular[1] / max(singular[0], 1e-12))
+
+
+def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """With the ground level, and heights of the model's own scale."""
+    turned = centres @ upright.T
+    horizontal, good = _robust(_level_similarity, turned, measured, 2)
+    similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
+    similarity[2, 3] += np.median((measured - _apply(similarity, centres))[good, 2])
+    return similarity, good
+
+
+def _robust(fit: _Fit, source: Array, target: Array, axes: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Least median of squares over random samples, then least squares over what fits."""
+    rng = np.random.default_rng(0)
+    best, least = fit(source, target), np.inf
+    for _ in range(_SAMPLES):
+        rows = rng.choice(len(source), axes, replace=False)
+        candidate = fit(source[rows], target[rows])
+        median = _median_square(candidate, source, target, axes)
+        if median < least:
+            best, least = candidate, median
+    for _ in range(5):
+        sigma = np.sqrt(_median_square(best, source, target, axes) / _CHI2_MEDIAN[axes])
+        off = np.linalg.norm((_apply(best, source) - target)[:, :axes], axis=1)
+        good = off <= max(_BLUNDER * float(sigma), _USUAL_M)
+        best = fit(source[good], target[good])
+    return best, good
+
+
+def _median_square(similarity: Array, source: Array, target: Array, axes: int) -> float:
+    off = (_apply(similarity, source) - target)[:, :axes]
+    return float(np.median((off**2).sum(1)))
+
+
+def _similarity(source: Array, target: Array) -> Array:
+    """Least squares of all axes (Umeyama 1991)."""
+    a, b = source - source.mean(0), target - target.mean(0)
+    u, singular, vt = np.linalg.svd(b.T @ a)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    scale = (singular * sign).sum() / max((a**2).sum(), 1e-12)
+    linear = scale * (u * sign) @ vt
+    return np.column_stack([linear, target.mean(0) - linear @ source.mean(0)])
+
+
+def _level_similarity(source: Array, target: Array) -> Array:
+    """Least squares of the horizontal axes alone, turning about the vertical."""
+    a, b = (x[:, 0] + 1j * x[:, 1] for x in (source - source.mean(0), target - target.mean(0)))
+    turn = (b * a.conj()).sum() / max((np.abs(a) ** 2).sum(), 1e-12)
+    linear = np.array([[turn.real, -turn.imag, 0], [turn.imag, turn.real, 0], [0, 0, np.abs(turn)]])
+    return np.column_stack([linear, target.mean(0) - linear @ source.mean(0)])
+
+
+def _upright(model: SparseMap) -> Array:
+    """Rotation that makes the ground level, cameras above it."""
+    points = model.xyz
+    near = np.ones(len(points), bool)
+    for _ in range(10):
+        middle = points[near].mean(0)
+        normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
+        off = np.abs((points - middle) @ normal)
+        near = off <= _OFF_GROUND * 1.4826 * np.median(off)
+    if ((model.centres - middle) @ normal).mean() < 0:
+        normal = -normal
+    east = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [1.0, 0.0, 0.0], normal)
+    east /= np.linalg.norm(east)
+    return np.stack([east, np.cross(normal, east), normal])

@@ -1,0 +1,212 @@
+"""What came of a folder of photographs, in figures."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from ingest.georegister import Georegistration
+from scene.colmap import Photograph
+from scene.sparse_map import SparseMap
+
+_SHOWN = 6
+
+
+class Residuals(BaseModel):
+    """Distances of cameras from their fixes, metres; vertical ones without sign."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    horizontal_median: float
+    horizontal_rms: float
+    vertical_median: float
+    vertical_rms: float
+
+
+class Lens(BaseModel):
+    """One lens: its photographs in the model, its camera for them, and where that comes from."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    photographs: int
+    camera: str
+    origin: str
+
+
+class IngestReport(BaseModel):
+    """Figures of an ingested flight.
+
+    Attributes:
+        photographs: JPEGs found.
+        left_out: of them, by file, why they are not in the scene.
+        registered: photographs in the scene.
+        points: of the model of all of them.
+        track_length: mean number of photographs that observe a point.
+        reprojection_error_px: mean over observations.
+        lenses: cameras found.
+        level: what says which way is up: "gps" or the "ground".
+        fixes: photographs in the scene whose GPS position was used.
+        blunders: by file, metres from the camera of fixes that were not.
+        wrong_attitudes: by file, degrees from the camera of gimbal attitudes that were not used.
+        gps: residuals of the fixes that were.
+        map_images: photographs of the map.
+        map_points: points of the map, triangulated from its photographs alone.
+        queries: photographs left for queries.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    photographs: int
+    left_out: dict[str, str]
+    registered: int
+    points: int
+    track_length: float
+    reprojection_error_px: float
+    lenses: tuple[Lens, ...]
+    level: str
+    fixes: int
+    blunders: dict[str, float]
+    wrong_attitudes: dict[str, float]
+    gps: Residuals
+    map_images: int
+    map_points: int
+    queries: int
+
+    def text(self) -> str:
+        """For a person."""
+        gps = self.gps
+        up = {
+            "gps": "up is where GPS says",
+            "ground": "up is across the ground: GPS altitudes cannot tell",
+        }
+        lines = [
+            f"{self.registered} of {self.photographs} photographs registered, {self.points} points "
+            f"in tracks of {self.track_length:.1f}, "
+            f"{self.reprojection_error_px:.2f} px mean reprojection error",
+            f"GPS residuals of {self.fixes} photographs: horizontal {gps.horizontal_median:.2f} m "
+            f"median, {gps.horizontal_rms:.2f} m rms; vertical {gps.vertical_median:.2f} m median, "
+            f"{gps.vertical_rms:.2f} m rms; {up[self.level]}",
+            f"map of {self.map_images} photographs and {self.map_points} points, "
+            f"{self.queries} queries",
+            *(f"lens {x.name}: {x.photographs} photographs, {x.origin}" for x in self.lenses),
+            *_listed("wrong GPS", {k: f"{v:.0f} m off" for k, v in self.blunders.items()}),
+            *_listed(
+                "wrong attitude", {k: f"{v:.0f}° off" for k, v in self.wrong_attitudes.items()}
+            ),
+            *_listed("left out", self.left_out),
+        ]
+        return "\n".join(lines)
+
+
+def _listed(what: str, reasons: Mapping[str, str]) -> list[str]:
+    lines = [f"{what}: {name}: {reason}" for name, reason in list(reasons.items())[:_SHOWN]]
+    more = len(reasons) - len(lines)
+    return [*lines, f"{what}: {more} more, all in ingest.json"] if more > 0 else lines
+
+
+def residuals(
+    model: SparseMap, fixes: Mapping[str, NDArray[np.float64]], names: Sequence[str]
+) -> NDArray[np.float64]:
+    """Fix minus camera centre of some photographs, (N, 3) metres."""
+    off = [fixes[name] - model.images[name].centre for name in names]
+    return np.array(off).reshape(-1, 3)
+
+
+def summary(off: NDArray[np.float64]) -> Residuals:
+    """Figures of residuals (N, 3)."""
+    horizontal, vertical = np.linalg.norm(off[:, :2], axis=1), np.abs(off[:, 2])
+    return Residuals(
+        horizontal_median=float(np.median(horizontal)),
+        horizontal_rms=float(np.sqrt((horizontal**2).mean())),
+        vertical_median=float(np.median(vertical)),
+        vertical_rms=float(np.sqrt((vertical**2).mean())),
+    )
+
+
+def lenses_of(
+    photographs: Sequence[Photograph], model: SparseMap, refined: Collection[str]
+) -> tuple[Lens, ...]:
+    """Cameras of a model by lens, in the order of the photographs."""
+    found: dict[str, list[Photograph]] = {}
+    for photograph in photographs:
+        if photograph.name in model.images:
+            found.setdefault(photograph.lens, []).append(photograph)
+    return tuple(
+        Lens(
+            name=lens,
+            photographs=len(taken),
+            camera=str(model.images[taken[0].name].camera),
+            origin=_origin(taken[0], model.images[taken[0].name].camera.focal[0], lens in refined),
+        )
+        for lens, taken in found.items()
+    )
+
+
+def _origin(first: Photograph, focal: float, refined: bool) -> str:
+    start = first.camera.focal[0]
+    if first.calibrated:
+        return f"focal length {focal:.1f} px as given"
+    if not first.focal_known:
+        return (
+            f"no focal length in EXIF: guessed {start:.1f} px, refined to {focal:.1f} px "
+            "(over flat ground, give --camera)"
+        )
+    if refined:
+        return f"focal length {start:.1f} px of EXIF refined to {focal:.1f} px"
+    return f"focal length {focal:.1f} px of EXIF kept: the ground is too flat to refine it"
+
+
+def make_report(
+    photographs: Sequence[Photograph],
+    files: Mapping[str, str],
+    left_out: Mapping[str, str],
+    model: SparseMap,
+    fixes: Mapping[str, NDArray[np.float64]],
+    placed: Georegistration,
+    refined: Collection[str],
+    sparse_map: SparseMap,
+    wrong_attitudes: Mapping[str, float],
+) -> IngestReport:
+    """Figures of a finished flight.
+
+    Args:
+        photographs: given to structure from motion.
+        files: of the folder, by name in the scene.
+        left_out: files with reasons.
+        model: of all photographs, in world metres.
+        fixes: measured positions by name, world metres.
+        placed: how the model was placed.
+        refined: lenses whose focal length was adjusted.
+        sparse_map: of the map's photographs.
+        wrong_attitudes: by file, degrees.
+    """
+    used = [n for n in model.names if n in fixes and n not in placed.blunders]
+    wrong = residuals(model, fixes, placed.blunders)
+    return IngestReport(
+        photographs=len(files) + len(left_out.keys() - set(files.values())),
+        left_out=dict(left_out),
+        registered=len(model.images),
+        points=len(model.xyz),
+        track_length=float(model.track_length.mean()),
+        reprojection_error_px=model.reprojection_error(),
+        lenses=lenses_of(photographs, model, refined),
+        level=placed.level,
+        fixes=len(used),
+        blunders={
+            files[name]: float(np.linalg.norm(off))
+            for name, off in zip(placed.blunders, wrong, strict=True)
+        },
+        wrong_attitudes=dict(wrong_attitudes),
+        gps=summary(residuals(model, fixes, used)),
+        map_images=len(sparse_map.images),
+        map_points=len(sparse_map.xyz),
+        queries=len(model.images) - len(sparse_map.images),
+    )
+
+
+REPORT = Path("ingest.json")

@@ -1,0 +1,71 @@
+"""Which photographs of a flight build the map, and which are queries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.errors import InputError
+
+Split = Literal["photo", "line", "none"]
+
+# A flight line ends where the course turns by more than this.
+_TURN_DEG = 40.0
+
+
+def queries_of(
+    names: Sequence[str],
+    fixes: Mapping[str, NDArray[np.float64]],
+    split: Split,
+    every: int,
+) -> set[str]:
+    """Photographs that are queries: every ``every``-th one, or all of every ``every``-th line.
+
+    Args:
+        names: in the order they were taken.
+        fixes: (3,) positions of those that have one, metres.
+        split: by photograph, by flight line, or no queries at all.
+        every: 2 or more.
+
+    Raises:
+        InputError: the flight has fewer lines than ``every``.
+    """
+    if split == "none":
+        return set()
+    first = every // 2
+    if split == "photo":
+        return set(names[first::every])
+    lines = flight_lines(names, fixes)
+    if max(lines) < first:
+        raise InputError(
+            f"the flight has {max(lines) + 1} lines, too few for a query line among every {every}: "
+            "take a smaller --every or --split photo"
+        )
+    return {name for name, line in zip(names, lines, strict=True) if line % every == first}
+
+
+def flight_lines(names: Sequence[str], fixes: Mapping[str, NDArray[np.float64]]) -> list[int]:
+    """Number of the flight line of each photograph; one without a fix belongs to the one before."""
+    known = [name for name in names if name in fixes]
+    course: NDArray[np.float64] | None = None
+    line, of_known = 0, dict.fromkeys(known[:1], 0)
+    for before, name in pairwise(known):
+        step = fixes[name][:2] - fixes[before][:2]
+        length = float(np.linalg.norm(step))
+        if length > 0:
+            direction = step / length
+            if course is not None and course @ direction < np.cos(np.radians(_TURN_DEG)):
+                line += 1
+                course = None  # the step from line to line is the course of neither
+            else:
+                course = direction
+        of_known[name] = line
+    numbers, current = [], 0
+    for name in names:
+        current = of_known.get(name, current)
+        numbers.append(current)
+    return numbers
