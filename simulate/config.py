@@ -127,7 +127,7 @@ def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionCo
 _USUAL: dict[str, dict[str, Any]] = {
     "street": {
         "area": 300.0,
-        "frames": 60,
+        "frames": 120,  # of a map session: one every 4 m, both ways
         "sessions": (
             *_drive("summer-noon", "map"),
             *_drive("summer-noon", "query", -0.5),
