@@ -10,7 +10,6 @@ from scene.errors import InputError
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.look.props import shape_mesh
-from simulate.map_report import points_inside
 from simulate.place.change import (
     LOOSE,
     VEHICLES,
@@ -185,8 +184,12 @@ def test_what_is_declared_is_all_that_was_rendered_elsewhere(two_sessions: Scene
             seen = np.stack([(columns + 0.5 - cx) / fx * z, (rows + 0.5 - cy) / fy * z, z], -1)
             world = (seen - pose[:3, 3]) @ pose[:3, :3]
             for number in np.unique(instance[rows, columns]).tolist():
-                mine = world[instance[rows, columns] == number]
-                assert points_inside(mine, boxes[number]) == len(mine)
+                mine, box = world[instance[rows, columns] == number], boxes[number]
+                turn = np.radians(box.yaw_deg)
+                ahead = np.array([np.cos(turn), np.sin(turn), 0])
+                axes = np.stack([ahead, [-ahead[1], ahead[0], 0], [0, 0, 1]])
+                local = (mine - box.centre) @ axes.T
+                assert (np.abs(local) <= 0.5 * np.array(box.size) + 0.01).all()
                 checked += 1
     assert checked > 2
 

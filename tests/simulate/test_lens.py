@@ -21,6 +21,7 @@ from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from tests.scene.made_cameras import CAMERAS
 from tests.simulate.blender_says import check_rays, dot_errors
+from tests.simulate.made_ground import ground_error
 
 SEED, AREA = 5, 120.0
 # Off-centre, not square, and with unequal focal lengths, so that a mistaken axis shows.
@@ -189,7 +190,7 @@ def test_ground_and_objects_are_where_they_stand(flown) -> None:
         instance = arrays["instance"]
         x, y, z = world[(instance == 0) & (arrays["depth"] > 0)].T
         inside = np.maximum(np.abs(x), np.abs(y)) < 0.5 * AREA
-        error = np.abs(z - town.terrain.height(x, y))[inside]
+        error = ground_error(town, x, y, z)[inside]
         assert np.median(error) < 0.002  # the triangulation of the terrain
         assert np.percentile(error, 99) < 0.02
         for number in set(np.unique(instance).tolist()) - {0}:

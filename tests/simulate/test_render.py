@@ -16,12 +16,12 @@ import simulate.render.pool
 from scene.errors import InputError
 from simulate.camera.pinhole import PinholeCamera
 from simulate.flight.flights import plan_nadir, plan_oblique
-from simulate.place.kerbs import Rises
 from simulate.place.town import build_town
 from simulate.place.world import CLASSES, MAX_OBJECT_ID, class_lookup
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from tests.simulate.blender_says import check_rays
+from tests.simulate.made_ground import ground_error
 
 SEED, AREA = 5, 120.0
 # Off-centre and not square, so that a mistaken principal point or axis shows.
@@ -94,17 +94,6 @@ def test_depth_is_what_rays_meet(summer, tmp_path):
     check_rays(job("summer-noon"), frames, tmp_path)
 
 
-def pavement_rise(town, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest rise (N,) of pavements within 3 cm, where kerbs stand upright."""
-    rises = Rises(town.kerbs)
-    around = [(0.0, 0.0), (0.03, 0.0), (-0.03, 0.0), (0.0, 0.03), (0.0, -0.03)]
-    found = np.zeros((len(around), len(x)))
-    close = [town.ground.label(x + dx, y + dy) for dx in (-0.2, 0, 0.2) for dy in (-0.2, 0, 0.2)]
-    for k in np.flatnonzero((np.array(close) == CLASSES["pavement"]).any(0)):
-        found[:, k] = [rises.at(np.array([x[k] + dx, y[k] + dy])) for dx, dy in around]
-    return found.min(0), found.max(0)
-
-
 def test_ground_points_lie_on_the_terrain(summer):
     town, poses = build_town(SEED, AREA), job("summer-noon").poses
     for frame in poses:
@@ -112,9 +101,7 @@ def test_ground_points_lie_on_the_terrain(summer):
         on_ground = (arrays["instance"] == 0) & (arrays["depth"] > 0)
         x, y, z = points(arrays, poses[frame])[on_ground].T
         inside = np.maximum(np.abs(x), np.abs(y)) < 0.5 * AREA
-        low, high = pavement_rise(town, x, y)
-        above = z - town.terrain.height(x, y)
-        error = np.maximum(0, np.maximum(low - above, above - high))[inside]
+        error = ground_error(town, x, y, z)[inside]
         # Half a pixel off would be some 0.2 m in the oblique frame; what is left is the
         # triangulation of the terrain.
         assert np.median(error) < 0.002
