@@ -53,7 +53,7 @@ def alone(place: str) -> None:
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     down[2, 3] = 80.0 + world.terrain.height(0.0, 0.0)
     with tempfile.TemporaryDirectory() as scratch:
-        _render(down, Path(scratch))
+        _render(down, np.zeros(3), Path(scratch))
     spent.append(time.process_time())
     plan, scene, first = np.diff(spent)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # of kilobytes
