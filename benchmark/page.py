@@ -28,9 +28,10 @@ from benchmark.basin import Basin, load_basin
 from benchmark.clustered import MIN_CLUSTERS, difference_interval
 from benchmark.paired import compare, mcnemar
 from benchmark.paper import TITLE, columns, note, side_by_side
-from benchmark.results import BASIN, TOTAL, QueryResult, Recall, Summary
+from benchmark.results import BASIN, TOTAL, QueryResult, Recall, Summary, Uncertainty
 from benchmark.score import THRESHOLDS, is_correct
 from benchmark.tables import ALL, Group, Run, saturation, start_in_words, table
+from benchmark.uncertainty import risk_coverage
 from scene.localizer import Status
 from scene.pose import Pose
 from scene.progress import progress_bar
@@ -160,6 +161,22 @@ def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[s
             _query(by_name[name], entries.get(name)) if name in by_name else None for name in names
         ],
         "basin": _basin(run),
+        # Share right (%) of the surest 1, 2, 3 ... queries, for every threshold.
+        "surest": [
+            [round(100 - risk, 1) for _, risk in risk_coverage(results.queries, threshold)]
+            for threshold in THRESHOLDS
+        ],
+        "nees": _nees(results.summary.uncertainty),
+    }
+
+
+def _nees(found: Uncertainty | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "mean": _rounded(found.nees_mean),
+        "queries": found.queries,
+        "within": _recall(found.within_95),
     }
 
 

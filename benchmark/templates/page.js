@@ -186,6 +186,22 @@
     });
   };
 
+  const surest = (b) => chart((width) => {
+    const f = frame(width, "Share right among the surest queries", "surest queries, percent of all",
+      (from, to) => linear(0, 100, from, to), [0, 25, 50, 75, 100].map((v) => [v, String(v)]));
+    for (const run of everyRun(b)) {
+      const right = b.runs[run].surest[state.threshold];
+      const points = right.map((share, k) => `${f.x((100 * (k + 1)) / right.length).toFixed(1)} ${f.y(share).toFixed(1)}`);
+      f.root.append(svg("path", { d: `M${points.join("L")}`, fill: "none", "stroke-width": 2.2, "stroke-linejoin": "round",
+        "stroke-dasharray": dashes[run % 8], css: { stroke: colour(run) } },
+      svg("title", {}, b.runs[run].label)));
+    }
+    return f.root;
+  });
+  const honesty = (run) => `${run.label}: ${run.nees
+    ? `${digits(run.nees.mean)} on average, ${percent(run.nees.within)} % ${interval(run.nees.within)} inside, of ${run.nees.queries}`
+    : "no covariance"}`;
+
   // ---- tables
 
   const scroll = (label, ...children) => el("div", { class: "scroll", role: "region", "aria-label": label, tabindex: "0" }, ...children);
@@ -432,6 +448,9 @@
         ? `Recall (%) at ${threshold} of all queries, when the prior is wrong by exactly so much; each method hears the same priors.`
         : "Recall against the error of the prior. Nothing measured yet: objconnect basin DATASET --method M --out RESULTS.",
       ...(withBasin.length ? [basin(b, withBasin), legend(b, withBasin, true)] : [])),
+      card("surest", "Surest first", `Percent right at ${threshold} when only the queries of least predicted sigma are believed; those without one come last.`,
+        surest(b), legend(b, runs, true),
+        el("p", { class: "quiet" }, `Normalised error squared (6 when covariances are honest) and share inside the 95 % ellipsoid: ${b.runs.map(honesty).join("; ")}.`)),
       card("heat", "Conditions", `Recall (%) at ${threshold}; a cell opens its worst query.`, heatMap(b)),
       b.runs.length > 1 ? card("pairs", "Paired comparison", `Change of recall in points at ${threshold}, ${where}, query by query; p of McNemar's exact test, two-sided, coloured below 0.05 and not corrected for the number of pairs. ${b.pairs_note}`, pairTable(b)) : null);
   };

@@ -117,6 +117,19 @@ def test_figures_are_those_of_the_results(out: Path, page: Path, browser: Browse
     assert is_clean(browser)
 
 
+def test_the_surest_queries_come_first(out: Path, page: Path, browser: Browser) -> None:
+    """Nobody states a sigma here: the curve ends at the recall of all queries."""
+    browser.open(page)
+    choose_board(browser, 2)
+    ends = browser.run(
+        "JSON.stringify(Array.from(document.querySelectorAll('#surest path[fill=none]'), "
+        "(path) => path.getAttribute('d').split('L').length))"
+    )
+    assert json.loads(ends)[-2:] == [6, 6]
+    assert "no covariance" in browser.texts("#surest p")[-1]
+    assert is_clean(browser)
+
+
 def test_the_papers_table_is_labelled(page: Path, browser: Browser) -> None:
     browser.open(page)
     rows = [text.split("\t") for text in browser.texts("#paper-table tbody tr")]
