@@ -326,6 +326,7 @@ def test_results_without_an_album(out: Path, tmp_path: Path, browser: Browser) -
     assert "No album lies beside these results" in browser.texts("#query-picture")[0]
     assert "Nothing measured yet" in browser.texts("#basin")[0]
     assert browser.run("document.querySelector('#pairs')") is None
+    assert "null" not in browser.texts("#charts")[0]
     assert is_clean(browser)
 
 
