@@ -22,7 +22,7 @@ from typing import Annotated, Final, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from benchmark.datasets import Dataset
-from benchmark.evaluate import attempt, identity, method_of, scored
+from benchmark.evaluate import attempt, identity, method_of, require_folder, scored
 from benchmark.results import BASIN, DatasetId, Environment, Method, QueryResult, Recall
 from benchmark.score import THRESHOLDS, is_correct, wilson
 from benchmark.starts import moved_prior
@@ -160,8 +160,7 @@ def basin(
     Raises:
         InputError: the map or a photograph is missing or broken, or ``out`` cannot be written.
     """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"cannot write results to {out}: it is not a folder")
+    require_folder(out)
     sparse_map = dataset.load_map()
     localizer.prepare(sparse_map, dataset.images, cache)
     answers: list[list[QueryResult]] = [[] for _ in sizes]

@@ -62,8 +62,7 @@ def evaluate(
     Raises:
         InputError: the map or a photograph is missing or broken, or ``out`` cannot be written.
     """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"cannot write results to {out}: it is not a folder")
+    require_folder(out)
     start = _given(start, dataset)
     method = method_of(localizer)
     target = results_path(out, dataset, localizer)
@@ -101,6 +100,12 @@ def evaluate(
         results.write(target)
     _draw_median(dataset, sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
     return results
+
+
+def require_folder(out: Path) -> None:
+    """InputError: something that is no folder stands where results are to go."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"cannot write results to {out}: it is not a folder")
 
 
 def results_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:

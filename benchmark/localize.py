@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.simulated import is_scene
-from benchmark.textfiles import read_priors
+from benchmark.textfiles import pose_line, read_priors
 from scene.bundle import Scene
 from scene.camera import Camera
 from scene.colmap import read_map
@@ -161,8 +161,7 @@ def _pose_lines(located: Sequence[Located]) -> str:
     for item in located:
         pose = item.estimate.cam_from_world
         if item.found and pose is not None:
-            numbers = [*pose.quaternion().tolist(), *pose.translation.tolist()]
-            lines.append(" ".join([item.name, *(f"{x:.9f}" for x in numbers)]))
+            lines.append(pose_line(item.name, pose, 9))
     return "\n".join(lines) + "\n"
 
 

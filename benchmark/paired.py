@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
-_Z: Final = 1.959963984540054
+from benchmark.score import Z_95
 
 
 class PairedChange(NamedTuple):
@@ -51,7 +51,7 @@ def compare(before: Sequence[bool], after: Sequence[bool]) -> PairedChange:
     lost = sum(b and not a for b, a in zip(before, after, strict=True))
     won = sum(a and not b for b, a in zip(before, after, strict=True))
     p, q = (lost + 1) / (n + 2), (won + 1) / (n + 2)
-    half = _Z * math.sqrt((p + q - (p - q) ** 2) / (n + 2))
+    half = Z_95 * math.sqrt((p + q - (p - q) ** 2) / (n + 2))
     return PairedChange(
         queries=n,
         lost=lost,

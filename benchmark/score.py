@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, Protocol
 from scene.localizer import Status
 
 # The normal quantile of a two-sided 95 % interval.
-_Z: Final = 1.959963984540054
+Z_95: Final = 1.959963984540054
 
 
 class Threshold(NamedTuple):
@@ -72,9 +72,9 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
     Unlike the textbook interval it does not shrink to nothing at 0 and 100 %.
     """
-    p, z2 = successes / trials, _Z * _Z
+    p, z2 = successes / trials, Z_95 * Z_95
     centre = (p + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = _Z / (1 + z2 / trials) * math.sqrt(p * (1 - p) / trials + z2 / (4 * trials**2))
+    half = Z_95 / (1 + z2 / trials) * math.sqrt(p * (1 - p) / trials + z2 / (4 * trials**2))
     # At the ends the interval touches them exactly; rounding would leave it a hair short.
     low = 0.0 if successes == 0 else centre - half
     high = 1.0 if successes == trials else centre + half

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.cmu import Slice, open_slices
+from benchmark.textfiles import pose_line
 from scene.colmap import read_map
 from scene.errors import InputError
 from scene.files import read_text, write_text
 from scene.images import read_rgb
 from scene.localizer import Localizer, Query, Status
-from scene.pose import Pose
 from scene.progress import progress_bar
 
 SUBMISSION: Final = "submission.txt"
@@ -77,12 +77,7 @@ def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) ->
             image = read_rgb(part.folder / "query" / name, camera)
             estimate = localizer.localize(Query(name, image, camera))
             if estimate.status is Status.OK and estimate.cam_from_world is not None:
-                lines.append(_line(name, estimate.cam_from_world))
+                lines.append(pose_line(name, estimate.cam_from_world, _DECIMALS))
             advance(count)
     write_text(path, "".join(f"{line}\n" for line in [header, *lines]))
     return lines
-
-
-def _line(name: str, pose: Pose) -> str:
-    numbers = [*pose.quaternion().tolist(), *pose.translation.tolist()]
-    return " ".join([name, *(f"{x:.{_DECIMALS}f}" for x in numbers)])

@@ -51,6 +51,12 @@ def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
     return poses
 
 
+def pose_line(name: str, cam_from_world: Pose, decimals: int) -> str:
+    """A line that ``read_poses`` reads, without its end: ``name qw qx qy qz tx ty tz``."""
+    numbers = [*cam_from_world.quaternion().tolist(), *cam_from_world.translation.tolist()]
+    return " ".join([name, *(f"{number:.{decimals}f}" for number in numbers)])
+
+
 def read_cameras(path: Path) -> dict[str, Camera]:
     """Read ``name MODEL width height params...`` lines; in the file's order.
 
