@@ -1,0 +1,36 @@
+"""The convolutions of VGG16 (Simonyan and Zisserman, ICLR 2015), full or slimmed."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from torch import nn
+
+# Channels of the convolutions of each block; a pooling by 2 stands between blocks.
+BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
+# Of RGB in 0..1, over ImageNet: what networks that start from VGG16 subtract and divide by.
+IMAGENET_MEAN: Final = (0.485, 0.456, 0.406)
+IMAGENET_STD: Final = (0.229, 0.224, 0.225)
+
+
+def channels(width: float) -> list[int]:
+    """Output channels of the five blocks. ``width`` 1 is VGG16; other networks are slimmer."""
+    return [round(block[-1] * width) for block in BLOCKS]
+
+
+def vgg16_blocks(width: float = 1.0) -> list[list[nn.Module]]:
+    """The five blocks, each a list of 3x3 convolutions with their ReLUs, without the poolings.
+
+    With every pooling put between them, their order is that of torchvision's ``vgg16().features``,
+    so that weights of networks built on it can be read by position.
+    """
+    blocks: list[list[nn.Module]] = []
+    previous = 3
+    for sizes in BLOCKS:
+        block: list[nn.Module] = []
+        for size in sizes:
+            out = round(size * width)
+            block += [nn.Conv2d(previous, out, 3, padding=1), nn.ReLU(inplace=True)]
+            previous = out
+        blocks.append(block)
+    return blocks

@@ -1,0 +1,99 @@
+"""Learned weights on disk: ours as safetensors, others' checkpoints as tensors alone."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from scene.errors import InputError
+from scene.files import sha256_of, written_whole
+
+SHIPPED: Final = Path(__file__).resolve().parents[1] / "weights"
+"""Where the weights lie that come with the project."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Tensors by name, and what the network must be to take them.
+
+    Attributes:
+        tensors: as in the ``state_dict`` of the network.
+        config: of the network; empty where the file does not say.
+        sha256: of the file.
+    """
+
+    tensors: dict[str, Tensor]
+    config: dict[str, Any]
+    sha256: str
+
+
+def read_weights(path: Path) -> Weights:
+    """Read ``.safetensors``, or a torch checkpoint with its tensors under "model" or at the top.
+
+    Checkpoints may hold nothing but tensors and plain values: what would run code is refused.
+
+    Raises:
+        InputError: there is no such file, or it is damaged, or holds code.
+    """
+    if not path.is_file():
+        raise InputError(f"no weights at {path}")
+    digest = sha256_of(path)
+    if path.suffix == ".safetensors":
+        try:
+            with safe_open(path, "pt") as file:
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                config = json.loads((file.metadata() or {}).get("config", "{}"))
+        except (SafetensorError, ValueError, OSError) as error:
+            raise InputError(f"{path} is no safetensors file of weights: {error}") from error
+        return Weights(tensors, config, digest)
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path} cannot be read as tensors and plain values: {reason}") from error
+    model = content.get("model", content) if isinstance(content, Mapping) else None
+    if not isinstance(model, Mapping) or not any(isinstance(v, Tensor) for v in model.values()):
+        raise InputError(f"{path} holds no tensors by name")
+    named = {str(name): value for name, value in model.items() if isinstance(value, Tensor)}
+    return Weights(named, {}, digest)
+
+
+def write_weights(path: Path, network: nn.Module, config: Mapping[str, Any]) -> None:
+    """Write the tensors of a network and its configuration, whole or not at all."""
+    own = network.state_dict()
+    tensors = {name: value.detach().cpu().contiguous() for name, value in own.items()}
+    metadata = {"config": json.dumps(dict(config), sort_keys=True)}
+    with written_whole(path) as partial:
+        partial.write_bytes(save(tensors, metadata))
+
+
+def load_into(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    """Put tensors into a network.
+
+    Raises:
+        InputError: names or shapes are not the network's, or a value is not finite.
+    """
+    own = network.state_dict()
+    for name, value in own.items():
+        if name not in tensors:
+            raise InputError(f"{path} lacks {name}: it is not of this network")
+        if tensors[name].shape != value.shape:
+            raise InputError(
+                f"{path}: {name} is {tuple(tensors[name].shape)}, the network's is "
+                f"{tuple(value.shape)}"
+            )
+        if not bool(torch.isfinite(tensors[name]).all()):
+            raise InputError(f"{path}: {name} has values that are not finite")
+    extra = sorted(set(tensors) - set(own))
+    if extra:
+        raise InputError(f"{path} has {extra[0]}, which this network lacks")
+    network.load_state_dict(dict(tensors))
