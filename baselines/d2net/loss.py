@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from baselines.training.contrastive import sample
+
 _MARGIN: Final = 1.0
 # Within so many cells (Chebyshev) of the true place, a descriptor is no negative.
 _SAFE_RADIUS: Final = 4
@@ -51,18 +53,14 @@ def triplet_loss(
         scores_a: (h, w) soft detection scores.
         features_b: (C, h', w') of the other image.
         scores_b: (h', w').
-        cells_a: (N, 2) int64 columns and rows of corresponding cells, inside the image; N > 0.
+        cells_a: (N, 2) columns and rows of corresponding places, in cells: the centre of the first
+            is (0.5, 0.5). Descriptors and scores between centres are interpolated. N > 0.
         cells_b: (N, 2) the same of the other image.
     """
-    all_a, all_b = _unit_rows(features_a), _unit_rows(features_b)
-    rows_a, rows_b = _flat(cells_a, features_a), _flat(cells_b, features_b)
-    a, b = all_a[rows_a], all_b[rows_b]
+    a, b = _descriptors(features_a, cells_a), _descriptors(features_b, cells_b)
     positive = 2 - 2 * (a * b).sum(1)
-    negative = torch.minimum(
-        _hardest(a, all_b, cells_b, features_b.shape[2]),
-        _hardest(b, all_a, cells_a, features_a.shape[2]),
-    )
-    weight = scores_a.flatten()[rows_a] * scores_b.flatten()[rows_b]
+    negative = torch.minimum(_hardest(a, features_b, cells_b), _hardest(b, features_a, cells_a))
+    weight = _at(scores_a[None], cells_a)[:, 0] * _at(scores_b[None], cells_b)[:, 0]
     hinge = functional.relu(_MARGIN + positive - negative)
     # Scores are of the order of one over the number of cells: their products are small.
     weight = weight / weight.sum().clamp_min(_TINY)
@@ -74,26 +72,27 @@ def triplet_loss(
     )
 
 
-def _unit_rows(features: Tensor) -> Tensor:
-    """(C, h, w) as (h * w, C) float32 of unit length."""
-    return functional.normalize(features.float().flatten(1).T, dim=1)
+def _at(values: Tensor, cells: Tensor) -> Tensor:
+    """Values (C, h, w) at places (N, 2), in float32. (N, C)."""
+    return sample(values[None], cells[None])[0]
 
 
-def _flat(cells: Tensor, features: Tensor) -> Tensor:
-    return cells[:, 1] * features.shape[2] + cells[:, 0]
+def _descriptors(features: Tensor, cells: Tensor) -> Tensor:
+    return functional.normalize(_at(features, cells), dim=1)
 
 
-def _hardest(descriptors: Tensor, others: Tensor, cells: Tensor, columns: int) -> Tensor:
-    """Squared distance of each descriptor to the nearest of the other image away from its place.
+def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor) -> Tensor:
+    """Squared distance of each descriptor to the nearest of another image away from its place.
 
     Args:
         descriptors: (N, C).
-        others: (h * w, C) every cell of the other image.
-        cells: (N, 2) where each descriptor belongs in the other image.
-        columns: of the other image.
+        features: (C, h, w) of the other image.
+        cells: (N, 2) where each descriptor belongs in it.
     """
-    index = torch.arange(len(others), device=cells.device)
-    grid = torch.stack([index % columns, index // columns], -1)
-    near = (cells[:, None] - grid).abs().amax(-1) <= _SAFE_RADIUS
-    distance = 2 - 2 * descriptors @ others.T
+    others = functional.normalize(features.float().flatten(1), dim=0)
+    index = torch.arange(others.shape[1], device=cells.device)
+    columns = features.shape[2]
+    centres = torch.stack([index % columns, index // columns], -1) + 0.5
+    near = (cells[:, None] - centres).abs().amax(-1) <= _SAFE_RADIUS
+    distance = 2 - 2 * descriptors @ others
     return torch.where(near, distance + _FAR, distance).amin(1)

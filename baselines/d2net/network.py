@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Final
 
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.vgg import channels, vgg16_blocks
 from baselines.weights import load_into, read_weights
+from scene.config import Config, load_config
 from scene.errors import InputError
 
 STRIDE: Final = 8
@@ -29,19 +31,29 @@ _FIRST: Final = "dense_feature_extraction.model.0.weight"
 _TINY: Final = 1e-12
 
 
+class D2NetNetConfig(Config):
+    """What the network is made of.
+
+    Attributes:
+        width: channels in parts of VGG16's; 1 is the authors' network.
+    """
+
+    width: float = Field(1.0, gt=0, le=1)
+
+
 class D2Net(nn.Module):
     """Features of images, cell by cell.
 
     Attributes:
-        width: of VGG16's channels; 1 is the authors' network.
+        config: what it is made of.
         channels: of the features.
     """
 
-    def __init__(self, width: float = 1.0) -> None:
+    def __init__(self, config: D2NetNetConfig) -> None:
         super().__init__()
-        self.width = width
-        self.channels = channels(width)[3]
-        *first, last = vgg16_blocks(width)[:4]
+        self.config = config
+        self.channels = channels(config.width)[3]
+        *first, last = vgg16_blocks(config.width)[:4]
         layers: list[nn.Module] = []
         for block in first:
             layers += [*block, nn.MaxPool2d(2)]
@@ -110,7 +122,8 @@ def read_network(path: Path) -> tuple[D2Net, str]:
     first = weights.tensors.get(_FIRST)
     if first is None:
         raise InputError(f"{path} lacks {_FIRST}: it holds no weights of D2-Net")
-    network = D2Net(weights.config.get("width", len(first) / 64))
+    config = weights.config or {"width": len(first) / 64}
+    network = D2Net(load_config(D2NetNetConfig, None, config))
     load_into(network, weights.tensors, path)
     return network.eval().requires_grad_(False), weights.sha256
 
