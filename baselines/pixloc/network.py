@@ -13,13 +13,15 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import torch
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
+from baselines.align.damping import Damping
 from baselines.vgg import IMAGENET_MEAN, IMAGENET_STD, channels, vgg16_blocks
 from baselines.weights import load_into, read_weights
-from scene.config import Config, load_config
+from scene.config import Config, describe
+from scene.errors import InputError
 
 _STRIDES: Final = (16, 8, 4, 2, 1)
 
@@ -57,8 +59,7 @@ class PixlocNet(nn.Module):
 
     Attributes:
         config: what it is made of.
-        damping: (L, 6) parameters of the damping of each level, coarse to fine, rotation then
-            translation; ``baselines.align`` says what they mean.
+        damping: of each level, coarse to fine; called, it gives factors (6,).
     """
 
     def __init__(self, config: PixlocNetConfig) -> None:
@@ -86,7 +87,7 @@ class PixlocNet(nn.Module):
             nn.Conv2d(size, dim, 1) for size, dim in zip(inputs, config.dims, strict=True)
         )
         self.confidence = nn.ModuleList(nn.Conv2d(size, 1, 1) for size in inputs)
-        self.damping = nn.Parameter(torch.zeros(len(config.strides), 6))
+        self.damping = nn.ModuleList(Damping() for _ in config.strides)
         self._mean: Tensor
         self._std: Tensor
         self.register_buffer("_mean", torch.tensor(IMAGENET_MEAN)[:, None, None], persistent=False)
@@ -134,10 +135,14 @@ def read_network(path: Path) -> tuple[PixlocNet, str]:
         InputError: there is no such file, or it is damaged or not of this network.
     """
     weights = read_weights(path)
-    tensors, config = weights.tensors, weights.config
+    tensors, values = weights.tensors, weights.config
     if any(name.startswith("extractor.") for name in tensors):
-        tensors, config = _from_official(tensors)
-    network = PixlocNet(load_config(PixlocNetConfig, None, config))
+        tensors, values = _from_official(tensors)
+    try:
+        config = PixlocNetConfig.model_validate(values)
+    except ValidationError as error:
+        raise InputError(describe(error, PixlocNetConfig, f"in {path}")) from None
+    network = PixlocNet(config)
     load_into(network, tensors, path)
     return network.eval(), weights.sha256
 
@@ -147,19 +152,18 @@ def _from_official(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], di
 
     Their levels run from fine to coarse, and their tangent is translation then rotation.
     """
-    heads = [t for name, t in tensors.items() if re.fullmatch(r"extractor\.adaptation\..*t", name)]
-    last = len([head for head in heads if head.ndim == 4]) - 1
+    head = re.compile(r"extractor\.(adaptation|uncertainty)\.(\d+)\.0\.(weight|bias)")
+    heads = [found for name in tensors if (found := head.fullmatch(name))]
+    last = max((int(found[2]) for found in heads), default=0)
     ours: dict[str, Tensor] = {}
-    damping: dict[int, Tensor] = {}
     for name, tensor in tensors.items():
-        if found := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
-            damping[last - int(found[1])] = tensor.roll(3)
-        elif found := re.fullmatch(r"extractor\.(adaptation|uncertainty)\.(\d+)\.0\.(.*)", name):
+        if found := head.fullmatch(name):
             kind = "features" if found[1] == "adaptation" else "confidence"
             ours[f"{kind}.{last - int(found[2])}.{found[3]}"] = tensor
+        elif found := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
+            ours[f"damping.{last - int(found[1])}.theta"] = tensor.roll(3)
         else:
             ours[name.removeprefix("extractor.").replace(".layers.", ".")] = tensor
-    if damping:
-        ours["damping"] = torch.stack([damping[level] for level in sorted(damping)])
-    dims = [len(ours[f"features.{n}.weight"]) for n in range(last + 1)]
+    weights = [ours.get(f"features.{level}.weight") for level in range(last + 1)]
+    dims = [len(weight) for weight in weights if weight is not None]
     return ours, {"dims": dims, "extra_convolutions": int("encoder.2.7.weight" in ours)}
