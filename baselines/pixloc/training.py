@@ -13,7 +13,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from baselines.align.aligner import align
-from baselines.align.damping import damping_factors
 from baselines.align.descent import Options
 from baselines.align.residuals import Level
 from baselines.pixloc.loss import pose_loss, reprojection_error
@@ -78,7 +77,7 @@ class PixlocTraining:
             batch.points,
             batch.intrinsics_b,
             batch.start,
-            list(damping_factors(self.network.damping)),
+            [damping() for damping in self.network.damping],
             _UNROLLED,
             batch.valid,
         )
@@ -92,6 +91,7 @@ class PixlocTraining:
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """See ``Trainable``."""
-        filters = [p for name, p in self.network.named_parameters() if name != "damping"]
-        damping = {"params": [self.network.damping], "lr": rate * _DAMPING_RATE, "weight_decay": 0}
-        return [{"params": filters, "lr": rate}, damping]
+        damping = set(self.network.damping.parameters())
+        filters = [p for p in self.network.parameters() if p not in damping]
+        slow = {"params": filters, "lr": rate}
+        return [slow, {"params": list(damping), "lr": rate * _DAMPING_RATE, "weight_decay": 0}]
