@@ -111,8 +111,9 @@ def align(
     by_level = []
     for level, held_back in zip(levels, damping, strict=True):
         problem = Problem.of(level, local, usable, cameras, options.border, options.scale)
+        problem = problem if K == 1 else problem.rows(owner)
         before = over(Tensor.detach, pose)
-        place = descend(problem, before, owner, failure == _ALIGNED, held_back, options)
+        place = descend(problem, before, failure == _ALIGNED, held_back, options)
         pose, iterations = place.pose, iterations + place.iterations
         seen = torch.where(failure == _ALIGNED, place.around.seen.sum(-1), seen)
         too_few = torch.where(seen < options.least_points, _TOO_FEW, _ALIGNED)
