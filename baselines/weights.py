@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
@@ -19,6 +20,17 @@ from scene.files import sha256_of, written_whole
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "weights"
 """Where the weights lie that come with the project."""
+
+# Training scripts keep scores beside the tensors, as NumPy's numbers: a function of NumPy's that
+# makes a number of bytes, under the names it has had, and the types of the number.
+_NUMBERS: Final[list[Any]] = [
+    *(
+        (np.float64(0).__reduce__()[0], f"numpy.{core}.multiarray.scalar")
+        for core in ("core", "_core")
+    ),
+    np.dtype,
+    *(type(np.dtype(kind)) for kind in ("f4", "f8", "i4", "i8", "?")),
+]
 
 
 @dataclass(frozen=True)
@@ -39,7 +51,8 @@ class Weights:
 def read_weights(path: Path) -> Weights:
     """Read ``.safetensors``, or a torch checkpoint with its tensors under "model" or at the top.
 
-    Checkpoints may hold nothing but tensors and plain values: what would run code is refused.
+    Checkpoints may hold nothing but tensors, numbers and plain values: what would run code is
+    refused.
 
     Raises:
         InputError: there is no such file, or it is damaged, or holds code.
@@ -56,7 +69,8 @@ def read_weights(path: Path) -> Weights:
             raise InputError(f"{path} is no safetensors file of weights: {error}") from error
         return Weights(tensors, config, digest)
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with torch.serialization.safe_globals(_NUMBERS):
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path} cannot be read as tensors and plain values: {reason}") from error
