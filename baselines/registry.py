@@ -14,6 +14,8 @@ from scene.localizer import Localizer
 # Module, configuration and localizer of every method; a module is loaded when its method is made.
 _MADE_OF: Final = {
     "sift": ("baselines.sift", "SiftConfig", "SiftLocalizer"),
+    "orb": ("baselines.binary", "OrbConfig", "OrbLocalizer"),
+    "akaze": ("baselines.binary", "AkazeConfig", "AkazeLocalizer"),
 }
 METHODS: Final = tuple(_MADE_OF)
 _PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
