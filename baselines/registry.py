@@ -16,6 +16,7 @@ _MADE_OF: Final = {
     "sift": ("baselines.sift", "SiftConfig", "SiftLocalizer"),
     "orb": ("baselines.binary", "OrbConfig", "OrbLocalizer"),
     "akaze": ("baselines.binary", "AkazeConfig", "AkazeLocalizer"),
+    "d2net": ("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
 }
 METHODS: Final = tuple(_MADE_OF)
 _PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
