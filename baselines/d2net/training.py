@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 
 from baselines.d2net.loss import TripletLoss, triplet_loss
-from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, soft_scores
+from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, read_network, soft_scores
+from baselines.training.config import TrainConfig
+from baselines.training.contrastive import contrastive
 from baselines.training.pairs import PairBatch
 
 # Correspondences without which the authors pass over a pair of images.
@@ -18,23 +20,27 @@ _LEAST: Final = 128
 class D2NetTraining:
     """Implements ``baselines.training.loop.Trainable``.
 
-    All layers learn; the authors begin with VGG16 as trained on ImageNet and tune its last layer.
+    The authors begin with VGG16 as trained on ImageNet and tune its last layer. From nothing, all
+    layers learn, and first by a contrastive loss: the hardest negative of a network that knows
+    nothing teaches it to make all descriptors equal.
     """
 
-    def __init__(self, network: D2Net) -> None:
-        self.network = network
-
-    @property
-    def network_config(self) -> D2NetNetConfig:
-        """Its width."""
-        return self.network.config
+    def __init__(self, config: TrainConfig) -> None:
+        torch.manual_seed(config.seed)
+        if config.weights is None:
+            self.network = D2Net(D2NetNetConfig(width=config.width))
+        else:
+            self.network, _ = read_network(config.weights)
+            self.network.requires_grad_(True)
+        self.network_config = self.network.config
+        self._warm_up = config.warm_up
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """All parameters alike."""
         return [{"params": list(self.network.parameters()), "lr": rate}]
 
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
-        """Mean triplet loss over the pairs with enough correspondences, whatever the progress.
+        """Contrastive, then the mean triplet loss over the pairs with enough correspondences.
 
         Enough are 128, or half of what the batch has room for if that is less.
 
@@ -43,7 +49,15 @@ class D2NetTraining:
             where one has, and ``pairs`` that have.
         """
         count, room = batch.valid.shape
-        features = self.network(torch.cat([batch.image_a, batch.image_b]))
+        images = torch.cat([batch.image_a, batch.image_b])
+        images = images.to(memory_format=torch.channels_last)
+        with torch.autocast(images.device.type, torch.bfloat16):
+            features = self.network(images)
+        features = features.float()
+        if progress < self._warm_up:
+            a, b = features.chunk(2)
+            loss = contrastive(a, b, batch.xy_a / STRIDE, batch.xy_b / STRIDE, batch.valid)
+            return loss, {"contrastive": float(loss.detach())}
         scores = soft_scores(features)
         inside = _inside(batch.xy_a, batch.image_a) & _inside(batch.xy_b, batch.image_b)
         valid = batch.valid & inside

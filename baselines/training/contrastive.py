@@ -13,9 +13,9 @@ from torch import Tensor
 from torch.nn import functional
 
 _TEMPERATURE: Final = 0.07
-_ELSEWHERE: Final = 1024
+_ELSEWHERE: Final = 512
 # Offsets (cells) beside the true place: they make the peak sharp, and wide enough to be climbed.
-_BESIDE: Final = (1.0, 2.0, 4.0, 8.0)
+_BESIDE: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 _SAME_PLACE: Final = 1.0
 
 
@@ -44,23 +44,20 @@ def contrastive(
         valid: (B, N) bool.
     """
     points = functional.normalize(sample(features_a, cells_a), dim=-1)
-    batch, _, height, width = features_b.shape
+    batch, channels, height, width = features_b.shape
     count = min(_ELSEWHERE, height * width)
-    corner = cells_b.new_tensor([width, height])
-    elsewhere = torch.rand(batch, count, 2, device=cells_b.device) * corner
-    angles = torch.arange(6, device=cells_b.device) * (torch.pi / 3)
-    ring = torch.stack([angles.cos(), angles.sin()], -1)
-    offsets = torch.cat([ring * radius for radius in _BESIDE])
-    beside = (cells_b[:, :, None] + offsets).flatten(1, 2)
-    places = torch.cat([cells_b, beside, elsewhere], 1)
-    found = functional.normalize(sample(features_b, places), dim=-1)
-    own, near, far = torch.tensor_split(found, [cells_b.shape[1], len(places[0]) - count], 1)
-    near = near.view(batch, -1, len(offsets), near.shape[-1])
-    to_own = (points * own).sum(-1, keepdim=True)
-    to_near = (points[:, :, None] * near).sum(-1)
-    to_far = points @ far.transpose(1, 2)
-    too_close = torch.cdist(cells_b, elsewhere) < _SAME_PLACE
-    to_far = to_far.masked_fill(too_close, -torch.inf)
-    logits = torch.cat([to_own, to_near, to_far], -1) / _TEMPERATURE
+    elsewhere = torch.randint(height * width, (batch, count), device=cells_b.device)
+    distance = cells_b.new_tensor(_BESIDE)
+    angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(_BESIDE), device=cells_b.device)
+    ring = distance[:, None] * torch.stack([angle.cos(), angle.sin()], -1)
+    places = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
+    found = functional.normalize(sample(features_b, places.flatten(1, 2)), dim=-1)
+    to_near = (points[:, :, None] * found.view(*places.shape[:3], channels)).sum(-1)
+    index = elsewhere[:, None].expand(-1, channels, -1)
+    far = functional.normalize(features_b.flatten(2).gather(2, index).float(), dim=1)
+    centres = torch.stack([elsewhere % width, elsewhere // width], -1) + 0.5
+    too_close = torch.cdist(cells_b, centres) < _SAME_PLACE
+    to_far = (points @ far).masked_fill(too_close, -torch.inf)
+    logits = torch.cat([to_near, to_far], -1) / _TEMPERATURE
     loss = logits.logsumexp(-1) - logits[..., 0]
     return (loss * valid).sum() / valid.sum().clamp(min=1)

@@ -11,7 +11,10 @@ from torch.nn import functional
 from baselines.d2net.loss import triplet_loss
 from baselines.d2net.network import D2Net, D2NetNetConfig, soft_scores
 from baselines.d2net.training import D2NetTraining
+from baselines.training.config import TrainConfig
 from baselines.training.pairs import Pair, PairBatch, Pinhole, collate
+
+SMALL = TrainConfig(width=0.125, warm_up=0.25)
 
 
 def smooth(size: int, seed: int, count: int = 1) -> Tensor:
@@ -67,9 +70,8 @@ def test_the_loss_is_the_papers_formula_summed_by_hand() -> None:
 
 def test_training_learns_to_tell_places_apart() -> None:
     torch.manual_seed(0)
-    network = D2Net(D2NetNetConfig(width=0.125))
-    batch, training = shifted_pairs(), D2NetTraining(network)
-    optimizer = torch.optim.Adam(network.parameters(), 1e-3)
+    batch, training = shifted_pairs(), D2NetTraining(SMALL)
+    optimizer = torch.optim.Adam(training.network.parameters(), 1e-3)
     losses = []
     for _ in range(12):
         loss, figures = training.loss(batch, 0.5)
@@ -82,25 +84,22 @@ def test_training_learns_to_tell_places_apart() -> None:
 
 
 def test_pairs_with_too_few_correspondences_are_left_out() -> None:
-    torch.manual_seed(0)
-    network = D2Net(D2NetNetConfig(width=0.125))
     batch = shifted_pairs()
     batch.valid[1, 100:] = False
-    _, figures = D2NetTraining(network).loss(batch, 0.5)
+    _, figures = D2NetTraining(SMALL).loss(batch, 0.5)
     assert figures["pairs"] == 1
-    _, same = D2NetTraining(network).loss(shifted_pairs(1), 0.5)
+    _, same = D2NetTraining(SMALL).loss(shifted_pairs(1), 0.5)
     assert figures["loss"] == pytest.approx(same["loss"], rel=1e-4)
 
 
 def test_a_batch_without_pairs_teaches_nothing_and_breaks_nothing() -> None:
-    network = D2Net(D2NetNetConfig(width=0.125))
-    batch = shifted_pairs()
+    batch, training = shifted_pairs(), D2NetTraining(SMALL)
     nowhere = batch._replace(xy_b=torch.full_like(batch.xy_b, math.nan))
-    loss, figures = D2NetTraining(network).loss(nowhere, 0.5)
+    loss, figures = training.loss(nowhere, 0.5)
     loss.backward()
     assert loss.item() == 0
     assert figures["pairs"] == 0
-    assert all(not p.grad.any() for p in network.parameters() if p.grad is not None)
+    assert all(not p.grad.any() for p in training.network.parameters() if p.grad is not None)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5])
