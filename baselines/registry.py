@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final, cast
 
@@ -10,7 +11,11 @@ from scene.config import load_config
 from scene.errors import InputError
 from scene.localizer import Localizer
 
-METHODS: Final = ("sift",)
+# Module, configuration and localizer of every method; a module is loaded when its method is made.
+_MADE_OF: Final = {
+    "sift": ("baselines.sift", "SiftConfig", "SiftLocalizer"),
+}
+METHODS: Final = tuple(_MADE_OF)
 _PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
 ENTRY_POINTS: Final = "objconnect.localizers"
 
@@ -33,10 +38,11 @@ def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
     Raises:
         InputError: unknown name, unknown key or bad value, or a package that cannot be loaded.
     """
-    if name == "sift":
-        from baselines.sift import SiftConfig, SiftLocalizer
-
-        return SiftLocalizer(load_config(SiftConfig, None, overrides))
+    if name in _MADE_OF:
+        path, config, localizer = _MADE_OF[name]
+        module = import_module(path)
+        settings = load_config(getattr(module, config), None, overrides)
+        return cast("Localizer", getattr(module, localizer)(settings))
     for found in entry_points(group=ENTRY_POINTS, name=name):
         return _brought(found, overrides)
     raise InputError(f"unknown method {name!r}; known: {', '.join(known())}")

@@ -8,12 +8,16 @@ elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from scene.errors import InputError
+from scene.localizer import Query
+from scene.sparse_map import SparseMap
 
 _WORDS = 64
 _TRAINING_DESCRIPTORS = 40_000
@@ -42,7 +46,8 @@ class VladIndex:
         rng = np.random.default_rng(0)
         if len(stacked) > _TRAINING_DESCRIPTORS:
             stacked = stacked[rng.choice(len(stacked), _TRAINING_DESCRIPTORS, replace=False)]
-        words = _cluster(stacked, min(_WORDS, len(stacked)))
+        # Photographs without a single keypoint have no words, and look alike.
+        words = _cluster(stacked, min(_WORDS, len(stacked))) if len(stacked) else stacked
         vectors = np.stack([_vlad(d, words) for d in descriptors])
         return VladIndex(words, vectors)
 
@@ -60,7 +65,7 @@ def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
 
 
 def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
-    if not len(descriptors):
+    if not len(descriptors) or not len(words):
         return np.zeros(words.size, np.float32)
     # Nearest word by squared distance; the descriptor's own length does not change the order.
     nearest = (descriptors @ words.T - 0.5 * (words**2).sum(1)).argmax(1)
@@ -87,3 +92,48 @@ def nearest_by_position(
     """
     distance = np.linalg.norm(centres[:, :2] - position[:2], axis=1)
     return np.argsort(distance, kind="stable")[:k]
+
+
+@dataclass(frozen=True)
+class References:
+    """Chooses photographs of a map for a query.
+
+    Attributes:
+        sparse_map: whose photographs.
+        index: of what they look like.
+    """
+
+    sparse_map: SparseMap
+    index: VladIndex
+
+    @staticmethod
+    def build(sparse_map: SparseMap, descriptors: Sequence[NDArray[np.float32]]) -> References:
+        """Index the photographs by their descriptors, per photograph (n, D) of unit length in the
+        order of ``sparse_map.names``."""
+        return References(sparse_map, VladIndex.build(descriptors))
+
+    def choose(
+        self, query: Query, k: int, describe: Callable[[], NDArray[np.float32]]
+    ) -> NDArray[np.int64]:
+        """Rows of ``sparse_map.names``, best first.
+
+        Those the query names; else the ``k`` nearest to its prior; else the ``k`` that look most
+        like it.
+
+        Args:
+            query: what to choose for.
+            k: how many.
+            describe: descriptors of the query, (n, D) of unit length; called only when needed.
+
+        Raises:
+            InputError: the query names a photograph that the map does not have.
+        """
+        if query.references is not None:
+            row = {name: k for k, name in enumerate(self.sparse_map.names)}
+            unknown = [name for name in query.references if name not in row]
+            if unknown:
+                raise InputError(f"{query.name}: the map has no photograph {unknown[0]}")
+            return np.array([row[name] for name in query.references], np.int64)
+        if query.prior is not None:
+            return nearest_by_position(self.sparse_map.centres, query.prior.position, k)
+        return self.index.rank(describe(), k)

@@ -64,8 +64,10 @@ _CAUCHY = 2.385
 _SINGULAR = 1e15
 # Matches whose residuals say nothing, or too little to be true, are taken to be this exact (px^2).
 _LEAST_VARIANCE = 0.01
-# No GNSS is better than this (m); a sigma of zero would leave nothing to solve for.
+# No GNSS is better than this (m), a sigma of zero would leave nothing to solve for; and one of so
+# much says nothing, as an infinite one does.
 _LEAST_SIGMA = 1e-3
+_LARGEST_SIGMA = 1e6
 
 # COLMAP logs every step on standard error; a person reads our progress bar instead.
 pycolmap.logging.minloglevel = pycolmap.logging.ERROR
@@ -199,8 +201,9 @@ def estimate_absolute_pose(
         camera: of the query.
         max_error: inlier threshold, pixels.
         position: (3,) camera centre measured by GNSS, world metres.
-        position_sigma: (3,) its standard deviation per axis, metres; with it the position takes
-            part in the refinement, weighed against the inliers' own residuals.
+        position_sigma: (3,) its standard deviation per axis, metres, infinite where not measured;
+            with it the position takes part in the refinement, weighed against the inliers' own
+            residuals.
         seed: of the sampling; the same seed gives the same pose.
     """
     estimation = pycolmap.AbsolutePoseEstimationOptions()
@@ -218,7 +221,7 @@ def estimate_absolute_pose(
     refinement.loss_function_scale = _CAUCHY * np.sqrt(variance)
     sigma = None
     if position is not None and position_sigma is not None:
-        sigma = np.maximum(position_sigma, _LEAST_SIGMA)
+        sigma = np.clip(position_sigma, _LEAST_SIGMA, _LARGEST_SIGMA)
         refinement.use_position_prior = True
         refinement.position_prior_in_world = position
         # COLMAP takes every residual to be one pixel: in that unit sigma is smaller or larger.
