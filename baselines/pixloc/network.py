@@ -23,8 +23,6 @@ from baselines.weights import load_into, read_weights
 from scene.config import Config, describe
 from scene.errors import InputError
 
-# Output channels of the decoder's steps, from stride 8 to stride 1.
-_DECODER: Final = (64, 64, 64, 32)
 _STRIDES: Final = (16, 8, 4, 2, 1)
 
 
@@ -32,13 +30,15 @@ class PixlocNetConfig(Config):
     """What the network is made of. Levels run from coarse to fine.
 
     Attributes:
-        width: channels of encoder and decoder in parts of the published network's.
+        width: channels of the encoder in parts of VGG16's.
+        decoder: channels of the decoder's steps, from stride 8 to stride 1.
         extra_convolutions: in each of the last three blocks of the encoder: 0 is VGG16, 1 is VGG19.
         strides: of the levels, pixels of the image per cell.
         dims: channels of the features of each level.
     """
 
     width: float = Field(1.0, gt=0, le=2)
+    decoder: tuple[int, int, int, int] = (64, 64, 64, 32)
     extra_convolutions: int = Field(0, ge=0, le=1)
     strides: tuple[int, ...] = Field((16, 4, 1), min_length=1)
     dims: tuple[int, ...] = Field((128, 128, 32), min_length=1)
@@ -72,7 +72,7 @@ class PixlocNet(nn.Module):
         )
         skips = channels(config.width)[::-1]
         steps = _STRIDES.index(config.strides[-1])
-        sizes = [skips[0], *(round(size * config.width) for size in _DECODER[:steps])]
+        sizes = [skips[0], *config.decoder[:steps]]
         self.decoder = nn.ModuleList(
             nn.Sequential(
                 nn.Conv2d(before + skip, after, 3, padding=1, bias=False),
