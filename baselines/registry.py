@@ -14,6 +14,7 @@ from scene.localizer import Localizer
 # Module, configuration and localizer of every method; a module is loaded when its method is made.
 _MADE_OF: Final = {
     "sift": ("baselines.sift", "SiftConfig", "SiftLocalizer"),
+    "pixloc": ("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
 }
 METHODS: Final = tuple(_MADE_OF)
 _PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
