@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
+from baselines.align.damping import Damping
 from baselines.vgg import IMAGENET_MEAN, IMAGENET_STD, channels, vgg16_blocks
 from baselines.weights import load_into, read_weights
 from scene.config import Config, describe
@@ -58,8 +59,7 @@ class PixlocNet(nn.Module):
 
     Attributes:
         config: what it is made of.
-        damping: (L, 6) parameters of each level's damping, coarse to fine; see
-            ``baselines.align.damping``.
+        damping: of each level, coarse to fine; called, it gives factors (6,).
     """
 
     def __init__(self, config: PixlocNetConfig) -> None:
@@ -87,7 +87,7 @@ class PixlocNet(nn.Module):
             nn.Conv2d(size, dim, 1) for size, dim in zip(inputs, config.dims, strict=True)
         )
         self.confidence = nn.ModuleList(nn.Conv2d(size, 1, 1) for size in inputs)
-        self.damping = nn.Parameter(torch.zeros(len(config.strides), 6))
+        self.damping = nn.ModuleList(Damping() for _ in config.strides)
         self._mean: Tensor
         self._std: Tensor
         self.register_buffer("_mean", torch.tensor(IMAGENET_MEAN)[:, None, None], persistent=False)
@@ -156,17 +156,14 @@ def _from_official(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], di
     heads = [found for name in tensors if (found := head.fullmatch(name))]
     last = max((int(found[2]) for found in heads), default=0)
     ours: dict[str, Tensor] = {}
-    damping: dict[int, Tensor] = {}
     for name, tensor in tensors.items():
         if found := head.fullmatch(name):
             kind = "features" if found[1] == "adaptation" else "confidence"
             ours[f"{kind}.{last - int(found[2])}.{found[3]}"] = tensor
         elif found := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
-            damping[last - int(found[1])] = tensor.roll(3)
+            ours[f"damping.{last - int(found[1])}.theta"] = tensor.roll(3)
         else:
             ours[name.removeprefix("extractor.").replace(".layers.", ".")] = tensor
-    if damping:
-        ours["damping"] = torch.stack([damping[level] for level in sorted(damping)])
     weights = [ours.get(f"features.{level}.weight") for level in range(last + 1)]
     dims = [len(weight) for weight in weights if weight is not None]
     return ours, {"dims": dims, "extra_convolutions": int("encoder.2.7.weight" in ours)}
