@@ -24,14 +24,9 @@ class Damping(nn.Module):
         self.theta = nn.Parameter(torch.zeros(6))
 
     def forward(self) -> Tensor:
-        """See ``factors``."""
-        return factors(self.theta)
-
-
-def factors(theta: Tensor) -> Tensor:
-    """(..., 6) factors of the Hessian's diagonal, rotation then translation, of parameters."""
-    low, high = _LOG_RANGE
-    return 10 ** (low + (high - low) * torch.sigmoid(theta))
+        """(6,) factors of the Hessian's diagonal: rotation, then translation."""
+        low, high = _LOG_RANGE
+        return 10 ** (low + (high - low) * torch.sigmoid(self.theta))
 
 
 def damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:

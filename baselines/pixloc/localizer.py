@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.align.aligner import align
-from baselines.align.damping import factors
 from baselines.align.descent import Options
 from baselines.align.residuals import Level
 from baselines.pixloc.maps import FeatureMap, MapExtractor, Precision
@@ -79,7 +78,7 @@ class PixlocLocalizer:
             )
         network, self.weights_sha256 = read_network(path)
         self._extract = MapExtractor(network, config.longest, config.precision)
-        self._damping = list(factors(network.damping.detach()))
+        self._damping = [damping().detach() for damping in network.damping]
         self._options = Options(iterations=config.iterations, border=_BORDER)
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
