@@ -25,8 +25,13 @@ class Damping(nn.Module):
 
     def forward(self) -> Tensor:
         """(6,) factors of the Hessian's diagonal: rotation, then translation."""
-        low, high = _LOG_RANGE
-        return 10 ** (low + (high - low) * torch.sigmoid(self.theta))
+        return damping_factors(self.theta)
+
+
+def damping_factors(theta: Tensor) -> Tensor:
+    """Learned parameters (..., 6), of any size, as factors of the Hessian's diagonal."""
+    low, high = _LOG_RANGE
+    return 10 ** (low + (high - low) * torch.sigmoid(theta))
 
 
 def damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -28,7 +28,7 @@ from scene.progress import progress_bar
 
 WEIGHTS: Final = "weights.safetensors"
 _CHECKPOINT = "checkpoint.pt"
-_LOG = "log.jsonl"
+LOG: Final = "log.jsonl"
 _RUN = "run.json"
 _CURVES = "curves.png"
 _VALIDATION_BATCHES = 8
@@ -89,7 +89,7 @@ class _Stretch:
         return len(self._steps)
 
 
-def train(
+def train_loop(
     method: Trainable,
     config: TrainConfig,
     rendered: PairSource,
@@ -118,7 +118,7 @@ def train(
     Raises:
         InputError: ``out`` belongs to another run, or cannot be written.
     """
-    rank, world = _processes()
+    rank, world = join()
     device = torch.device("cuda", rank % torch.cuda.device_count()) if _gpu() else _CPU
     _claim(out, {"config": config.model_dump(mode="json"), **described}, rank)
     method.network.to(device)
@@ -128,7 +128,7 @@ def train(
     peaks = [group["lr"] for group in optimizer.param_groups]
     first = _restore(out / _CHECKPOINT, network, optimizer, device)
     borders = sorted({0, round(config.warm_up * config.steps), config.steps})
-    with _log(out / _LOG, first, rank) as log, progress_bar("training", config.steps) as advance:
+    with _log(out / LOG, first, rank) as log, progress_bar("training", config.steps) as advance:
         for begin, end in pairwise(borders):
             share = config.photograph_share * (1 if begin == 0 else 0.5)
             sources = [rendered, photographs] if photographs else [rendered]
@@ -155,7 +155,7 @@ def train(
                     log(step, _validate(method, validation, config, device, done / config.steps))
                 if rank == 0 and (done % config.save_every == 0 or done == config.steps):
                     _save(out / _CHECKPOINT, network, optimizer, done)
-                    draw_curves(out / _LOG, out / _CURVES)
+                    draw_curves(out / LOG, out / _CURVES)
                 advance(done)
     if rank == 0:
         write_weights(out / WEIGHTS, network, method.network_config.model_dump(mode="json"))
@@ -171,12 +171,19 @@ def _gpu() -> bool:
     return torch.cuda.is_available()
 
 
-def _processes() -> tuple[int, int]:
-    """Rank and number of processes; joins the others where torchrun started us."""
+class Processes(NamedTuple):
+    """This process among those that train together."""
+
+    rank: int
+    world: int
+
+
+def join() -> Processes:
+    """Find the other processes where torchrun started us; else there is one."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world > 1 and not distributed.is_initialized():
         distributed.init_process_group("nccl" if _gpu() else "gloo")
-    return int(os.environ.get("RANK", "0")), world
+    return Processes(int(os.environ.get("RANK", "0")), world)
 
 
 def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:

@@ -50,9 +50,9 @@ class RenderedPairs:
     Files are opened when the first pair is drawn, so that a worker process can be handed this.
     """
 
-    def __init__(self, scenes: Sequence[Path], size: int, points: int, strength: float) -> None:
+    def __init__(self, scenes: Sequence[Scene], size: int, points: int, strength: float) -> None:
         self._size, self._points, self._strength = size, points, strength
-        self._scenes = [Scene.open(path) for path in scenes]
+        self._scenes = scenes
         self._frames: list[_Frame] = []
         same: list[tuple[int, int]] = []
         cross: list[tuple[int, int]] = []
@@ -64,7 +64,7 @@ class RenderedPairs:
                 differ = self._frames[a].condition != self._frames[b].condition
                 (cross if differ else same).append((a, b))
         if not same and not cross:
-            raise InputError(f"no two frames of {scenes[0]} overlap by {_OVERLAP:.0%}")
+            raise InputError(f"no two frames of {scenes[0].path} overlap by {_OVERLAP:.0%}")
         self._same, self._cross = same or cross, cross or same
         self._open: dict[tuple[int, str], DenseLayers] | None = None
 
