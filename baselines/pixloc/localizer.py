@@ -29,8 +29,6 @@ from scene.localizer import Estimate, Query, Status, Stopwatch, fault
 from scene.pose import Pose
 from scene.sparse_map import SparseMap
 
-# Cells at the edge of every level in which points do not count, as in the authors' tests.
-_BORDER: Final = 2.0
 # The coarsest level has a cell for so many pixels; an image must have one at least.
 _LEAST_SIDE: Final = 16
 _MEGABYTE: Final = 2**20
@@ -79,7 +77,7 @@ class PixlocLocalizer:
         network, self.weights_sha256 = read_network(path)
         self._extract = MapExtractor(network, config.longest, config.precision)
         self._damping = [damping().detach() for damping in network.damping]
-        self._options = Options(iterations=config.iterations, border=_BORDER)
+        self._options = Options(iterations=config.iterations)
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Keep what the points of the map look like in its photographs."""
@@ -93,7 +91,6 @@ class PixlocLocalizer:
             images,
             self._extract,
             config.points,
-            _BORDER,
             f"{self.weights_sha256} {config.longest} {config.precision}",
             cache,
             config.memory_mb * _MEGABYTE,

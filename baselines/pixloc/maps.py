@@ -31,13 +31,16 @@ class FeatureMap:
     confidence: Tensor
     stride: tuple[float, float]
 
-    def sample(self, xy: Tensor, border: float) -> tuple[Tensor, Tensor, Tensor]:
-        """At pixels (N, 2): unit features (N, C), confidence (N,), and which (N,) are at least
-        ``border`` cells from the edge."""
-        features, inside = sample(self.features, xy[None], self.stride, border)
-        confidence, _ = sample(self.confidence, xy[None], self.stride, border)
-        unit = torch.nn.functional.normalize(features[0], dim=-1)
-        return unit, confidence[0, :, 0], inside[0]
+    def sample(self, xy: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit features (N, C) and confidence (N,) at pixels (N, 2); those less than half a cell
+        from the edge of the map take the value there."""
+        height, width = self.features.shape[-2:]
+        stride = xy.new_tensor(self.stride)
+        within = torch.maximum(xy, stride / 2)
+        within = torch.minimum(within, stride * xy.new_tensor([width - 0.5, height - 0.5]))
+        features, _ = sample(self.features, within[None], self.stride)
+        confidence, _ = sample(self.confidence, within[None], self.stride)
+        return torch.nn.functional.normalize(features[0], dim=-1), confidence[0, :, 0]
 
 
 class MapExtractor:

@@ -30,7 +30,7 @@ _LEAST_TRACK: Final = 3
 _LEAST_POINTS: Final = 64
 # Points are taken in turns from the cells of a grid of so many by so many over the photograph.
 _GRID: Final = 16
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,6 @@ def references(
     images: Path,
     extract: MapExtractor,
     points: int,
-    border: float,
     key: str,
     cache: Path,
     memory: int,
@@ -122,7 +121,6 @@ def references(
         images: folder of the photographs.
         extract: of feature maps.
         points: most to keep per photograph.
-        border: cells at the edge of every level in which points are left out.
         key: of everything else that decides the features: weights and options.
         cache: folder of files named by a digest of all of it.
         memory: bytes that observations in memory may take.
@@ -132,11 +130,11 @@ def references(
     """
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     photographs = [sha256_of(images / name) for name in sparse_map.names]
-    parts = [_FORMAT, sparse_map.sha256, photographs, points, border, key]
+    parts = [_FORMAT, sparse_map.sha256, photographs, points, key]
     digest = hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()
     path = cache / f"pixloc-{digest[:16]}.h5"
     if not path.is_file():
-        write_references(path, sparse_map, images, extract, points, border)
+        write_references(path, sparse_map, images, extract, points)
     return ReferenceFeatures(path, memory)
 
 
@@ -146,7 +144,6 @@ def write_references(
     images: Path,
     extract: MapExtractor,
     points: int,
-    border: float,
 ) -> None:
     """Run the network on every photograph of a map and keep what its points look like."""
     config = extract.network.config
@@ -165,7 +162,7 @@ def write_references(
             for done, name in enumerate(names, 1):
                 image = sparse_map.images[name]
                 maps = extract(read_rgb(images / name, image.camera))
-                seen = observe(maps, image, sparse_map, points, border)
+                seen = observe(maps, image, sparse_map, points)
                 _append(rows, seen.rows)
                 _append(confidence, seen.confidence)
                 for dataset, values in zip(features, seen.features, strict=True):
@@ -182,7 +179,7 @@ def _append(dataset: h5py.Dataset, values: NDArray[Any]) -> None:
 
 
 def observe(
-    maps: list[FeatureMap], image: MapImage, sparse_map: SparseMap, points: int, border: float
+    maps: list[FeatureMap], image: MapImage, sparse_map: SparseMap, points: int
 ) -> Observations:
     """What the points seen by a photograph look like there, at most ``points`` of them.
 
@@ -193,16 +190,16 @@ def observe(
     rows = sure if len(sure) >= _LEAST_POINTS else rows
     in_camera = image.pose.transform(torch.from_numpy(sparse_map.xyz[rows]))
     projected = image.camera.project(in_camera)
-    levels = [level.sample(projected.xy.float(), border) for level in maps]
-    seen = torch.stack([projected.valid, *(inside for _, _, inside in levels)]).all(0).numpy()
+    seen = (projected.valid & image.camera.contains(projected.xy)).numpy()
+    levels = [level.sample(projected.xy.float()) for level in maps]
     xy = projected.xy.numpy()[seen]
     size = np.array([image.camera.width, image.camera.height])
     order = spread(xy / size, sparse_map.track_length[rows[seen]])[:points]
     kept = np.flatnonzero(seen)[order]
     return Observations(
         rows[kept],
-        tuple(features[kept].to(torch.float16).numpy() for features, _, _ in levels),
-        torch.stack([c[kept] for _, c, _ in levels], -1).to(torch.float16).numpy(),
+        tuple(features[kept].to(torch.float16).numpy() for features, _ in levels),
+        torch.stack([c[kept] for _, c in levels], -1).to(torch.float16).numpy(),
     )
 
 
