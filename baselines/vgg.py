@@ -1,4 +1,4 @@
-"""The convolutions of VGG16 (Simonyan and Zisserman, ICLR 2015), full or slimmed."""
+"""The convolutions of VGG16 and VGG19 (Simonyan and Zisserman, ICLR 2015), full or slimmed."""
 
 from __future__ import annotations
 
@@ -18,17 +18,21 @@ def channels(width: float) -> list[int]:
     return [round(block[-1] * width) for block in BLOCKS]
 
 
-def vgg16_blocks(width: float = 1.0) -> list[list[nn.Module]]:
+def vgg16_blocks(width: float = 1.0, extra: int = 0) -> list[list[nn.Module]]:
     """The five blocks, each a list of 3x3 convolutions with their ReLUs, without the poolings.
 
     With every pooling put between them, their order is that of torchvision's ``vgg16().features``,
     so that weights of networks built on it can be read by position.
+
+    Args:
+        width: of every convolution, in parts of VGG16's.
+        extra: further convolutions in each of the last three blocks; 1 makes it VGG19.
     """
     blocks: list[list[nn.Module]] = []
     previous = 3
-    for sizes in BLOCKS:
+    for position, sizes in enumerate(BLOCKS):
         block: list[nn.Module] = []
-        for size in sizes:
+        for size in (*sizes, *sizes[:1] * extra) if position >= 2 else sizes:
             out = round(size * width)
             block += [nn.Conv2d(previous, out, 3, padding=1), nn.ReLU(inplace=True)]
             previous = out
