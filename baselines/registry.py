@@ -20,10 +20,17 @@ _MADE_OF: Final = {
     "sift": ("baselines.sift", "SiftConfig", "SiftLocalizer"),
     "orb": ("baselines.binary", "OrbConfig", "OrbLocalizer"),
     "akaze": ("baselines.binary", "AkazeConfig", "AkazeLocalizer"),
+    "epipolar": ("baselines.epipolar", "EpipolarConfig", "EpipolarLocalizer"),
     "d2net": ("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
+    "pixloc": ("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
 }
 METHODS: Final = tuple(_MADE_OF)
-TRAINABLE: Final = ("d2net", "pixloc")
+# Module and class of what those learn that can.
+_TAUGHT_BY: Final = {
+    "d2net": ("baselines.d2net.training", "D2NetTraining"),
+    "pixloc": ("baselines.pixloc.training", "PixlocTraining"),
+}
+TRAINABLE: Final = tuple(_TAUGHT_BY)
 _PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
 ENTRY_POINTS: Final = "objconnect.localizers"
 
@@ -62,14 +69,9 @@ def trainable(name: str) -> Callable[[TrainConfig], Trainable]:
     Raises:
         InputError: no such method, or one without anything to learn.
     """
-    if name == "d2net":
-        from baselines.d2net.training import D2NetTraining
-
-        return D2NetTraining
-    if name == "pixloc":
-        from baselines.pixloc.training import PixlocTraining
-
-        return PixlocTraining
+    if name in _TAUGHT_BY:
+        path, teacher = _TAUGHT_BY[name]
+        return cast("Callable[[TrainConfig], Trainable]", getattr(import_module(path), teacher))
     raise InputError(f"method {name!r} cannot be trained; those that can: {', '.join(TRAINABLE)}")
 
 
