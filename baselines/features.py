@@ -81,10 +81,9 @@ def map_features(
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     path = None
     if cache is not None:
-        photographs = [sha256_of(images / name) for name in sparse_map.names]
-        parts = [sparse_map.sha256, str(photographs), extractor.options]
-        parts += [extractor.weights_sha256] if extractor.weights_sha256 else []
-        key = hashlib.sha256(" ".join(parts).encode()).hexdigest()
+        photographs = [(name, sha256_of(images / name)) for name in sparse_map.names]
+        parts = f"{photographs} {extractor.options} {extractor.weights_sha256}"
+        key = hashlib.sha256(parts.encode()).hexdigest()
         path = cache / f"{extractor.name}-{key[:16]}.h5"
         if path.is_file():
             return read_features(path)

@@ -62,6 +62,9 @@ _MINIMAL = 3
 _CAUCHY = 2.385
 # A condition number beyond which nothing is left of double precision.
 _SINGULAR = 1e15
+# Squared deviation in standard deviations, of three degrees of freedom, beyond which a position and
+# the matches are not of one camera: one in ten billion.
+_CONTRADICTS = 50.0
 # Matches whose residuals say nothing, or too little to be true, are taken to be this exact (px^2).
 _LEAST_VARIANCE = 0.01
 # No GNSS is better than this (m), a sigma of zero would leave nothing to solve for; and one of so
@@ -203,7 +206,7 @@ def estimate_absolute_pose(
         position: (3,) camera centre measured by GNSS, world metres.
         position_sigma: (3,) its standard deviation per axis, metres, infinite where not measured;
             with it the position takes part in the refinement, weighed against the inliers' own
-            residuals.
+            residuals, unless the two contradict one another.
         seed: of the sampling; the same seed gives the same pose.
     """
     estimation = pycolmap.AbsolutePoseEstimationOptions()
@@ -222,6 +225,10 @@ def estimate_absolute_pose(
     sigma = None
     if position is not None and position_sigma is not None:
         sigma = np.clip(position_sigma, _LEAST_SIGMA, _LARGEST_SIGMA)
+        alone = _pose_covariance(xyz[inliers], camera, pose, variance, None)
+        if alone is not None and _contradicts(pose, alone, position, sigma):
+            sigma = None
+    if sigma is not None:
         refinement.use_position_prior = True
         refinement.position_prior_in_world = position
         # COLMAP takes every residual to be one pixel: in that unit sigma is smaller or larger.
@@ -309,6 +316,20 @@ def _pose_covariance(
     if np.linalg.cond(information) > _SINGULAR:
         return None
     return np.asarray(np.linalg.inv(information))
+
+
+def _contradicts(
+    pose: Pose,
+    covariance: NDArray[np.float64],
+    position: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+) -> bool:
+    """Whether a pose and a measured position cannot both be true: least squares would settle on a
+    place that is neither."""
+    rotation = pose.rotation.numpy()
+    off = pose.centre().numpy() - position
+    spread = rotation.T @ covariance[3:, 3:] @ rotation + np.diag(sigma**2)
+    return float(off @ np.linalg.solve(spread, off)) > _CONTRADICTS
 
 
 def _residual_variance(
