@@ -24,6 +24,9 @@ from scene.errors import InputError
 from scene.features import Features
 
 WEIGHTS: Final = SHIPPED / "d2net.safetensors"
+# A picture is plain where grey levels have a smaller standard deviation over so many pixels.
+_PLAIN: Final = 1.0
+_AROUND: Final = 33
 
 
 class D2NetConfig(StructureConfig):
@@ -72,14 +75,29 @@ class D2NetExtractor(Extractor):
         with torch.inference_mode():
             found = detect(self._network, image.to(self._device), self._config.scales)
             strongest = found.scores.argsort(descending=True, stable=True)
-            kept = strongest[: self._config.max_features]
             xy, scale, descriptors = (
-                values[kept].cpu().numpy() for values in (found.xy, found.scale, found.descriptors)
+                values[strongest].cpu().numpy()
+                for values in (found.xy, found.scale, found.descriptors)
             )
+        kept = np.flatnonzero(_has_contrast(rgb, xy))[: self._config.max_features]
+        xy, scale, descriptors = xy[kept], scale[kept], descriptors[kept]
         # Resized edge to edge, so that pixels counted from the edge are multiplied.
         magnified = (size / smaller).astype(np.float32)
         # Half precision moves a descriptor by less than a thousandth, and halves the cache.
         return Features(xy * magnified, scale * magnified.max(), descriptors.astype(np.float16))
+
+
+def _has_contrast(rgb: NDArray[np.uint8], xy: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which keypoints (N, 2) have something to be seen around them, (N,).
+
+    Where an image is plain, what peaks is the padding of the convolutions at its border: in the
+    same places in any two images, so that those matches agree on a pose.
+    """
+    grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    window = (_AROUND, _AROUND)
+    variance = cv2.blur(grey**2, window) - cv2.blur(grey, window) ** 2
+    columns, rows = np.floor(xy).astype(int).T
+    return np.asarray(variance[rows, columns] > _PLAIN**2)
 
 
 class D2NetLocalizer(StructureLocalizer):

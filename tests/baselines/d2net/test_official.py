@@ -87,7 +87,8 @@ def test_keypoints_are_the_authors(
         np.lexsort((np.round(xy[:, 0], 2), np.round(xy[:, 1], 2), scale))
         for xy, scale in ((ours.xy.numpy(), ours.scale.numpy()), (placed, theirs[:, 2]))
     )
-    assert np.abs(ours.xy.numpy()[order] - placed[their_order]).max() < 1e-3
+    # To 1e-4 of a cell, which is four pixels wide or more.
+    assert np.abs(ours.xy.numpy()[order] - placed[their_order]).max() < 4e-4
     assert np.array_equal(ours.scale.numpy()[order], theirs[their_order, 2])
     scores = recorded[f"{name}_scores"][their_order]
     assert np.abs(ours.scores.numpy()[order] / scores - 1).max() < 1e-4

@@ -70,17 +70,17 @@ def test_the_loss_is_the_papers_formula_summed_by_hand() -> None:
 
 def test_training_learns_to_tell_places_apart() -> None:
     torch.manual_seed(0)
-    batch, training = shifted_pairs(), D2NetTraining(SMALL)
+    batch, training = shifted_pairs(1), D2NetTraining(SMALL)
     optimizer = torch.optim.Adam(training.network.parameters(), 1e-3)
     losses = []
-    for _ in range(12):
+    for _ in range(8):
         loss, figures = training.loss(batch, 0.5)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         losses.append(figures["loss"])
-        assert figures["pairs"] == 2
-    assert losses[-1] < 0.6 * losses[0]
+        assert figures["pairs"] == 1
+    assert losses[-1] < 0.8 * losses[0]
 
 
 def test_pairs_with_too_few_correspondences_are_left_out() -> None:
