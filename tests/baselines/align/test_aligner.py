@@ -131,9 +131,8 @@ def test_what_cannot_be_aligned_says_why(careful: bool) -> None:
 
     nan = torch.nan
     astray = one(wrong(problem.truth, 1000, 0, 0))
-    behind = Pose(
-        torch.diag(torch.tensor([1.0, -1, -1])).double() @ start.rotation, start.translation
-    )
+    turned = torch.diag(torch.tensor([1.0, -1, -1], dtype=torch.float64))
+    behind = Pose(turned, torch.zeros(3, dtype=torch.float64)) @ start
     cases = [
         (replace(problem, points=problem.points * nan), start, "too few points"),
         (with_features(nan), start, "features or confidences are not finite"),
