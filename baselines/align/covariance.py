@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,8 @@ from baselines.align.residuals import Linearisation
 
 # Degrees of freedom of a pose, in points: each point says two numbers.
 _POSE_IN_POINTS = 3
+# A variance (rad^2) that says nothing of a rotation.
+_ANY_TURN = math.pi**2
 
 
 def covariance(around: Linearisation) -> Tensor:
@@ -31,6 +35,7 @@ def covariance(around: Linearisation) -> Tensor:
     sandwich = torch.cholesky_solve(inner.transpose(-1, -2), factor)
     used = count / (count - _POSE_IN_POINTS).clamp_min(1)
     result = sandwich * used[:, None, None]
-    good = determined & result.isfinite().flatten(1).all(-1)
+    turn = result.diagonal(dim1=-2, dim2=-1)[:, :3].amax(-1)
+    good = determined & result.isfinite().flatten(1).all(-1) & (turn < _ANY_TURN)
     unknown = torch.full_like(H[0, 0], torch.inf).diag_embed().expand_as(H)
     return torch.where(good[:, None, None], 0.5 * (result + result.transpose(-1, -2)), unknown)

@@ -19,10 +19,8 @@ PINHOLE: Final = Camera("PINHOLE", 320, 256, (260.0, 255.0, 158.0, 130.0))
 DISTORTED: Final = Camera(
     "OPENCV", 320, 256, (260.0, 255.0, 158.0, 130.0, -0.06, 0.01, 1e-3, -5e-4)
 )
-STRIDES: Final = (16, 4, 1)
-# Channels and the shortest wavelength (m) of the features of each scale, at 80 m.
+# Of each scale.
 CHANNELS: Final = (24, 24, 12)
-SHORTEST: Final = (25.0, 8.0, 3.0)
 
 
 def looking_down(seed: int = 0) -> Pose:
@@ -48,9 +46,15 @@ class World:
 
     Attributes:
         seed: of everything random.
+        shortest: wavelength (m) of the features of each scale, as seen from 80 m.
+        longest: over the shortest. Short waves alone guide no further than half of one.
+        strides: of the scales.
     """
 
     seed: int = 0
+    shortest: tuple[float, ...] = (25.0, 8.0, 3.0)
+    longest: float = 4.0
+    strides: tuple[int, ...] = (16, 4, 1)
 
     def height(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Metres above zero at (..., 2)."""
@@ -63,7 +67,7 @@ class World:
         """Unit features (..., C) of one scale at places (..., 2)."""
         rng = np.random.default_rng([self.seed, scale])
         count = 48
-        length = SHORTEST[scale] * rng.uniform(1, 4, count)
+        length = self.shortest[scale] * rng.uniform(1, self.longest, count)
         angle = rng.uniform(0, 2 * np.pi, count)
         waves = np.stack([np.cos(angle), np.sin(angle)], -1) * (2 * np.pi / length)[:, None]
         field = np.cos(xy @ waves.T + rng.uniform(0, 2 * np.pi, count))
@@ -90,7 +94,7 @@ class World:
 
     def picture(self, camera: Camera, pose: Pose, scale: int) -> NDArray[np.float32]:
         """Features (C, h, w) of the whole picture at one scale."""
-        s = STRIDES[scale]
+        s = self.strides[scale]
         w, h = camera.width // s, camera.height // s
         x, y = np.meshgrid((np.arange(w) + 0.5) * s, (np.arange(h) + 0.5) * s)
         ground = self.ground(camera, pose, np.stack([x, y], -1).reshape(-1, 2))
@@ -99,7 +103,7 @@ class World:
 
     def trust(self, camera: Camera, scale: int) -> NDArray[np.float32]:
         """Confidence (1, h, w) that varies smoothly over the picture."""
-        s = STRIDES[scale]
+        s = self.strides[scale]
         w, h = camera.width // s, camera.height // s
         x, y = np.meshgrid(np.arange(w) / w, np.arange(h) / h)
         return (0.55 + 0.4 * np.sin(5 * x + 3 * y + scale))[None].astype(np.float32)
@@ -117,7 +121,7 @@ class World:
         """Levels of one query (B = 1), coarse to fine, and the features of its points."""
         rng = np.random.default_rng([self.seed, seed, 3])
         levels = []
-        for scale, stride in enumerate(STRIDES):
+        for scale, stride in enumerate(self.strides):
             maps = torch.as_tensor(self.picture(camera, pose, scale))[None]
             reference = self.features(points[:, :2], scale)
             reference = reference + rng.normal(0, noise, reference.shape)
