@@ -54,7 +54,7 @@ class CellTable:
 
     def gather(self, index: Tensor) -> Tensor:
         """Cells by number (..., k), at least in single precision. -> (..., k, C)."""
-        found = self.cells.index_select(0, index.flatten()).view(*index.shape, -1)
+        found = self.cells.index_select(0, index.flatten()).view(*index.shape, self.cells.shape[1])
         return found if found.dtype == torch.float64 else found.float()
 
 

@@ -182,8 +182,8 @@ class _Vgg(nn.Module):
         self.features = nn.Sequential(*(m for b in blocks for m in (*b, nn.MaxPool2d(2))))
 
 
-def refiner(extra: int = 0, weights: dict[str, Tensor] | None = None) -> Any:
-    """The authors' network and optimizer with the given weights, or those of ``tensors``."""
+def refiner(extra: int = 0, **optimizer: Any) -> Any:
+    """The authors' network and optimizer with the weights of ``tensors``."""
     from pixloc.pixlib.models.two_view_refiner import (  # type: ignore[import-not-found]
         TwoViewRefiner,
     )
@@ -215,8 +215,9 @@ def refiner(extra: int = 0, weights: dict[str, Tensor] | None = None) -> Any:
                 "dt_stop_criteria": 0.0,
                 "grad_stop_criteria": 0.0,
                 "damping": {"type": "constant"},
-            },
+            }
+            | optimizer,
         }
     )
-    model.load_state_dict(weights or tensors(extra=extra), strict=True)
+    model.load_state_dict(tensors(extra), strict=True)
     return model.eval()
