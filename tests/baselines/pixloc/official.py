@@ -162,8 +162,12 @@ def sampled(values: Tensor) -> NDArray[np.float32]:
 def load(checkout: Path) -> None:
     """Make the authors' package ``pixloc`` importable; it needs omegaconf and tqdm.
 
-    torchvision is only asked for VGG's layers and is replaced by them.
+    torchvision is only asked for VGG's layers and is replaced by them; ``torch._six`` has gone from
+    PyTorch since.
     """
+    six: Any = ModuleType("torch._six")
+    six.string_classes = (str, bytes)
+    sys.modules["torch._six"] = six
     if "torchvision" not in sys.modules:
         torchvision = ModuleType("torchvision")
         models: Any = ModuleType("torchvision.models")
