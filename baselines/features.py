@@ -29,11 +29,13 @@ class Extractor(ABC):
         name: of the kind of feature; also that of its cache.
         options: everything else that decides what is found, in words.
         weights_sha256: digest of learned weights, or None.
+        turned: whether features are found again in a picture turned by any angle.
     """
 
     name: str
     options: str
     weights_sha256: str | None = None
+    turned: bool = True
 
     @abstractmethod
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:

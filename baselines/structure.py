@@ -109,7 +109,9 @@ class StructureLocalizer:
             features = self._extractor(query.image)
             descriptors = self._extractor.unit(features)
         with clock.stage("retrieval"):
-            references = self._references.choose(query, self.config.references, descriptors.numpy)
+            references = self._references.choose(
+                query, self.config.references, descriptors.numpy, self._extractor.turned
+            )
         with clock.stage("matching"):
             keypoints, rows = self._correspondences(descriptors, references)
         if len(rows) < _MIN_MATCHES:

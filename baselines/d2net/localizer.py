@@ -54,6 +54,7 @@ class D2NetExtractor(Extractor):
     """Keypoints of the network, the strongest ``max_features`` of an image."""
 
     name = "d2net"
+    turned = False
 
     def __init__(self, network: D2Net, weights_sha256: str, config: D2NetConfig) -> None:
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")

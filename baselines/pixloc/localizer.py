@@ -120,7 +120,7 @@ class PixlocLocalizer:
             maps = self._extract(query.image)
         with clock.stage("retrieval"):
             chosen = self._retrieval.choose(
-                query, self.config.references, lambda: _descriptors(maps[0])
+                query, self.config.references, lambda: _descriptors(maps[0]), turned=False
             )
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
