@@ -66,6 +66,8 @@ class VladIndex:
 
 
 def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
+    if k == len(descriptors):
+        return descriptors  # of which OpenCV would take a single one for many numbers
     cv2.setRNGSeed(0)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, 15, 1e-3)
     _, _, words = cv2.kmeans(descriptors, k, None, criteria, 1, cv2.KMEANS_PP_CENTERS)

@@ -17,6 +17,7 @@ from pydantic import Field
 
 from baselines.align.aligner import align
 from baselines.align.descent import Options
+from baselines.align.hypotheses import Reach, align_from_many
 from baselines.align.residuals import Level
 from baselines.pixloc.maps import FeatureMap, MapExtractor, Precision
 from baselines.pixloc.network import read_network
@@ -44,6 +45,8 @@ class PixlocConfig(Config):
         points: of the map, shared by the references.
         longest: larger images are resized to this side (px).
         iterations: at most, per level.
+        multistart: look around the start too, for priors beyond the reach of the features; the
+            authors' code does not.
         precision: of the convolutions.
         memory_mb: that features of the map may take in memory; what is beyond stays on disk.
     """
@@ -53,6 +56,7 @@ class PixlocConfig(Config):
     points: int = Field(512, ge=10)
     longest: int = Field(1024, ge=64)
     iterations: int = Field(100, ge=1)
+    multistart: bool = False
     precision: Precision = "float32"
     memory_mb: int = Field(1024, ge=1)
 
@@ -121,7 +125,7 @@ class PixlocLocalizer:
         with clock.stage("points"):
             rows, levels = self._levels(query, maps, chosen, start)
         with clock.stage("alignment"):
-            found = align(
+            problem = (
                 levels,
                 torch.from_numpy(self._map.xyz[rows])[None],
                 query.camera.intrinsics(),
@@ -129,6 +133,8 @@ class PixlocLocalizer:
                 self._damping,
                 self._options,
             )
+            many = self.config.multistart
+            found = align_from_many(*problem, Reach()) if many else align(*problem)
         seen, iterations = int(found.seen), int(found.iterations)
         if found.failed:
             return Estimate(

@@ -10,6 +10,7 @@ import hashlib
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Any, Final
 
 import h5py
@@ -58,6 +59,8 @@ class Observations:
 class ReferenceFeatures:
     """Observations of all photographs of a map, in a file; the last used also in memory.
 
+    Threads may share it.
+
     Args:
         path: written by ``write_references``.
         memory: bytes that observations in memory may take.
@@ -68,6 +71,7 @@ class ReferenceFeatures:
         self._memory = memory
         self._held: OrderedDict[int, Observations] = OrderedDict()
         self._bytes = 0
+        self._lock = Lock()
         try:
             with h5py.File(path) as file:
                 self._ends = file["ends"][:]
@@ -80,16 +84,16 @@ class ReferenceFeatures:
 
     def __getitem__(self, photograph: int) -> Observations:
         """Of a photograph by its row in ``SparseMap.names``."""
-        if photograph in self._held:
-            self._held.move_to_end(photograph)
-            return self._held[photograph]
-        found = self._read(photograph)
-        self._held[photograph] = found
-        self._bytes += found.nbytes
-        while self._bytes > self._memory and len(self._held) > 1:
-            _, oldest = self._held.popitem(last=False)
-            self._bytes -= oldest.nbytes
-        return found
+        with self._lock:
+            if photograph in self._held:
+                self._held.move_to_end(photograph)
+                return self._held[photograph]
+            found = self._held[photograph] = self._read(photograph)
+            self._bytes += found.nbytes
+            while self._bytes > self._memory and len(self._held) > 1:
+                _, oldest = self._held.popitem(last=False)
+                self._bytes -= oldest.nbytes
+            return found
 
     def _read(self, photograph: int) -> Observations:
         first = int(self._ends[photograph - 1]) if photograph else 0

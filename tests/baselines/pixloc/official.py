@@ -162,8 +162,12 @@ def sampled(values: Tensor) -> NDArray[np.float32]:
 def load(checkout: Path) -> None:
     """Make the authors' package ``pixloc`` importable; it needs omegaconf and tqdm.
 
-    torchvision is only asked for VGG's layers and is replaced by them.
+    torchvision is only asked for VGG's layers and is replaced by them; ``torch._six`` has gone from
+    PyTorch since.
     """
+    six: Any = ModuleType("torch._six")
+    six.string_classes = (str, bytes)
+    sys.modules["torch._six"] = six
     if "torchvision" not in sys.modules:
         torchvision = ModuleType("torchvision")
         models: Any = ModuleType("torchvision.models")
@@ -182,8 +186,8 @@ class _Vgg(nn.Module):
         self.features = nn.Sequential(*(m for b in blocks for m in (*b, nn.MaxPool2d(2))))
 
 
-def refiner(extra: int = 0, weights: dict[str, Tensor] | None = None) -> Any:
-    """The authors' network and optimizer with the given weights, or those of ``tensors``."""
+def refiner(extra: int = 0, **optimizer: Any) -> Any:
+    """The authors' network and optimizer with the weights of ``tensors``."""
     from pixloc.pixlib.models.two_view_refiner import (  # type: ignore[import-not-found]
         TwoViewRefiner,
     )
@@ -215,8 +219,9 @@ def refiner(extra: int = 0, weights: dict[str, Tensor] | None = None) -> Any:
                 "dt_stop_criteria": 0.0,
                 "grad_stop_criteria": 0.0,
                 "damping": {"type": "constant"},
-            },
+            }
+            | optimizer,
         }
     )
-    model.load_state_dict(weights or tensors(extra=extra), strict=True)
+    model.load_state_dict(tensors(extra), strict=True)
     return model.eval()
