@@ -585,9 +585,19 @@ class SplitBy(StrEnum):
 @app.command()
 def ingest(
     photographs: Annotated[
-        Path, typer.Argument(metavar="PHOTOS", help="Folder of JPEGs with GPS in their EXIF.")
+        Path,
+        typer.Argument(
+            metavar="PHOTOS", help="Folder of JPEGs, with GPS in their EXIF or a table."
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
+    gps: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="Table of positions, columns name,lat,lon,alt; else positions from EXIF.",
+        ),
+    ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
@@ -609,7 +619,7 @@ def ingest(
     ] = 4,
     as_json: Json = False,
 ) -> None:
-    """Turn a folder of geotagged photographs into a scene; run again, it goes on.
+    """Turn a folder of photographs with GPS into a scene; run again, it goes on.
 
     Writes SCENE with its map, a report ingest.json and a picture of the flight. The reference poses
     are the photographs' own structure from motion, placed by GPS.
@@ -620,6 +630,7 @@ def ingest(
     report = run(
         photographs,
         out,
+        gps=gps,
         camera=Camera.parse(camera.split()) if camera is not None else None,
         size=size,
         mapper=mapper.value,

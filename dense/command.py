@@ -30,7 +30,7 @@ from scene.bundle import Scene, finish
 from scene.camera import Camera
 from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
 from scene.errors import InputError
-from scene.files import folder_written_whole, read_text, remove_partial, write_text
+from scene.files import folder_written_whole, read_text, remove_partial, sole_writer, write_text
 from scene.images import read_rgb
 from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
@@ -73,10 +73,17 @@ def dense(
         Its figures, against the truth where the scene has depth.
 
     Raises:
-        InputError: not a finished scene, no map, no photograph with enough others that see the
-            same, a damaged photograph, or a folder that cannot be written.
+        InputError: not a finished scene, one that another run is writing, no map, no photograph
+            with enough others that see the same, a damaged photograph, or a folder that cannot be
+            written.
     """
     scene = Scene.open(path)
+    with sole_writer(path):
+        return _make(scene, size, sources, stereo, seed)
+
+
+def _make(scene: Scene, size: int, sources: int, stereo: Stereo, seed: int) -> DenseReport:
+    path = scene.path
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, size) for i in sparse_map.images.values()}
     pinhole_map = undistorted_map(sparse_map, cameras)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from ingest.georegister import Georegistration
+from ingest.adjustment import Adjusted
+from scene.camera import Camera
 from scene.colmap import Photograph
 from scene.sparse_map import SparseMap
 
@@ -25,6 +26,13 @@ class Residuals(BaseModel):
     horizontal_rms: float
     vertical_median: float
     vertical_rms: float
+
+    def text(self) -> str:
+        """For a person."""
+        return (
+            f"horizontal {self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms; "
+            f"vertical {self.vertical_median:.2f} m median, {self.vertical_rms:.2f} m rms"
+        )
 
 
 class Lens(BaseModel):
@@ -53,7 +61,10 @@ class IngestReport(BaseModel):
         fixes: photographs in the scene whose GPS position was used.
         blunders: by file, metres from the camera of fixes that were not.
         wrong_attitudes: by file, degrees from the camera of gimbal attitudes that were not used.
-        gps: residuals of the fixes that were.
+        turned: files that someone had turned by 180 degrees; in the scene they are turned back.
+        gps: residuals of the fixes that were, as the camera wrote them.
+        lag_s: seconds that fixes are behind their photographs; 0 where they do not tell.
+        gps_without_lag: residuals of the fixes without this lag; None without one.
         map_images: photographs of the map.
         map_points: points of the map, triangulated from its photographs alone.
         queries: photographs left for queries.
@@ -72,14 +83,16 @@ class IngestReport(BaseModel):
     fixes: int
     blunders: dict[str, float]
     wrong_attitudes: dict[str, float]
+    turned: tuple[str, ...]
     gps: Residuals
+    lag_s: float
+    gps_without_lag: Residuals | None
     map_images: int
     map_points: int
     queries: int
 
     def text(self) -> str:
         """For a person."""
-        gps = self.gps
         up = {
             "gps": "up is where GPS says",
             "ground": "up is across the ground: GPS altitudes cannot tell",
@@ -88,9 +101,12 @@ class IngestReport(BaseModel):
             f"{self.registered} of {self.photographs} photographs registered, {self.points} points "
             f"in tracks of {self.track_length:.1f}, "
             f"{self.reprojection_error_px:.2f} px mean reprojection error",
-            f"GPS residuals of {self.fixes} photographs: horizontal {gps.horizontal_median:.2f} m "
-            f"median, {gps.horizontal_rms:.2f} m rms; vertical {gps.vertical_median:.2f} m median, "
-            f"{gps.vertical_rms:.2f} m rms; {up[self.level]}",
+            f"GPS residuals of {self.fixes} photographs: {self.gps.text()}; {up[self.level]}",
+            *(
+                [f"GPS is {self.lag_s:.1f} s late; without that: {self.gps_without_lag.text()}"]
+                if self.gps_without_lag is not None
+                else []
+            ),
             f"map of {self.map_images} photographs and {self.map_points} points, "
             f"{self.queries} queries",
             *(f"lens {x.name}: {x.photographs} photographs, {x.origin}" for x in self.lenses),
@@ -98,6 +114,7 @@ class IngestReport(BaseModel):
             *_listed(
                 "wrong attitude", {k: f"{v:.0f}° off" for k, v in self.wrong_attitudes.items()}
             ),
+            *_listed("turned back", dict.fromkeys(self.turned, "by 180°, as its gimbal says")),
             *_listed("left out", self.left_out),
         ]
         return "\n".join(lines)
@@ -128,49 +145,50 @@ def summary(off: NDArray[np.float64]) -> Residuals:
     )
 
 
-def lenses_of(
-    photographs: Sequence[Photograph], model: SparseMap, refined: Collection[str]
-) -> tuple[Lens, ...]:
+def lenses_of(photographs: Sequence[Photograph], adjusted: Adjusted) -> tuple[Lens, ...]:
     """Cameras of a model by lens, in the order of the photographs."""
+    images = adjusted.model.images
     found: dict[str, list[Photograph]] = {}
     for photograph in photographs:
-        if photograph.name in model.images:
+        if photograph.name in images:
             found.setdefault(photograph.lens, []).append(photograph)
     return tuple(
         Lens(
             name=lens,
             photographs=len(taken),
-            camera=str(model.images[taken[0].name].camera),
-            origin=_origin(taken[0], model.images[taken[0].name].camera.focal[0], lens in refined),
+            camera=str(images[taken[0].name].camera),
+            origin=_origin(taken[0], images[taken[0].name].camera, lens in adjusted.focal),
         )
         for lens, taken in found.items()
     )
 
 
-def _origin(first: Photograph, focal: float, refined: bool) -> str:
-    start = first.camera.focal[0]
+def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
+    start, focal = first.camera.focal[0], camera.focal[0]
     if first.calibrated:
         return f"focal length {focal:.1f} px as given"
+    x, y = np.subtract(camera.principal, (camera.width / 2, camera.height / 2))
+    middle = f"; principal point refined, {x:+.1f}, {y:+.1f} px from the middle" if x or y else ""
     if not first.focal_known:
         return (
             f"no focal length in EXIF: guessed {start:.1f} px, refined to {focal:.1f} px "
-            "(over flat ground, give --camera)"
+            f"(over flat ground, give --camera){middle}"
         )
     if refined:
-        return f"focal length {start:.1f} px of EXIF refined to {focal:.1f} px"
-    return f"focal length {focal:.1f} px of EXIF kept: the ground is too flat to refine it"
+        return f"focal length {start:.1f} px of EXIF refined to {focal:.1f} px{middle}"
+    kept = "kept: the ground is too flat to refine it"
+    return f"focal length {focal:.1f} px of EXIF {kept}{middle}"
 
 
 def make_report(
     photographs: Sequence[Photograph],
     files: Mapping[str, str],
     left_out: Mapping[str, str],
-    model: SparseMap,
+    adjusted: Adjusted,
     fixes: Mapping[str, NDArray[np.float64]],
-    placed: Georegistration,
-    refined: Collection[str],
     sparse_map: SparseMap,
     wrong_attitudes: Mapping[str, float],
+    turned: Sequence[str],
 ) -> IngestReport:
     """Figures of a finished flight.
 
@@ -178,13 +196,13 @@ def make_report(
         photographs: given to structure from motion.
         files: of the folder, by name in the scene.
         left_out: files with reasons.
-        model: of all photographs, in world metres.
+        adjusted: the model of all photographs in the world.
         fixes: measured positions by name, world metres.
-        placed: how the model was placed.
-        refined: lenses whose focal length was adjusted.
         sparse_map: of the map's photographs.
         wrong_attitudes: by file, degrees.
+        turned: files.
     """
+    model, placed = adjusted.model, adjusted.placed
     used = [n for n in model.names if n in fixes and n not in placed.blunders]
     wrong = residuals(model, fixes, placed.blunders)
     return IngestReport(
@@ -194,7 +212,7 @@ def make_report(
         points=len(model.xyz),
         track_length=float(model.track_length.mean()),
         reprojection_error_px=model.reprojection_error(),
-        lenses=lenses_of(photographs, model, refined),
+        lenses=lenses_of(photographs, adjusted),
         level=placed.level,
         fixes=len(used),
         blunders={
@@ -202,7 +220,14 @@ def make_report(
             for name, off in zip(placed.blunders, wrong, strict=True)
         },
         wrong_attitudes=dict(wrong_attitudes),
+        turned=tuple(turned),
         gps=summary(residuals(model, fixes, used)),
+        lag_s=adjusted.lag,
+        gps_without_lag=(
+            summary(residuals(model, adjusted.undone, [n for n in used if n in adjusted.undone]))
+            if adjusted.undone
+            else None
+        ),
         map_images=len(sparse_map.images),
         map_points=len(sparse_map.xyz),
         queries=len(model.images) - len(sparse_map.images),

@@ -682,6 +682,8 @@ def adjust_to_positions(
     sigma: NDArray[np.float64],
     refined: Collection[str],
     out: Path,
+    *,
+    principal_point: bool = False,
 ) -> SparseMap:
     """Move a model into the world, then adjust poses, points and lenses to the pixels and to
     measured positions together, with a robust loss on the positions.
@@ -695,6 +697,7 @@ def adjust_to_positions(
         refined: lenses whose focal length is adjusted too; with none, only the distortion of those
             that are not calibrated.
         out: existing folder for the adjusted model.
+        principal_point: adjust the principal points of the lenses that are adjusted at all.
     """
     native = pycolmap.Reconstruction(model)
     native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
@@ -707,6 +710,7 @@ def adjust_to_positions(
             config.set_constant_cam_intrinsics(numbers[photograph.lens])
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
     options.refine_focal_length = bool(refined)
+    options.refine_principal_point = principal_point
     options.ceres.solver_options.num_threads = 1
     with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
     with_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scene.errors import InputError
@@ -109,6 +110,35 @@ def kept_while_working(folder: Path, name: str) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Keep others that ask for it out of a folder during the block.
+
+    The lock is the kernel's, on the folder itself: it leaves no file, and ends with the process,
+    however that ends. A folder that is not there is made, and goes again if it stays empty.
+
+    Raises:
+        InputError: another process has it, or the folder cannot be made.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror}") from None
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"another run is writing {folder}: wait for it to end") from None
+        yield
+    finally:
+        os.close(handle)
+        with suppress(OSError):  # not empty, which is as it should be
+            for path in made:
+                path.rmdir()
 
 
 def write_text(path: Path, text: str) -> None:

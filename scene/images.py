@@ -7,7 +7,7 @@ import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -115,23 +115,25 @@ def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95
         )
 
 
-def write_resized(source: Path, out: Path, longest: int) -> None:
-    """Copy a photograph with its metadata, made smaller where a side is over ``longest`` pixels.
+def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) -> None:
+    """Copy a photograph with its metadata, made smaller where a side is over ``longest`` pixels,
+    and turned by 180 degrees where ``over``.
 
     Raises:
         InputError: it is missing or damaged, or ``out`` cannot be written.
     """
     rgb = read_rgb(source)
     height, width = rgb.shape[:2]
-    scale = longest / max(width, height)
+    scale = min(1.0, longest / max(width, height))
     with written_whole(out) as partial:
-        if scale >= 1:
+        if scale == 1 and not over:
             shutil.copyfile(source, partial)
             return
         with Image.open(source) as original:
             kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
         size = (round(scale * width), round(scale * height))
-        smaller = Image.fromarray(rgb).resize(size, Image.Resampling.LANCZOS)
+        picture = Image.fromarray(rgb[::-1, ::-1] if over else rgb)
+        smaller = picture.resize(size, Image.Resampling.LANCZOS)
         smaller.save(partial, "JPEG", quality=95, subsampling=0, **kept)
 
 
@@ -181,7 +183,7 @@ def read_exif(path: Path) -> Exif:
     stamp = detail.get(ExifTags.Base.DateTimeOriginal)
     return Exif(
         position=_decode_position(tags.get_ifd(ExifTags.IFD.GPSInfo)),
-        time=_decode_time(stamp),
+        time=_decode_time(stamp, detail.get(ExifTags.Base.SubsecTimeOriginal)),
         make=_text(tags.get(ExifTags.Base.Make)),
         model=_text(tags.get(ExifTags.Base.Model)),
         focal_35mm=_decode_focal(detail, size),
@@ -229,11 +231,14 @@ def _decode_gimbal(xmp: bytes) -> tuple[float, float, float] | None:
     return angles[0], angles[1], angles[2]
 
 
-def _decode_time(stamp: object) -> datetime | None:
+def _decode_time(stamp: object, fraction: object) -> datetime | None:
+    """Whole seconds, and the decimal digits that follow them where the camera writes some."""
     try:
-        return datetime.strptime(str(stamp), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+        whole = datetime.strptime(str(stamp), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
     except ValueError:
         return None
+    digits = _text(fraction)
+    return whole + timedelta(seconds=float(f"0.{digits}") if digits.isdecimal() else 0)
 
 
 def _decode_position(gps: dict[int, object]) -> Geodetic | None:

@@ -18,7 +18,7 @@ from scene.bundle import COVISIBILITY, MANIFEST, Scene, finish
 from scene.camera import Camera
 from scene.covisibility import write_covisibility
 from scene.errors import InputError
-from scene.files import remove_partial, write_text
+from scene.files import remove_partial, sole_writer, write_text
 from scene.frames import LAYERS, Frames, Layer, read_frames, write_frames
 from scene.geodesy import geodetic_from_enu
 from scene.images import Exif, write_jpeg
@@ -67,8 +67,14 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
         The finished scene, still without a map.
 
     Raises:
-        InputError: ``out`` holds something else or cannot be written, or rendering failed.
+        InputError: ``out`` holds something else, cannot be written or is written by another run, or
+            rendering failed.
     """
+    with sole_writer(out):
+        return _simulate(config, out, jobs)
+
+
+def _simulate(config: SimulateConfig, out: Path, jobs: int) -> Scene:
     finished = _finished(out, config)
     if finished is not None:
         return finished

@@ -14,7 +14,13 @@ from scene.bundle import FEATURES, Scene, finish
 from scene.colmap import ADJUSTMENTS, VERSION, PosedImage, SiftOptions, reconstruct, triangulate
 from scene.errors import InputError
 from scene.features import write_features
-from scene.files import folder_written_whole, kept_while_working, remove_partial, sha256_of
+from scene.files import (
+    folder_written_whole,
+    kept_while_working,
+    remove_partial,
+    sha256_of,
+    sole_writer,
+)
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
 from simulate.class_spread import class_spread
@@ -49,9 +55,16 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
         The map's figures against the truth.
 
     Raises:
-        InputError: not a finished scene, a photograph is damaged, or no map came of it.
+        InputError: not a finished scene, one that another run is writing, a damaged photograph, or
+            no map came of it.
     """
     scene = Scene.open(path)
+    with sole_writer(path):
+        return _build(scene, method)
+
+
+def _build(scene: Scene, method: Method) -> MapReport:
+    path = scene.path
     images, seen = _map_frames(scene)
     names = [image.name for image in images]
     flights = [name.partition("/")[0] for name in names]

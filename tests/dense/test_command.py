@@ -17,6 +17,7 @@ from dense.workspace import Workspace
 from scene.bundle import Scene
 from scene.colmap import PosedImage, write_posed
 from scene.errors import InputError
+from scene.files import sole_writer
 from scene.sparse_map import SparseMap
 
 SIZE = 96
@@ -160,6 +161,11 @@ def straightened(scene: Scene) -> SparseMap:
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, 4000) for i in sparse_map.images.values()}
     return undistorted_map(sparse_map, cameras)
+
+
+def test_two_runs_do_not_write_one_cloud(rendered: Scene) -> None:
+    with sole_writer(rendered.path), pytest.raises(InputError, match="another run is writing"):
+        dense(rendered.path)
 
 
 def test_no_map_is_one_line(rendered_copy: Path) -> None:

@@ -2,12 +2,21 @@ from __future__ import annotations
 
 import hashlib
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from scene.errors import InputError
-from scene.files import folder_written_whole, read_text, sha256_of, write_text, written_whole
+from scene.files import (
+    folder_written_whole,
+    read_text,
+    sha256_of,
+    sole_writer,
+    write_text,
+    written_whole,
+)
 
 
 def test_digest(tmp_path: Path) -> None:
@@ -119,3 +128,40 @@ def test_unreadable_text_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not a UTF-8 text file"):
         read_text(tmp_path / "binary", "query list")
+
+
+def test_one_process_writes_a_folder_at_a_time(tmp_path: Path) -> None:
+    """Another process is told so; one that was killed is in nobody's way."""
+    folder = tmp_path / "new" / "scene"
+    hold = (
+        "import pathlib, sys\n"
+        "from scene.files import sole_writer\n"
+        "with sole_writer(pathlib.Path(sys.argv[1])):\n"
+        "    print('held', flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        with (
+            pytest.raises(InputError, match="another run is writing .*scene: wait"),
+            sole_writer(folder),
+        ):
+            pass
+        assert folder.is_dir()
+        other.kill()
+        other.wait()
+    with sole_writer(folder):
+        (folder / "result").touch()
+    assert os.listdir(folder) == ["result"]  # noqa: PTH208 - hidden files too
+
+
+def test_a_folder_nobody_wrote_into_goes_again(tmp_path: Path) -> None:
+    with sole_writer(tmp_path / "new" / "scene"):
+        assert (tmp_path / "new" / "scene").is_dir()
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot write .*file"), sole_writer(tmp_path / "file"):
+        pass

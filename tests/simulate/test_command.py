@@ -16,6 +16,7 @@ import pytest
 
 from scene.bundle import Scene
 from scene.errors import InputError
+from scene.files import sole_writer
 from scene.frames import LAYERS, Frames
 from scene.geodesy import geodetic_from_enu
 from scene.images import read_exif, read_rgb
@@ -182,6 +183,13 @@ def test_finished_scene_is_left_alone(rendered: Scene) -> None:
 def test_another_configuration_is_refused(rendered: Scene) -> None:
     with pytest.raises(InputError, match="another configuration"):
         simulate(RENDERED.model_copy(update={"seed": 12}), rendered.path)
+
+
+def test_two_runs_do_not_write_one_scene(tmp_path: Path) -> None:
+    out = tmp_path / "scene"
+    with sole_writer(out), pytest.raises(InputError, match="another run is writing"):
+        simulate(RENDERED, out)
+    assert not out.exists()
 
 
 def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from scene.bundle import FEATURES, Scene
 from scene.camera import Camera
 from scene.errors import InputError
 from scene.features import read_features
-from scene.files import sha256_of
+from scene.files import sha256_of, sole_writer
 from scene.sparse_map import MapImage
 from simulate.class_spread import class_spread
 from simulate.map_report import objects_of_points
@@ -86,6 +86,11 @@ def test_pairs_of_hundreds_of_frames_grow_with_their_number() -> None:
     pairs = choose_pairs(overlap, ["line"] * 400)
     assert 400 * 10 <= len(pairs) <= 400 * 20
     assert {(k, k + 1) for k in range(399)} < set(pairs)
+
+
+def test_two_runs_do_not_write_one_map(rendered: Scene) -> None:
+    with sole_writer(rendered.path), pytest.raises(InputError, match="another run is writing"):
+        build_map(rendered.path)
 
 
 def test_a_damaged_photograph_keeps_the_old_map(rendered_copy: Path) -> None:

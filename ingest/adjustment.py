@@ -1,0 +1,132 @@
+"""From a model of structure from motion to the world: placed by GPS, its lag found, adjusted."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.georegister import Georegistration, georegister
+from ingest.lag import find_lag, motions, undo_lag
+from scene.colmap import Photograph, adjust_to_positions, read_map
+from scene.files import folder_written_whole
+from scene.sparse_map import SparseMap
+
+Array = NDArray[np.float64]
+
+# Focal length and height trade against each other over flat ground: where depths within a picture
+# differ by less than this share of them, EXIF knows the focal length better than the pixels do.
+_RELIEF = 0.25
+# A principal point off the middle looks like cameras that stand beside where they do. Only cameras
+# that are turned about tell them apart: the mean of their unit vectors to the right is shorter.
+_ONE_WAY = 0.8
+# Standard deviation of an altitude that is not one, metres.
+_NO_ALTITUDE = 1e4
+# Centres move with the lag, and velocities with them, by a few per cent.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """A model in the world, and how it came there.
+
+    Attributes:
+        model: in world metres.
+        placed: where it was before the adjustment.
+        focal: lenses whose focal length was adjusted.
+        principal_point: whether principal points were.
+        lag: seconds that fixes are behind the photographs; 0 where nobody knows.
+        undone: by name the fixes without the lag, (3,) world metres; empty without one.
+    """
+
+    model: SparseMap
+    placed: Georegistration
+    focal: Collection[str]
+    principal_point: bool
+    lag: float
+    undone: Mapping[str, Array]
+
+
+def adjust(
+    model_path: Path,
+    taken: Sequence[Photograph],
+    fixes: Mapping[str, Array],
+    times: Mapping[str, float],
+    work: Path,
+) -> Adjusted:
+    """Place a model by GPS and adjust it to pixels and GPS.
+
+    Args:
+        model_path: folder of the model.
+        taken: its photographs in the order they were taken, and others.
+        fixes: (3,) measured positions by name, world metres.
+        times: seconds since any moment by name.
+        work: folder for the adjusted model.
+
+    Raises:
+        InputError: as ``georegister``.
+    """
+    raw = read_map(model_path)
+    placed = georegister(raw, fixes)
+    order = [photograph.name for photograph in taken if photograph.name in raw.images]
+    lag, used = 0.0, fixes
+    for _ in range(_ROUNDS):
+        centres = dict(zip(raw.names, placed.apply(raw.centres), strict=True))
+        moving = motions(order, centres, times)
+        trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
+        lag = find_lag(moving, centres, trusted)
+        if lag == 0:
+            break
+        used = undo_lag(fixes, moving, lag)
+        placed = georegister(raw, used)
+    if lag == 0 and used is not fixes:
+        placed, used = georegister(raw, fixes), fixes
+    positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
+    sigma = placed.sigma.copy()
+    if placed.level == "ground":
+        for name in positions:
+            height = placed.apply(raw.images[name].centre[None])[0, 2]
+            positions[name] = np.array([*positions[name][:2], height])
+        sigma[2] = _NO_ALTITUDE
+    tell = _relief(raw) > _RELIEF
+    focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
+    principal_point = _turn_about(raw, taken)
+    with folder_written_whole(work / "adjusted") as folder:
+        model = adjust_to_positions(
+            model_path,
+            taken,
+            placed.world_from_model,
+            positions,
+            sigma,
+            focal,
+            folder,
+            principal_point=principal_point,
+        )
+    return Adjusted(model, placed, focal, principal_point, lag, {} if used is fixes else used)
+
+
+def _relief(model: SparseMap) -> float:
+    """How much the depths within a photograph differ, as a share of them: the median photograph."""
+    spread = []
+    for image in model.images.values():
+        xyz = model.xyz[image.point_rows[image.point_rows >= 0]]
+        depth = (xyz @ image.cam_from_world[:3, :3].T + image.cam_from_world[:3, 3])[:, 2]
+        if len(depth):
+            near, middle, far = np.percentile(depth, [5, 50, 95])
+            spread.append((far - near) / middle)
+    return float(np.median(spread))
+
+
+def _turn_about(model: SparseMap, taken: Sequence[Photograph]) -> bool:
+    """Whether the cameras of every lens that is not calibrated are turned about."""
+    right: dict[str, list[Array]] = {}
+    for photograph in taken:
+        if photograph.name in model.images and not photograph.calibrated:
+            axis = model.images[photograph.name].cam_from_world[0, :3]
+            right.setdefault(photograph.lens, []).append(axis)
+    return bool(right) and all(
+        np.linalg.norm(np.mean(axes, axis=0)) < _ONE_WAY for axes in right.values()
+    )
