@@ -11,8 +11,9 @@ from torch import Tensor
 
 from baselines.align.covariance import covariance
 from baselines.align.descent import Options, descend, is_finite
+from baselines.align.local import Local, working_precision
 from baselines.align.residuals import Level, Problem
-from baselines.align.trees import choose, over
+from baselines.align.trees import over
 from scene.pose import Pose
 from scene.projection import Intrinsics
 
@@ -87,51 +88,41 @@ def align(
     Returns:
         A finite pose whatever the input: what cannot be aligned has failed, with a reason.
     """
-    shape = start.rotation.shape[:-2]
-    B, K = shape[0], shape[1:].numel()
-    dtype = torch.float64 if levels[0].features.dtype == torch.float64 else torch.float32
-    owner = torch.arange(B, device=points.device).repeat_interleave(K)
+    local = Local.of(points, intrinsics, start, mask, working_precision(levels))
+    shape = local.finite.shape
+    starts_per_query = shape[1:].numel()
+    owner = torch.arange(len(points), device=points.device).repeat_interleave(starts_per_query)
 
-    begin = Pose(start.rotation.reshape(-1, 3, 3), start.translation.reshape(-1, 3))
-    begin = begin.to(dtype=torch.float64)
-    finite = begin.matrix().isfinite().flatten(1).all(-1)
-    nowhere = Pose.identity().to(device=points.device)
-    begin = choose(finite, begin, over(lambda t: t.expand(B * K, *t.shape), nowhere))
+    def unflattened(t: Tensor) -> Tensor:
+        return t.view(*shape, *t.shape[1:])
 
-    origin = begin.centre().detach().view(B, K, 3)[:, 0]
-    usable = points.isfinite().all(-1)
-    usable = usable if mask is None else usable & mask
-    local = torch.where(usable[..., None], points.double() - origin[:, None], 0).to(dtype)
-    cameras = over(lambda t: t.to(dtype), intrinsics)
-
-    pose = _about(begin, origin[owner])
-    failure = torch.where(finite, _ALIGNED, _BAD_START)
-    iterations = torch.zeros_like(owner)
-    seen = torch.zeros_like(owner)
+    pose = over(lambda t: t.reshape(len(owner), *t.shape[len(shape) :]), local.start)
+    failure = torch.where(local.finite.flatten(), _ALIGNED, _BAD_START)
+    iterations, seen = torch.zeros_like(owner), torch.zeros_like(owner)
     by_level = []
     for level, held_back in zip(levels, damping, strict=True):
-        problem = Problem.of(level, local, usable, cameras, options.border, options.scale)
-        before = over(Tensor.detach, pose)
-        place = descend(problem, before, owner, failure == _ALIGNED, held_back, options)
+        problem = Problem.of(
+            level, local.points, local.usable, local.intrinsics, options.border, options.scale
+        )
+        problem = problem if starts_per_query == 1 else problem.rows(owner)
+        alive = failure == _ALIGNED
+        place = descend(problem, over(Tensor.detach, pose), alive, held_back, options)
         pose, iterations = place.pose, iterations + place.iterations
-        seen = torch.where(failure == _ALIGNED, place.around.seen.sum(-1), seen)
-        too_few = torch.where(seen < options.least_points, _TOO_FEW, _ALIGNED)
-        now = torch.where(is_finite(place.around), too_few, _NOT_FINITE)
-        failure = torch.where(failure == _ALIGNED, now, failure)
-        in_world = _about(pose, -origin[owner])
-        by_level.append(over(lambda t: t.view(*shape, *t.shape[1:]), in_world))
+        seen = torch.where(alive, place.around.seen.sum(-1), seen)
+        now = torch.where(is_finite(place.around), _ALIGNED, _NOT_FINITE)
+        now = torch.where(seen < options.least_points, _TOO_FEW, now)
+        failure = torch.where(alive, now, failure)
+        by_level.append(local.in_world(over(unflattened, pose)))
+    failed = failure != _ALIGNED
+    cost = torch.where(failed, torch.inf, place.around.mean_cost())
+    unknown = torch.full((6,), torch.inf, dtype=torch.float64, device=failed.device).diag_embed()
+    spread = torch.where(failed[:, None, None], unknown, covariance(place.around))
     return Alignment(
         pose=by_level[-1],
         by_level=tuple(by_level),
-        covariance=covariance(place.around).view(*shape, 6, 6),
-        cost=place.around.mean_cost().view(shape),
-        iterations=iterations.view(shape),
-        seen=seen.view(shape),
-        failure=failure.view(shape),
+        covariance=unflattened(spread),
+        cost=unflattened(cost),
+        iterations=unflattened(iterations),
+        seen=unflattened(seen),
+        failure=unflattened(failure),
     )
-
-
-def _about(cam_from_world: Pose, origin: Tensor) -> Pose:
-    """The same poses for points from which ``origin`` (M, 3) was taken."""
-    moved = cam_from_world.translation + (cam_from_world.rotation @ origin[..., None])[..., 0]
-    return Pose(cam_from_world.rotation, moved)

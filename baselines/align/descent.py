@@ -64,7 +64,6 @@ class Place:
 def descend(
     problem: Problem,
     pose: Pose,
-    owner: Tensor,
     alive: Tensor,
     damping: Tensor,
     options: Options,
@@ -74,28 +73,27 @@ def descend(
     Args:
         problem: the level.
         pose: (M) where to begin.
-        owner: (M,) the query of each.
         alive: (M,) those to move at all.
         damping: (6,) factors of the Hessian's diagonal.
         options: how.
     """
-    around = problem.linearise(pose, owner)
-    still = torch.zeros_like(owner)
+    around = problem.linearise(pose)
+    still = torch.zeros(len(alive), dtype=torch.long, device=alive.device)
     place = Place(pose, around, still, torch.ones_like(still, dtype=torch.float64)[:, None])
-    number = torch.arange(len(owner), device=owner.device)
+    number = torch.arange(len(alive), device=alive.device)
     arrived: list[tuple[Tensor, Place]] = []
     going = alive
     for _ in range(options.iterations):
         going = going & healthy(place.around, options.least_points)
         if not bool(going.all()):
             arrived.append((number[~going], rows(place, ~going)))
-            number, place = number[going], rows(place, going)
+            number, place, problem = number[going], rows(place, going), problem.rows(going)
         if not len(number):
             break
         step = damped_step(place.around.gradient, place.around.hessian, damping * place.caution)
         there = moved(place.pose, step)
         place = replace(place, iterations=place.iterations + 1)
-        trial = replace(place, pose=there, around=problem.linearise(there, owner[number]))
+        trial = replace(place, pose=there, around=problem.linearise(there))
         if options.careful:
             better = _falls(place.around, trial.around, options.least_points)
             place = choose(better, trial, place)

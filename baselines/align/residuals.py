@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
-from baselines.align.sampling import CellTable, Stride, inside, per_axis, stencil, to_cells
-from baselines.align.trees import rows as rows_of
+from baselines.align.sampling import CellTable, Stride, inside, per_axis, stencil
+from baselines.align.trees import rows
 from scene.pose import Pose
 from scene.projection import Intrinsics
 
@@ -78,24 +79,30 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class Problem:
-    """One level made ready to be linearised at many poses.
+    """One level, laid out for M poses; poses of one query share its features.
 
     Attributes:
-        level: the scale.
-        table: its features.
-        trust: its confidence, or None.
-        points: (B, N, 3).
-        mask: (B, N) points to use.
-        intrinsics: of the queries, batched (B) or one camera.
+        table: features of the queries.
+        trust: their confidence, or None.
+        first: (M,) where the maps of each one's query begin in these tables.
+        stride: (2,) pixels per cell, x and y.
+        points: (M, N, 3).
+        mask: (M, N) points to use.
+        target: (M, N, 3, C) minus the features of the points, with two rows of zeros.
+        target_trust: (M, N) confidence of the points, or None.
+        intrinsics: (M) of the queries, or one camera.
         border: cells at the edge of the map in which points do not count; at least 1.
         scale: of the robust cost.
     """
 
-    level: Level
     table: CellTable
     trust: CellTable | None
+    first: Tensor
+    stride: Tensor
     points: Tensor
     mask: Tensor
+    target: Tensor
+    target_trust: Tensor | None
     intrinsics: Intrinsics
     border: float
     scale: float
@@ -109,46 +116,69 @@ class Problem:
         border: float,
         scale: float,
     ) -> Problem:
-        """Lay out the maps of a level."""
-        trust = None if level.confidence is None else CellTable.of(level.confidence)
+        """Of a level, for one pose per query."""
         table = CellTable.of(level.features)
-        return Problem(level, table, trust, points, mask, intrinsics, max(border, 1.0), scale)
+        exact = level.features.dtype == torch.float64
+        reference = level.reference.to(torch.float64 if exact else torch.float32)
+        return Problem(
+            table=table,
+            trust=None if level.confidence is None else CellTable.of(level.confidence),
+            first=table.first(torch.arange(len(points), device=points.device)),
+            stride=per_axis(level.stride, points),
+            points=points,
+            mask=mask,
+            target=pad(-reference[..., None, :], (0, 0, 0, 2)),
+            target_trust=level.reference_confidence,
+            intrinsics=intrinsics,
+            border=max(border, 1.0),
+            scale=scale,
+        )
 
-    def linearise(self, cam_from_world: Pose, owner: Tensor) -> Linearisation:
-        """Around poses (M), the m-th of query ``owner[m]``."""
-        in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points[owner])
-        own = self.intrinsics.focal.ndim > 1
-        cameras = rows_of(self.intrinsics, owner) if own else self.intrinsics
-        projected = cameras.project(in_camera, jacobian=True)
+    def rows(self, which: Tensor) -> Problem:
+        """For some of the poses by number, repeated or not, or by a mask."""
+        trust, cameras = self.target_trust, self.intrinsics
+        return replace(
+            self,
+            first=self.first[which],
+            points=self.points[which],
+            mask=self.mask[which],
+            target=self.target[which],
+            target_trust=None if trust is None else trust[which],
+            intrinsics=cameras if cameras.focal.ndim == 1 else rows(cameras, which),
+        )
+
+    def linearise(self, cam_from_world: Pose) -> Linearisation:
+        """The cost around poses (M)."""
+        in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
+        projected = self.intrinsics.project(in_camera, jacobian=True)
         assert projected.jacobian is not None
-        cells = to_cells(projected.xy, self.level.stride)
-        seen = projected.valid & self.mask[owner]
+        cells = projected.xy / self.stride - 0.5
+        seen = projected.valid & self.mask
         seen = seen & inside(cells, self.table.width, self.table.height, self.border)
-        index, weights = stencil(torch.where(seen[..., None], cells, 1), owner, self.table)
+        cells = torch.where(seen[..., None], cells, 1)
+        index, weights = stencil(cells, self.table, self.first)
 
         # Residual and slopes of all channels, 3 x C per point; then only their products, 3 x 3.
-        reference = self.level.reference[owner]
-        rows = self.table.gather(index).flatten(0, 1)
-        target = torch.nn.functional.pad(-reference.to(rows.dtype)[..., None, :], (0, 0, 0, 2))
-        field = torch.baddbmm(target.flatten(0, 1), weights.to(rows.dtype).flatten(0, 1), rows)
-        gram = (field @ field.transpose(-1, -2)).view(*seen.shape, 3, 3).to(cells.dtype)
-        squared, pull, slopes = gram[..., 0, 0], gram[..., 1:, :1], gram[..., 1:, 1:]
+        near = self.table.gather(index).flatten(0, 1)
+        field = torch.baddbmm(self.target.flatten(0, 1), weights.flatten(0, 1).to(near), near)
+        gram = (field @ field.transpose(-1, -2)).view(*seen.shape, 3, 3).to(cells)
+        squared = gram[..., 0, 0]
 
-        trust = seen.to(cells.dtype)
+        trust = seen.to(cells)
         if self.trust is not None:
             trust = trust * (self.trust.gather(index)[..., 0] * weights[..., 0, :]).sum(-1)
-        if self.level.reference_confidence is not None:
-            trust = trust * self.level.reference_confidence[owner]
-        weight = (trust * robust_weight(squared, self.scale))[..., None, None]
+        if self.target_trust is not None:
+            trust = trust * self.target_trust
 
-        jacobian = projected.jacobian / per_axis(self.level.stride, cells)[:, None]
+        jacobian = projected.jacobian / self.stride[:, None]
         turn = torch.linalg.cross(in_camera[..., None, :].expand_as(jacobian), jacobian)
         jacobian = torch.cat([turn, jacobian], -1)  # (M, N, 2, 6)
-        tall = jacobian.flatten(1, 2)
+        weight = (trust * robust_weight(squared, self.scale))[..., None, None]
+        chained = (weight * gram[..., 1:]) @ jacobian  # (M, N, 3, 6)
         return Linearisation(
             seen=seen,
             weight=trust,
             cost=robust_cost(squared, self.scale),
-            pull=(weight * pull * jacobian).sum(-2),
-            hessian=tall.transpose(-1, -2) @ (weight * slopes @ jacobian).flatten(1, 2),
+            pull=chained[..., 0, :],
+            hessian=jacobian.flatten(1, 2).transpose(-1, -2) @ chained[..., 1:, :].flatten(1, 2),
         )

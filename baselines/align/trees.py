@@ -34,5 +34,9 @@ def rows(tree: T, which: Tensor) -> T:
 
 
 def choose(which: Tensor, yes: T, no: T) -> T:
-    """Element by element: those of ``yes`` where ``which`` (M), else those of ``no``."""
-    return over(lambda a, b: torch.where(which.view(-1, *[1] * (a.ndim - 1)), a, b), yes, no)
+    """Element by element: those of ``yes`` (..., any) where ``which`` (...), else of ``no``."""
+
+    def pick(a: Tensor, b: Tensor) -> Tensor:
+        return torch.where(which[(..., *[None] * (a.ndim - which.ndim))], a, b)
+
+    return over(pick, yes, no)

@@ -13,6 +13,8 @@ from baselines.d2net.network import D2Net
 
 # Largest ratio of the two curvatures of a peak: beyond it lies an edge, as in SIFT.
 _EDGE: Final = 5.0
+# Flatter peaks, relative to their height, are rounding errors of a picture without contrast.
+_FLAT: Final = 1e-4
 # A peak further from the centre of its cell belongs to another cell.
 _MAX_OFFSET: Final = 0.5
 # Smaller images (px) have no cell with neighbours.
@@ -118,7 +120,8 @@ def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
     dx, dy = (east - west) / 2, (s - n) / 2
     determinant = dxx * dyy - dxy**2
     round_enough = (dxx + dyy) ** 2 <= (_EDGE + 1) ** 2 / _EDGE * determinant
-    peaks = (centre == around.amax(0)) & (determinant > 0) & round_enough
+    curved = (determinant > 0) & (dxx + dyy < -_FLAT * centre)
+    peaks = (centre == around.amax(0)) & curved & round_enough
     steps = torch.stack([dxy * dy - dyy * dx, dxy * dx - dxx * dy])
     return peaks, steps / determinant
 

@@ -59,9 +59,10 @@ def pose_loss(
         truth: as of ``reprojection_error``, as the rest.
     """
     errors = [reprojection_error(p, truth, points, intrinsics, valid) for p in by_level]
-    counts = valid.sum(-1) >= _LEAST_POINTS
+    enough = valid.sum(-1) >= _LEAST_POINTS
+    counts = enough
     total = torch.zeros_like(errors[0])
     for error, stride in zip(errors, strides, strict=True):
         total = total + torch.where(counts, error.clamp(max=_CLAMP), 0) / len(errors)
-        counts = counts & (error < _NEAR * stride)
+        counts = enough & (error < _NEAR * stride)
     return total.mean(), [error.detach() for error in errors]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import tempfile
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +15,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from baselines.pixloc.network import PixlocNet, read_network
 from baselines.vgg import BLOCKS, vgg16_blocks
+from scene.camera import Camera
+from scene.pose import Pose
 
 RECORDED = Path(__file__).parents[2] / "data/official/pixloc-65a51a7-network.npz"
 # Whole, odd, and with sides whose rest of 16 is cut off at several levels.
@@ -71,11 +76,80 @@ def tensors(extra: int = 0) -> dict[str, Tensor]:
     return made
 
 
+def ours(extra: int = 0) -> PixlocNet:
+    """Our network with these weights, by the way of a checkpoint file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "checkpoint_best.tar"
+        torch.save(
+            {
+                "model": tensors(extra),
+                "conf": {"model": {"name": "two_view_refiner"}},
+                "eval": {"loss/reprojection_error_median": np.float64(1.5)},
+            },
+            path,
+        )
+        return read_network(path)[0]
+
+
 def picture(height: int, width: int) -> Tensor:
     """A smooth picture in 0..1, (1, 3, H, W)."""
     y, x = np.mgrid[:height, :width]
     waves = [np.sin(x / 7 + c) * np.cos(y / (5 + c)) + np.sin((x + 2 * y) / 23) for c in range(3)]
     return torch.from_numpy((np.stack(waves)[None] / 4 + 0.5).astype(np.float32))
+
+
+CAMERA = Camera("PINHOLE", 256, 192, (220.0, 224.0, 126.0, 98.0))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two pictures of smooth ground 20 m below, and points of it.
+
+    Attributes:
+        images: (1, 3, H, W) of the reference and of the query.
+        points: (N, 3) in the reference's camera.
+        query_from_reference: the truth.
+    """
+
+    images: tuple[Tensor, Tensor]
+    points: Tensor
+    query_from_reference: Pose
+
+
+def pair() -> Pair:
+    """Moved by 0.6 m and turned by two degrees."""
+    tangent = torch.tensor([0.02, -0.02, 0.03, 0.4, -0.3, 0.3], dtype=torch.float64)
+    truth = Pose.exp(tangent)
+    views = []
+    for pose in (Pose.identity(), truth):
+        rays, _ = CAMERA.unproject(CAMERA.pixel_grid().flatten(0, 1))
+        back = pose.inverse()
+        rays = rays @ back.rotation.T
+        ground = back.translation + rays * ((20 - back.translation[2]) / rays[:, 2:])
+        x, y = ground[:, 0].numpy(), ground[:, 1].numpy()
+        waves = [
+            np.sin(1.3 * x + c) * np.cos((1.1 + 0.2 * c) * y) + np.sin(0.6 * x - 0.9 * y + c)
+            for c in range(3)
+        ]
+        shades = np.stack(waves).reshape(1, 3, CAMERA.height, CAMERA.width) / 4 + 0.5
+        views.append(torch.from_numpy(shades.astype(np.float32)))
+    x, y = np.meshgrid(np.linspace(-9, 9, 16), np.linspace(-7, 7, 12))
+    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 20.0)], -1)
+    return Pair((views[0], views[1]), torch.from_numpy(points), truth)
+
+
+def poses_after_levels() -> tuple[Pose, list[Pose]]:
+    """What five alignments of ``pair`` might have been after three levels, and their starts: good
+    and bad ones. Each batched (5)."""
+    rng = np.random.default_rng(1)
+    directions = torch.from_numpy(rng.standard_normal((5, 6)) * [[0.02] * 3 + [0.4] * 3])
+    truth = pair().query_from_reference
+
+    def off(*sizes: float) -> Pose:
+        return Pose.exp(directions * torch.tensor(sizes)[:, None]) @ truth
+
+    after = [off(0.2, 3, 1, 9, 0.5), off(0.05, 1, 4, 1, 0.5), off(0.01, 1, 0.1, 0.1, 0.5)]
+    return off(1, 1, 1, 1, 1), after
 
 
 def sampled(values: Tensor) -> NDArray[np.float32]:
@@ -137,6 +211,9 @@ def refiner(extra: int = 0, weights: dict[str, Tensor] | None = None) -> Any:
                 "loss_fn": "scaled_barron(0, 0.1)",
                 "jacobi_scaling": False,
                 "learned_damping": True,
+                # All iterations, whatever the steps.
+                "dt_stop_criteria": 0.0,
+                "grad_stop_criteria": 0.0,
                 "damping": {"type": "constant"},
             },
         }

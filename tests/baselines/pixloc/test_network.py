@@ -17,20 +17,9 @@ from tests.baselines.pixloc import official
 TOLERANCE = 1e-4
 
 
-def _checkpoint(path: Path, extra: int = 0) -> Path:
-    """A file such as the authors' training writes."""
-    content = {
-        "model": official.tensors(extra=extra),
-        "conf": {"model": {"name": "two_view_refiner"}},
-        "eval": {"loss/reprojection_error_median": np.float64(1.5)},
-    }
-    torch.save(content, path)
-    return path
-
-
 @pytest.mark.parametrize("extra", [0, 1], ids=["vgg16", "vgg19"])
-def test_equals_the_authors(tmp_path: Path, extra: int) -> None:
-    network, _ = read_network(_checkpoint(tmp_path / "checkpoint_best.tar", extra))
+def test_equals_the_authors(extra: int) -> None:
+    network = official.ours(extra)
     recorded = np.load(official.RECORDED)
     for height, width in official.SIZES:
         with torch.no_grad():
@@ -45,8 +34,8 @@ def test_equals_the_authors(tmp_path: Path, extra: int) -> None:
                 )
 
 
-def test_damping_of_the_authors(tmp_path: Path) -> None:
-    network, _ = read_network(_checkpoint(tmp_path / "checkpoint_best.tar"))
+def test_damping_of_the_authors() -> None:
+    network = official.ours()
     theirs = official.tensors()
     # Their level 0 is the finest, their tangent is translation then rotation.
     for ours, level in zip(network.damping, (2, 1, 0), strict=True):
