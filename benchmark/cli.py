@@ -358,7 +358,9 @@ def localize(
 
 @app.command()
 def train(
-    method: Annotated[str, typer.Argument(metavar="METHOD", help="What learns: d2net, pixloc.")],
+    method: Annotated[
+        str, typer.Argument(metavar="METHOD", help="What learns: d2net, pixloc, objconnect.")
+    ],
     data: Annotated[
         list[Path],
         typer.Option(metavar="SCENE", help="Scene to learn from; repeat for several."),
@@ -378,9 +380,9 @@ def train(
     as_json: Json = False,
 ) -> None:
     """Train a method on rendered scenes, or resume its training. Under torchrun, in processes."""
-    from baselines.registry import trainable
     from baselines.training.command import train as run
     from baselines.training.config import TrainConfig
+    from objconnect.registry import trainable
     from scene.config import load_config
 
     settings = load_config(TrainConfig, config, _settings(overrides or []))

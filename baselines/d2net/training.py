@@ -12,6 +12,8 @@ from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, read_network,
 from baselines.training.config import TrainConfig
 from baselines.training.contrastive import contrastive
 from baselines.training.pairs import PairBatch
+from scene.config import load_config
+from scene.errors import InputError
 
 # Correspondences without which the authors pass over a pair of images.
 _LEAST: Final = 128
@@ -28,7 +30,10 @@ class D2NetTraining:
     def __init__(self, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         if config.weights is None:
-            self.network = D2Net(D2NetNetConfig(width=config.width))
+            made = {"width": config.width, **config.network}
+            self.network = D2Net(load_config(D2NetNetConfig, None, made))
+        elif config.network:
+            raise InputError("weights come with what their network is made of: leave out 'network'")
         else:
             self.network, _ = read_network(config.weights)
             self.network.requires_grad_(True)

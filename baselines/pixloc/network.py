@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.align.damping import Damping
-from baselines.vgg import IMAGENET_MEAN, IMAGENET_STD, channels, vgg16_blocks
+from baselines.vgg import channels, encode, keep_variance, vgg16_encoder
 from baselines.weights import load_into, read_weights
 from scene.config import Config, describe
 from scene.errors import InputError
@@ -65,11 +65,7 @@ class PixlocNet(nn.Module):
     def __init__(self, config: PixlocNetConfig) -> None:
         super().__init__()
         self.config = config
-        blocks = vgg16_blocks(config.width, config.extra_convolutions)
-        self.encoder = nn.ModuleList(
-            nn.Sequential(*([nn.MaxPool2d(2)] if position else []), *block)
-            for position, block in enumerate(blocks)
-        )
+        self.encoder = vgg16_encoder(config.width, config.extra_convolutions)
         skips = channels(config.width)[::-1]
         steps = _STRIDES.index(config.strides[-1])
         sizes = [skips[0], *config.decoder[:steps]]
@@ -88,16 +84,7 @@ class PixlocNet(nn.Module):
         )
         self.confidence = nn.ModuleList(nn.Conv2d(size, 1, 1) for size in inputs)
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
-        self._mean: Tensor
-        self._std: Tensor
-        self.register_buffer("_mean", torch.tensor(IMAGENET_MEAN)[:, None, None], persistent=False)
-        self.register_buffer("_std", torch.tensor(IMAGENET_STD)[:, None, None], persistent=False)
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d) and module.kernel_size != (1, 1):
-                # Without normalisation between them, the encoder's layers must keep the variance.
-                nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
-                if module.bias is not None:
-                    nn.init.zeros_(module.bias)
+        keep_variance(self)
 
     def forward(self, image: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Features, not normalised, and confidences in 0..1, from coarse to fine.
@@ -109,11 +96,7 @@ class PixlocNet(nn.Module):
             Per level (B, C, h, w) and (B, 1, h, w). Cells are ``stride`` pixels from the top left
             corner on; what an image has beyond a multiple of 16 pixels is cut off.
         """
-        x = (image - self._mean) / self._std
-        skips = []
-        for block in self.encoder:
-            x = block(x)
-            skips.append(x)
+        skips = encode(self.encoder, image)
         decoded = [skips.pop()]
         for step in self.decoder:
             skip = skips.pop()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field
 
@@ -27,6 +28,7 @@ class TrainConfig(Config):
             the steps; afterwards half as many.
         warm_up: share of the steps in which features alone are taught, without poses.
         width: of the network, 1 for the authors' own.
+        network: what else it is made of, by the names of the method's own configuration.
         weights: to start from, or None to start from nothing.
         validate_every: steps between two looks at the validation scenes.
         save_every: steps between two checkpoints.
@@ -47,6 +49,7 @@ class TrainConfig(Config):
     photograph_share: float = Field(0.3, ge=0, le=1)
     warm_up: float = Field(0.35, ge=0, le=1)
     width: float = Field(0.25, gt=0, le=1)
+    network: dict[str, Any] = Field(default_factory=dict)
     weights: Path | None = None
     validate_every: int = Field(200, ge=1)
     save_every: int = Field(100, ge=1)

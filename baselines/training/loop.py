@@ -192,6 +192,8 @@ def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
     path = out / _RUN
     if path.is_file():
         before = json.loads(read_text(path, "description of the run"))
+        # Settings that came later than the run had the default's effect.
+        before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
         changed = [key for key in run if before.get(key) != json.loads(text)[key]]
         if changed:
             raise InputError(

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from baselines.pixloc.training import PixlocTraining
-from baselines.registry import TRAINABLE, trainable
 from baselines.training.command import CARD, train
 from baselines.training.config import TrainConfig
 from baselines.training.loop import LOG, WEIGHTS
 from baselines.training.pairs import PairBatch
 from baselines.weights import read_weights
+from objconnect.registry import TRAINABLE, trainable
 from scene.bundle import Scene
 from scene.errors import InputError
 
