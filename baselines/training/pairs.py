@@ -154,8 +154,8 @@ def wrong_start(
 ) -> NDArray[np.float64]:
     """A pose near the truth, (4, 4): camera b turned and moved, ``depth`` metres from the ground.
 
-    Turns reach 10 degrees and moves 8 % of the depth; both lengths are uniform, so that small errors
-    are as frequent as large ones.
+    Turns reach 10 degrees and moves 8 % of the depth; both lengths are uniform, so that small
+    errors are as frequent as large ones.
     """
     turn = _direction(rng) * np.radians(_START_DEG) * rng.uniform()
     move = _direction(rng) * _START_SHARE_OF_DEPTH * depth * rng.uniform()
