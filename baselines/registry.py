@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from scene.config import load_config
 from scene.errors import InputError
 from scene.localizer import Localizer
 
-METHODS: Final = ("sift",)
+if TYPE_CHECKING:
+    from baselines.training.config import TrainConfig
+    from baselines.training.loop import Trainable
+
+# Module, configuration and localizer of every method; a module is loaded when its method is made.
+_MADE_OF: Final = {
+    "sift": ("baselines.sift", "SiftConfig", "SiftLocalizer"),
+    "orb": ("baselines.binary", "OrbConfig", "OrbLocalizer"),
+    "akaze": ("baselines.binary", "AkazeConfig", "AkazeLocalizer"),
+    "epipolar": ("baselines.epipolar", "EpipolarConfig", "EpipolarLocalizer"),
+    "d2net": ("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
+    "pixloc": ("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
+}
+METHODS: Final = tuple(_MADE_OF)
+# Module and class of what those learn that can.
+_TAUGHT_BY: Final = {
+    "d2net": ("baselines.d2net.training", "D2NetTraining"),
+    "pixloc": ("baselines.pixloc.training", "PixlocTraining"),
+}
+TRAINABLE: Final = tuple(_TAUGHT_BY)
 _PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")
 ENTRY_POINTS: Final = "objconnect.localizers"
 
@@ -33,13 +53,26 @@ def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
     Raises:
         InputError: unknown name, unknown key or bad value, or a package that cannot be loaded.
     """
-    if name == "sift":
-        from baselines.sift import SiftConfig, SiftLocalizer
-
-        return SiftLocalizer(load_config(SiftConfig, None, overrides))
+    if name in _MADE_OF:
+        path, config, localizer = _MADE_OF[name]
+        module = import_module(path)
+        settings = load_config(getattr(module, config), None, overrides)
+        return cast("Localizer", getattr(module, localizer)(settings))
     for found in entry_points(group=ENTRY_POINTS, name=name):
         return _brought(found, overrides)
     raise InputError(f"unknown method {name!r}; known: {', '.join(known())}")
+
+
+def trainable(name: str) -> Callable[[TrainConfig], Trainable]:
+    """A method that learns, still to be given the configuration of its training.
+
+    Raises:
+        InputError: no such method, or one without anything to learn.
+    """
+    if name in _TAUGHT_BY:
+        path, teacher = _TAUGHT_BY[name]
+        return cast("Callable[[TrainConfig], Trainable]", getattr(import_module(path), teacher))
+    raise InputError(f"method {name!r} cannot be trained; those that can: {', '.join(TRAINABLE)}")
 
 
 def _brought(found: EntryPoint, overrides: Mapping[str, Any]) -> Localizer:

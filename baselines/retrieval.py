@@ -8,14 +8,26 @@ elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.errors import InputError
+from scene.localizer import Query
+from scene.sparse_map import SparseMap
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
 _WORDS = 64
+# Metres above the ground that a camera is taken for at least.
+_LEAST_HEIGHT = 2.0
+# Cosine from the plumb line of the flattest view followed to the ground.
+_LEAST_DROP = 0.3
 _TRAINING_DESCRIPTORS = 40_000
 
 
@@ -42,7 +54,8 @@ class VladIndex:
         rng = np.random.default_rng(0)
         if len(stacked) > _TRAINING_DESCRIPTORS:
             stacked = stacked[rng.choice(len(stacked), _TRAINING_DESCRIPTORS, replace=False)]
-        words = _cluster(stacked, min(_WORDS, len(stacked)))
+        # Photographs without a single keypoint have no words, and look alike.
+        words = _cluster(stacked, min(_WORDS, len(stacked))) if len(stacked) else stacked
         vectors = np.stack([_vlad(d, words) for d in descriptors])
         return VladIndex(words, vectors)
 
@@ -53,6 +66,8 @@ class VladIndex:
 
 
 def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
+    if k == len(descriptors):
+        return descriptors  # of which OpenCV would take a single one for many numbers
     cv2.setRNGSeed(0)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, 15, 1e-3)
     _, _, words = cv2.kmeans(descriptors, k, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
@@ -60,7 +75,7 @@ def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
 
 
 def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArray[np.float32]:
-    if not len(descriptors):
+    if not len(descriptors) or not len(words):
         return np.zeros(words.size, np.float32)
     # Nearest word by squared distance; the descriptor's own length does not change the order.
     nearest = (descriptors @ words.T - 0.5 * (words**2).sum(1)).argmax(1)
@@ -87,3 +102,90 @@ def nearest_by_position(
     """
     distance = np.linalg.norm(centres[:, :2] - position[:2], axis=1)
     return np.argsort(distance, kind="stable")[:k]
+
+
+def nearest_by_view(sparse_map: SparseMap, position: Vector, rotation: Matrix, k: int) -> Rows:
+    """Rows of the ``k`` cameras whose picture is most like that of a pose, best first.
+
+    What the middles of two pictures lie apart counts in heights above the ground, and what the
+    cameras are turned against each other in radians: a picture is about as wide as its camera is
+    high, and as strange as one beside it when it is turned by 60 degrees.
+
+    Args:
+        sparse_map: whose photographs.
+        position: (3,) camera centre, world metres.
+        rotation: (3, 3) ``cam_from_world``.
+        k: how many.
+    """
+    images = [sparse_map.images[name] for name in sparse_map.names]
+    rotations = np.stack([image.cam_from_world[:3, :3] for image in images])
+    height = max(sparse_map.height_above(position), _LEAST_HEIGHT)
+    ground = position[2] - height
+    middles = _middle(sparse_map.centres, rotations, ground)
+    shift = np.linalg.norm(middles - _middle(position[None], rotation[None], ground), axis=1)
+    cosine = (np.einsum("nij,ij->n", rotations, rotation) - 1) / 2
+    turn = np.arccos(np.clip(cosine, -1, 1))
+    return np.argsort(shift / height + turn, kind="stable")[:k]
+
+
+def _middle(
+    centres: NDArray[np.float64], rotations: NDArray[np.float64], ground: float
+) -> NDArray[np.float64]:
+    """Where cameras look at level ground, (N, 2); those that look far or up, some way ahead."""
+    axis = rotations[:, 2]
+    reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], _LEAST_DROP)
+    return np.asarray(centres[:, :2] + reach[:, None] * axis[:, :2])
+
+
+@dataclass(frozen=True)
+class References:
+    """Chooses photographs of a map for a query.
+
+    Attributes:
+        sparse_map: whose photographs.
+        index: of what they look like.
+    """
+
+    sparse_map: SparseMap
+    index: VladIndex
+
+    @staticmethod
+    def build(sparse_map: SparseMap, descriptors: Sequence[NDArray[np.float32]]) -> References:
+        """Index the photographs by their descriptors, per photograph (n, D) of unit length in the
+        order of ``sparse_map.names``."""
+        return References(sparse_map, VladIndex.build(descriptors))
+
+    def choose(
+        self,
+        query: Query,
+        k: int,
+        describe: Callable[[], NDArray[np.float32]],
+        turned: bool = True,
+    ) -> NDArray[np.int64]:
+        """Rows of ``sparse_map.names``, best first.
+
+        Those the query names; else the ``k`` nearest to its prior; else the ``k`` that look most
+        like it.
+
+        Args:
+            query: what to choose for.
+            k: how many.
+            describe: descriptors of the query, (n, D) of unit length; called only when needed.
+            turned: whether what is compared is found again in a picture turned by any angle. If
+                not, those near the prior that are turned like it come first.
+
+        Raises:
+            InputError: the query names a photograph that the map does not have.
+        """
+        if query.references is not None:
+            row = {name: k for k, name in enumerate(self.sparse_map.names)}
+            unknown = [name for name in query.references if name not in row]
+            if unknown:
+                raise InputError(f"{query.name}: the map has no photograph {unknown[0]}")
+            return np.array([row[name] for name in query.references], np.int64)
+        if query.prior is not None:
+            rotation = query.prior.cam_from_world_rotation
+            if rotation is not None and not turned:
+                return nearest_by_view(self.sparse_map, query.prior.position, rotation, k)
+            return nearest_by_position(self.sparse_map.centres, query.prior.position, k)
+        return self.index.rank(describe(), k)

@@ -1,10 +1,10 @@
-"""The convolutions of VGG16 (Simonyan and Zisserman, ICLR 2015), full or slimmed."""
+"""The convolutions of VGG16 and VGG19 (Simonyan and Zisserman, ICLR 2015), full or slimmed."""
 
 from __future__ import annotations
 
 from typing import Final
 
-from torch import nn
+from torch import Tensor, nn
 
 # Channels of the convolutions of each block; a pooling by 2 stands between blocks.
 BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
@@ -18,19 +18,57 @@ def channels(width: float) -> list[int]:
     return [round(block[-1] * width) for block in BLOCKS]
 
 
-def vgg16_blocks(width: float = 1.0) -> list[list[nn.Module]]:
+def vgg16_blocks(width: float = 1.0, extra: int = 0) -> list[list[nn.Module]]:
     """The five blocks, each a list of 3x3 convolutions with their ReLUs, without the poolings.
 
     With every pooling put between them, their order is that of torchvision's ``vgg16().features``,
     so that weights of networks built on it can be read by position.
+
+    Args:
+        width: of every convolution, in parts of VGG16's.
+        extra: further convolutions in each of the last three blocks; 1 makes it VGG19.
     """
     blocks: list[list[nn.Module]] = []
     previous = 3
-    for sizes in BLOCKS:
+    for position, sizes in enumerate(BLOCKS):
         block: list[nn.Module] = []
-        for size in sizes:
+        for size in (*sizes, *sizes[:1] * extra) if position >= 2 else sizes:
             out = round(size * width)
             block += [nn.Conv2d(previous, out, 3, padding=1), nn.ReLU(inplace=True)]
             previous = out
         blocks.append(block)
     return blocks
+
+
+def vgg16_encoder(width: float = 1.0, extra: int = 0) -> nn.ModuleList:
+    """The five blocks of ``vgg16_blocks`` as modules; each but the first begins with its pooling.
+
+    Parameters are named ``BLOCK.LAYER``, as in PixLoc's encoder.
+    """
+    return nn.ModuleList(
+        nn.Sequential(*([nn.MaxPool2d(2)] if position else []), *block)
+        for position, block in enumerate(vgg16_blocks(width, extra))
+    )
+
+
+def encode(encoder: nn.ModuleList, image: Tensor) -> list[Tensor]:
+    """What each of the encoder's blocks makes of images, fine to coarse: strides 1 to 16.
+
+    Args:
+        encoder: see ``vgg16_encoder``.
+        image: (B, 3, H, W) RGB in 0..1; ImageNet's mean and deviation are taken off here.
+    """
+    mean, std = image.new_tensor([IMAGENET_MEAN, IMAGENET_STD])[..., None, None]
+    blocks = [(image - mean) / std]
+    for block in encoder:
+        blocks.append(block(blocks[-1]))
+    return blocks[1:]
+
+
+def keep_variance(network: nn.Module) -> None:
+    """Begin convolutions wider than one cell so that, through ReLUs alone, variance is kept."""
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d) and module.kernel_size != (1, 1):
+            nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+            if module.bias is not None:
+                nn.init.zeros_(module.bias)

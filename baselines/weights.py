@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
+from argparse import Namespace
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
@@ -19,6 +22,18 @@ from scene.files import sha256_of, written_whole
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "weights"
 """Where the weights lie that come with the project."""
+
+# Training scripts keep their arguments and scores beside the tensors. A score is NumPy's number: a
+# function that makes it of bytes, under the names it has had, and the types of the number.
+_PLAIN: Final[list[Any]] = [
+    *(
+        (np.float64(0).__reduce__()[0], f"numpy.{core}.multiarray.scalar")
+        for core in ("core", "_core")
+    ),
+    Namespace,
+    np.dtype,
+    *(type(np.dtype(kind)) for kind in ("f4", "f8", "i4", "i8", "?")),
+]
 
 
 @dataclass(frozen=True)
@@ -39,7 +54,8 @@ class Weights:
 def read_weights(path: Path) -> Weights:
     """Read ``.safetensors``, or a torch checkpoint with its tensors under "model" or at the top.
 
-    Checkpoints may hold nothing but tensors and plain values: what would run code is refused.
+    Checkpoints may hold nothing but tensors, numbers and plain values: what would run code is
+    refused.
 
     Raises:
         InputError: there is no such file, or it is damaged, or holds code.
@@ -56,9 +72,12 @@ def read_weights(path: Path) -> Weights:
             raise InputError(f"{path} is no safetensors file of weights: {error}") from error
         return Weights(tensors, config, digest)
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with torch.serialization.safe_globals(_PLAIN):
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0]
+        # torch goes on to say how to run the code all the same.
+        code = re.search(r"GLOBAL (\S+)", str(error))
+        reason = f"it asks for {code[1]}" if code else str(error).splitlines()[0]
         raise InputError(f"{path} cannot be read as tensors and plain values: {reason}") from error
     model = content.get("model", content) if isinstance(content, Mapping) else None
     if not isinstance(model, Mapping) or not any(isinstance(v, Tensor) for v in model.values()):

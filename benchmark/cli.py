@@ -357,6 +357,43 @@ def localize(
 
 
 @app.command()
+def train(
+    method: Annotated[
+        str, typer.Argument(metavar="METHOD", help="What learns: d2net, pixloc, objconnect.")
+    ],
+    data: Annotated[
+        list[Path],
+        typer.Option(metavar="SCENE", help="Scene to learn from; repeat for several."),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="RUN", help="Folder for checkpoint, log, curves, weights and card."),
+    ],
+    validation: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="SCENE", help="Scene to look at only; repeat for several."),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="YAML of baselines.training.config.")
+    ] = None,
+    overrides: Settings = None,
+    as_json: Json = False,
+) -> None:
+    """Train a method on rendered scenes, or resume its training. Under torchrun, in processes."""
+    from baselines.training.command import train as run
+    from baselines.training.config import TrainConfig
+    from objconnect.registry import trainable
+    from scene.config import load_config
+
+    settings = load_config(TrainConfig, config, _settings(overrides or []))
+    weights = run(method, trainable(method), data, out, settings, validation or [])
+    if as_json:
+        _print_json({"weights": str(weights)})
+    else:
+        print(weights)
+
+
+@app.command()
 def regress(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that evaluate wrote.")],
     against: Annotated[

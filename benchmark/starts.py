@@ -15,12 +15,11 @@ from typing import Final, Literal
 import numpy as np
 import torch
 
+from baselines.features import map_features
 from baselines.retrieval import VladIndex
-from baselines.sift import SiftConfig, map_features
+from baselines.sift import Sift, SiftConfig
 from benchmark.datasets import BenchmarkQuery, Dataset
-from scene.colmap import SiftExtractor, SiftOptions
 from scene.errors import InputError
-from scene.features import unit_descriptors
 from scene.files import read_text
 from scene.images import read_rgb
 from scene.localizer import Prior, Query
@@ -151,14 +150,13 @@ def _similar(
     dataset: Dataset, sparse_map: SparseMap, top: int, cache: Path | None
 ) -> Callable[[BenchmarkQuery], tuple[str, ...]]:
     """Retrieval in the map itself, the same for every method: VLAD of SIFT."""
-    options = SiftOptions(max_features=SiftConfig().max_features)
-    features = map_features(sparse_map, dataset.images, options, cache)
+    sift = Sift(SiftConfig().max_features)
+    features = map_features(sparse_map, dataset.images, sift, cache)
     names = sparse_map.names
-    index = VladIndex.build([unit_descriptors(features[name]).numpy() for name in names])
-    extract = SiftExtractor(options)
+    index = VladIndex.build([sift.unit(features[name]).numpy() for name in names])
 
     def similar(query: BenchmarkQuery) -> tuple[str, ...]:
-        descriptors = unit_descriptors(extract(read_rgb(query.image, query.camera)))
+        descriptors = sift.unit(sift(read_rgb(query.image, query.camera)))
         return tuple(names[row] for row in index.rank(descriptors.numpy(), top))
 
     return similar

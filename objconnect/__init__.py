@@ -1,1 +1,1 @@
-"""The object-connect network: its name is reserved here, its parts are not built yet."""
+"""The object-connect network: features that know which object they lie on, aligned directly."""

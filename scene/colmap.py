@@ -62,10 +62,15 @@ _MINIMAL = 3
 _CAUCHY = 2.385
 # A condition number beyond which nothing is left of double precision.
 _SINGULAR = 1e15
+# Squared deviation in standard deviations, of three degrees of freedom, beyond which a position and
+# the matches are not of one camera: one in ten billion.
+_CONTRADICTS = 50.0
 # Matches whose residuals say nothing, or too little to be true, are taken to be this exact (px^2).
 _LEAST_VARIANCE = 0.01
-# No GNSS is better than this (m); a sigma of zero would leave nothing to solve for.
+# No GNSS is better than this (m), a sigma of zero would leave nothing to solve for; and one of so
+# much says nothing, as an infinite one does.
 _LEAST_SIGMA = 1e-3
+_LARGEST_SIGMA = 1e6
 
 # COLMAP logs every step on standard error; a person reads our progress bar instead.
 pycolmap.logging.minloglevel = pycolmap.logging.ERROR
@@ -199,8 +204,9 @@ def estimate_absolute_pose(
         camera: of the query.
         max_error: inlier threshold, pixels.
         position: (3,) camera centre measured by GNSS, world metres.
-        position_sigma: (3,) its standard deviation per axis, metres; with it the position takes
-            part in the refinement, weighed against the inliers' own residuals.
+        position_sigma: (3,) its standard deviation per axis, metres, infinite where not measured;
+            with it the position takes part in the refinement, weighed against the inliers' own
+            residuals, unless the two contradict one another.
         seed: of the sampling; the same seed gives the same pose.
     """
     estimation = pycolmap.AbsolutePoseEstimationOptions()
@@ -218,7 +224,11 @@ def estimate_absolute_pose(
     refinement.loss_function_scale = _CAUCHY * np.sqrt(variance)
     sigma = None
     if position is not None and position_sigma is not None:
-        sigma = np.maximum(position_sigma, _LEAST_SIGMA)
+        sigma = np.clip(position_sigma, _LEAST_SIGMA, _LARGEST_SIGMA)
+        alone = _pose_covariance(xyz[inliers], camera, pose, variance, None)
+        if alone is not None and _contradicts(pose, alone, position, sigma):
+            sigma = None
+    if sigma is not None:
         refinement.use_position_prior = True
         refinement.position_prior_in_world = position
         # COLMAP takes every residual to be one pixel: in that unit sigma is smaller or larger.
@@ -232,6 +242,54 @@ def estimate_absolute_pose(
     if inliers.sum() > _MINIMAL:
         covariance = _pose_covariance(xyz[inliers], camera, pose, variance, sigma)
     return PnpResult(pose, inliers, covariance)
+
+
+@dataclass(frozen=True)
+class RelativePose:
+    """How one camera stands to another, as far as 2D-2D matches tell.
+
+    Attributes:
+        b_from_a: its translation has length one: how far apart the cameras are stays unknown.
+        inliers: (N,) bool.
+    """
+
+    b_from_a: Pose
+    inliers: NDArray[np.bool_]
+
+
+def estimate_relative_pose(
+    xy_a: NDArray[np.float64],
+    xy_b: NDArray[np.float64],
+    camera_a: Camera,
+    camera_b: Camera,
+    max_error: float,
+    seed: int = 0,
+) -> RelativePose | None:
+    """Essential matrix by LO-RANSAC, decomposed and refined; None when none has support.
+
+    Args:
+        xy_a: (N, 2) pixels of the matches in one picture.
+        xy_b: (N, 2) and in the other.
+        camera_a: of the one.
+        camera_b: of the other.
+        max_error: inlier threshold of the Sampson error, pixels.
+        seed: of the sampling; the same seed gives the same pose.
+    """
+    options = pycolmap.RANSACOptions(max_error=max_error, random_seed=seed)
+    a, b = _native_camera(camera_a), _native_camera(camera_b)
+    answer = pycolmap.estimate_relative_pose(a, xy_a, b, xy_b, options)
+    if answer is None:
+        return None
+    inliers = np.asarray(answer["inlier_mask"], bool)
+    native = answer["cam2_from_cam1"]
+    refined = pycolmap.refine_relative_pose(native, a, xy_a, b, xy_b, inliers)
+    if refined is not None:
+        native = refined["cam2_from_cam1"]
+    pose = _pose_from_native(native)
+    length = pose.translation.norm()
+    if not bool(length > 0) or not bool(pose.matrix().isfinite().all()):
+        return None
+    return RelativePose(Pose(pose.rotation, pose.translation / length), inliers)
 
 
 def _pose_covariance(
@@ -258,6 +316,20 @@ def _pose_covariance(
     if np.linalg.cond(information) > _SINGULAR:
         return None
     return np.asarray(np.linalg.inv(information))
+
+
+def _contradicts(
+    pose: Pose,
+    covariance: NDArray[np.float64],
+    position: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+) -> bool:
+    """Whether a pose and a measured position cannot both be true: least squares would settle on a
+    place that is neither."""
+    rotation = pose.rotation.numpy()
+    off = pose.centre().numpy() - position
+    spread = rotation.T @ covariance[3:, 3:] @ rotation + np.diag(sigma**2)
+    return float(off @ np.linalg.solve(spread, off)) > _CONTRADICTS
 
 
 def _residual_variance(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -23,17 +24,27 @@ class Features:
     Attributes:
         xy: (N, 2) float32 COLMAP pixels.
         scale: (N,) float32 pixels.
-        descriptors: (N, 128) uint8 RootSIFT, of length 512 as COLMAP stores them.
+        descriptors: (N, D) as their extractor makes them: vectors of float32 or uint8 (COLMAP's
+            RootSIFT is 128 uint8, of length 512), or bits packed in uint8.
     """
 
     xy: NDArray[np.float32]
     scale: NDArray[np.float32]
-    descriptors: NDArray[np.uint8]
+    descriptors: NDArray[Any]
 
 
 def unit_descriptors(features: Features) -> Tensor:
-    """Descriptors as (N, 128) float32 of unit length, ready to match."""
+    """Descriptors that are vectors as (N, D) float32 of unit length, ready to match."""
     return torch.nn.functional.normalize(torch.from_numpy(features.descriptors).float(), dim=-1)
+
+
+def unit_bits(features: Features) -> Tensor:
+    """Descriptors that are bits as (N, 8 D) float32 of unit length.
+
+    Bits are signs, so that the squared distance of two is 4 / (8 D) of their Hamming distance.
+    """
+    bits = torch.from_numpy(np.unpackbits(features.descriptors, axis=1))
+    return torch.nn.functional.normalize(2 * bits.float() - 1, dim=-1)
 
 
 def write_features(path: Path, features: Mapping[str, Features]) -> None:

@@ -59,6 +59,31 @@ class Query:
     references: tuple[str, ...] | None = None
 
 
+def fault(query: Query) -> str:
+    """Why nobody can localize a query, in words; empty when there is no reason.
+
+    An infinite sigma is no fault: that axis was not measured.
+    """
+    if query.image.dtype != np.uint8:
+        return f"the image is {query.image.dtype}, not uint8"
+    size = (query.camera.height, query.camera.width, 3)
+    if query.image.shape != size:
+        return f"the image has shape {query.image.shape}, its camera {size}"
+    prior = query.prior
+    if prior is None:
+        return ""
+    if not np.isfinite(prior.position).all():
+        return "the prior's position is not finite"
+    if prior.position_sigma is not None and not (prior.position_sigma >= 0).all():
+        return "the prior's position has a sigma that is no standard deviation"
+    rotation = prior.cam_from_world_rotation
+    if rotation is not None and not np.isfinite(rotation).all():
+        return "the prior's attitude is not finite"
+    if prior.attitude_sigma_deg is not None and not prior.attitude_sigma_deg >= 0:
+        return "the prior's attitude has a sigma that is no standard deviation"
+    return ""
+
+
 class Status(StrEnum):
     """How a localization ended."""
 

@@ -16,11 +16,10 @@ from baselines.sift import SiftConfig, SiftLocalizer
 from scene.camera import Camera
 from scene.colmap import read_map
 from scene.errors import InputError
-from scene.features import Features
 from scene.images import read_rgb
 from scene.localizer import Estimate, Prior, Query, Status
 from scene.pose import Pose
-from scene.sparse_map import MapImage, SparseMap
+from scene.sparse_map import SparseMap
 
 CONFIG = SiftConfig(max_features=2000)
 
@@ -139,16 +138,6 @@ def test_a_photograph_of_elsewhere_fails_with_a_reason(flight: Flight) -> None:
     estimate = flight.localizer.localize(Query("noise", noise, query.camera))
     assert estimate.status is Status.FAILED
     assert "needed" in estimate.reason
-
-
-def test_a_keypoint_carries_the_point_seen_there_and_none_further_away() -> None:
-    xy = np.array([[10, 10], [10.9, 10], [12, 10], [50, 50]], np.float32)
-    features = Features(xy, np.ones(4, np.float32), np.zeros((4, 128), np.uint8))
-    observed = np.array([[10.0, 10.0], [50.5, 50.5], [12.0, 10.0]])
-    camera = Camera("PINHOLE", 64, 64, (60.0, 60.0, 32.0, 32.0))
-    # The third observation has no point, the second is seen by the last keypoint.
-    image = MapImage("a.jpg", camera, np.eye(4), observed, np.array([7, 3, -1]))
-    assert baselines.sift._points_of_keypoints(features, image).tolist() == [7, 7, -1, 3]
 
 
 def small_map(flight: Flight) -> SparseMap:

@@ -174,6 +174,19 @@ def test_a_prior_of_no_known_sigma_changes_nothing() -> None:
     assert torch.equal(with_prior.cam_from_world.matrix(), without.cam_from_world.matrix())
 
 
+@pytest.mark.parametrize("sigma", [2.0, np.inf])
+def test_a_position_that_contradicts_the_matches_takes_no_part(sigma: float) -> None:
+    """A kilometre off and sure of two metres; or far off, and sure of nothing."""
+    matches = make_matches(20)
+    far = matches.pose.centre().numpy() + np.array([1000.0, 0, 0])
+    with_prior = matches.solve(1.0, position=far, position_sigma=np.full(3, sigma))
+    without = matches.solve(1.0)
+    assert with_prior is not None
+    assert without is not None
+    metres, _ = with_prior.cam_from_world.error_to(without.cam_from_world)
+    assert metres < 1e-4
+
+
 def test_a_prior_said_to_be_perfect_is_taken_at_its_word() -> None:
     matches = make_matches(20)
     position = matches.pose.centre().numpy()

@@ -1,0 +1,67 @@
+"""Damped steps: how strongly each direction of the pose is held back, learned or not."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from scene.pose import Pose, so3_exp
+
+_LOG_RANGE = (-6.0, 5.0)
+# Least value added to the diagonal of the Hessian, in the units of the Hessian.
+_FLOOR = 1e-6
+
+
+class Damping(nn.Module):
+    """Learned damping of one level: a factor per direction, 1e-6 to 1e5, 0.3 untrained.
+
+    Parameters start at zero and change little per step of training: their learning rate is best a
+    hundred times that of the network (as in PixLoc's configuration).
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.theta = nn.Parameter(torch.zeros(6))
+
+    def forward(self) -> Tensor:
+        """(6,) factors of the Hessian's diagonal: rotation, then translation."""
+        return damping_factors(self.theta)
+
+
+def damping_factors(theta: Tensor) -> Tensor:
+    """Learned parameters (..., 6), of any size, as factors of the Hessian's diagonal."""
+    low, high = _LOG_RANGE
+    return 10 ** (low + (high - low) * torch.sigmoid(theta))
+
+
+def damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
+    """Tangents that go down: -(H + damping * diag H)^-1 g (Marquardt), in double precision.
+
+    Where the damped Hessian is not positive definite, only its diagonal is used.
+
+    Args:
+        gradient: (M, 6).
+        hessian: (M, 6, 6).
+        damping: (6,) or (M, 6).
+    """
+    H, g = hessian.double(), gradient.double()
+    diagonal = H.diagonal(dim1=-2, dim2=-1)
+    added = (diagonal * damping).clamp_min(_FLOOR)
+    H = H + added.diag_embed()
+    alone = (diagonal.abs() + added).diag_embed()
+    broken = torch.linalg.cholesky_ex(H.detach()).info != 0
+    factor = torch.linalg.cholesky_ex(torch.where(broken[..., None, None], alone, H)).L
+    return -torch.cholesky_solve(g[..., None], factor)[..., 0]
+
+
+def moved(cam_from_world: Pose, step: Tensor) -> Pose:
+    """Poses (M) after steps (M, 6): turned about the camera, then shifted.
+
+    Rotation and translation are moved apart, which is the exponential of SE(3) to first order and
+    what weights trained elsewhere expect.
+    """
+    turn, shift = so3_exp(step[..., :3]), step[..., 3:]
+    return Pose(
+        turn @ cam_from_world.rotation,
+        (turn @ cam_from_world.translation[..., None])[..., 0] + shift,
+    )

@@ -1,0 +1,162 @@
+"""Many starts: poses all around the prior, compared on the coarsest level, the best refined.
+
+The features of a level guide a pose over a cell or two, 30 pixels on the coarsest; a prior of 10 m
+and 10 degrees is off by a hundred. Turning the camera and moving it sideways shift the picture
+alike, so that three numbers (two shifts of the picture, one turn of it) reach all such poses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from baselines.align.aligner import Alignment, align
+from baselines.align.damping import moved
+from baselines.align.descent import Options
+from baselines.align.local import Local, working_precision
+from baselines.align.residuals import Level, robust_cost
+from baselines.align.sampling import per_axis
+from baselines.align.trees import over
+from scene.pose import Pose
+from scene.projection import Intrinsics
+
+# Cells of the coarsest level between neighbouring shifts of the picture, and degrees between turns.
+_SPACING = 1.7
+_TURN_DEGREES = 6.0
+_MOST_SHIFTS = 17
+# Cells of the finest level from which the cost of chance is taken.
+_CHANCE_CELLS = 256
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far from the prior to look, and how many poses to refine.
+
+    Attributes:
+        metres: the largest error of position to expect, in any direction.
+        degrees: the largest error of attitude.
+        refined: hypotheses that are refined beside the prior itself.
+    """
+
+    metres: float = 8.0
+    degrees: float = 10.0
+    refined: int = 3
+
+
+def around(start: Pose, distance: Tensor, reach: Reach, spacing_degrees: float) -> Pose:
+    """Poses on a grid around others, which are not in it: (B) -> (B, K).
+
+    Args:
+        start: ``cam_from_world`` (B).
+        distance: (B,) metres to the points.
+        reach: how far to look.
+        spacing_degrees: between shifts of the picture.
+    """
+    turn = math.radians(reach.degrees)
+    aside = torch.atan(reach.metres / distance.double())
+    # What the errors of a prior, in directions of their own, do to the picture together.
+    shift = 1.2 * torch.hypot(aside, torch.full_like(aside, turn))
+    steps = math.ceil(math.degrees(float(shift.max())) / spacing_degrees)
+    shifts = min(2 * steps + 1, _MOST_SHIFTS)
+    yaws = 2 * math.ceil(0.6 * reach.degrees / _TURN_DEGREES) + 1
+    unit = torch.linspace(-1, 1, shifts, dtype=torch.float64, device=distance.device)
+    yaw = 0.6 * turn * torch.linspace(-1, 1, yaws, dtype=torch.float64, device=distance.device)
+    x, y, z = (t.flatten() for t in torch.meshgrid(unit, unit, yaw, indexing="ij"))
+    x, y = shift[:, None] * x, shift[:, None] * y
+    # The share of a shift that errors of attitude have, the rest being the position's.
+    share = (turn**2 / (turn**2 + aside**2))[:, None]
+    metres = (1 - share) * distance.double()[:, None]
+    step = [share * x, share * y, z.expand_as(x), metres * y, -metres * x, torch.zeros_like(x)]
+    grid = torch.stack(step, -1)
+    start = start.to(dtype=torch.float64)
+    each = over(lambda t: t[:, None].expand(-1, grid.shape[1], *t.shape[1:]).flatten(0, 1), start)
+    reached = moved(each, grid.flatten(0, 1))
+    return over(lambda t: t.view(*grid.shape[:2], *t.shape[1:]), reached)
+
+
+def gain(level: Level, local: Local, poses: Pose, scale: float) -> Tensor:
+    """How much better than chance the points fit at poses (B, K), on one level: (B, K).
+
+    The cost of every point at every cell is computed once; a pose only looks it up. From it the
+    point's mean cost over all cells is taken, what it costs at a place taken at random: points out
+    of view gain nothing, instead of making poses cheap that see few.
+    """
+    B, K = poses.rotation.shape[:2]
+    height, width = level.features.shape[-2:]
+    points, intrinsics = local.points, local.intrinsics
+    cost = _costs(level.features.flatten(2), level.reference, scale)
+    won = cost.mean(-1, keepdim=True) - cost
+    if level.confidence is not None:
+        won = won * level.confidence.flatten(2).to(won.dtype)
+    if level.reference_confidence is not None:
+        won = won * level.reference_confidence[..., None]
+
+    own = intrinsics.focal.ndim > 1
+    cameras = over(lambda t: t[:, None], intrinsics) if own else intrinsics
+    in_camera = poses.to(dtype=points.dtype).transform(points[:, None])
+    projected = cameras.project(in_camera)
+    size = torch.tensor([width, height], dtype=points.dtype, device=points.device)
+    place = 2 * projected.xy / (per_axis(level.stride, points) * size) - 1
+    seen = projected.valid & local.usable[:, None]
+    place = torch.where(seen[..., None], place, 3).clamp(-3, 3)  # 3 is out of the picture
+    maps = won.view(-1, 1, height, width)
+    there = grid_sample(maps, place.transpose(1, 2).flatten(0, 1)[:, None], align_corners=False)
+    return there.view(B, -1, K).sum(1)
+
+
+def align_from_many(
+    levels: Sequence[Level],
+    points: Tensor,
+    intrinsics: Intrinsics,
+    start: Pose,
+    damping: Sequence[Tensor],
+    options: Options,
+    reach: Reach,
+    mask: Tensor | None = None,
+) -> Alignment:
+    """As ``align``, from priors (B) that may be far off.
+
+    Refines the best hypotheses and the prior, and answers with the one that gains most over
+    chance on the finest level; with the prior's failure where all fail.
+    """
+    local = Local.of(points, intrinsics, start, mask, working_precision(levels))
+    depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
+    depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
+    depth = depth.nan_to_num(1.0)
+    focal, stride = local.intrinsics.focal, per_axis(levels[0].stride, local.points)
+    spacing = torch.rad2deg(torch.atan(_SPACING * (stride / focal).min()))
+    poses = around(local.start, depth, reach, float(spacing))
+    gains = gain(levels[0], local, poses, options.scale)
+    best = gains.topk(min(reach.refined, gains.shape[1])).indices
+
+    def with_prior(prior: Tensor, grid: Tensor) -> Tensor:
+        picked = grid[torch.arange(len(grid), device=grid.device)[:, None], best]
+        return torch.cat([prior[:, None], picked], 1)
+
+    starts = local.in_world(over(with_prior, local.start, poses))
+    found = align(levels, points, intrinsics, starts, damping, options, mask)
+    won = found.seen * (_chance(levels[-1], options.scale)[:, None] - found.cost)
+    winner = torch.where(found.failed, -torch.inf, won).argmax(-1)
+    query = torch.arange(len(winner), device=winner.device)
+    chosen = over(lambda t: t[query, winner], replace(found, by_level=()))
+    by_level = tuple(over(lambda t: t[query, winner], pose) for pose in found.by_level)
+    return replace(chosen, by_level=by_level, iterations=found.iterations.sum(-1))
+
+
+def _chance(level: Level, scale: float) -> Tensor:
+    """Mean cost (B,) of points at places that are not theirs."""
+    cells = level.features.flatten(2)
+    some = cells[..., :: max(1, cells.shape[-1] // _CHANCE_CELLS)]
+    return _costs(some, level.reference, scale).mean((-1, -2))
+
+
+def _costs(cells: Tensor, reference: Tensor, scale: float) -> Tensor:
+    """Robust cost (B, N, n) of points with features (B, N, C) at cells (B, C, n)."""
+    cells, reference = cells.float(), reference.float()
+    squares = (reference**2).sum(-1)[..., None] + (cells**2).sum(1)[:, None]
+    return robust_cost((squares - 2 * reference @ cells).clamp_min(0), scale)

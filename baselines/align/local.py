@@ -1,0 +1,77 @@
+"""Points and cameras relative to where each query starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from baselines.align.residuals import Level
+from baselines.align.trees import choose, over
+from scene.pose import Pose
+from scene.projection import Intrinsics
+
+
+@dataclass(frozen=True)
+class Local:
+    """What is aligned, moved to the origin so that far coordinates cost no precision.
+
+    Attributes:
+        points: (B, N, 3) metres from the origin of each query; zero where not usable.
+        usable: (B, N) finite and wanted.
+        intrinsics: in the precision of the points.
+        origin: (B, 3) where the first start of each query stands.
+        start: ``cam_from_local``, (B) or (B, K), float64.
+        finite: (B) or (B, K) whether the start was; if not it is the identity.
+    """
+
+    points: Tensor
+    usable: Tensor
+    intrinsics: Intrinsics
+    origin: Tensor
+    start: Pose
+    finite: Tensor
+
+    @staticmethod
+    def of(
+        points: Tensor,
+        intrinsics: Intrinsics,
+        start: Pose,
+        mask: Tensor | None,
+        dtype: torch.dtype,
+    ) -> Local:
+        """From the world. Arguments as in ``align``; ``dtype`` is that of the points here."""
+        begin = start.to(dtype=torch.float64)
+        finite = begin.matrix().isfinite().flatten(-2).all(-1)
+        begin = choose(finite, begin, Pose.identity().to(device=points.device))
+        origin = begin.centre().detach().reshape(len(points), -1, 3)[:, 0]
+        usable = points.isfinite().all(-1)
+        usable = usable if mask is None else usable & mask
+        local = torch.where(usable[..., None], points.double() - origin[:, None], 0)
+        return Local(
+            points=local.to(dtype),
+            usable=usable,
+            intrinsics=over(lambda t: t.to(dtype), intrinsics),
+            origin=origin,
+            start=_shifted(begin, origin),
+            finite=finite,
+        )
+
+    def in_world(self, cam_from_local: Pose) -> Pose:
+        """``cam_from_world`` of poses (B) or (B, K)."""
+        return _shifted(cam_from_local, -self.origin)
+
+
+def _shifted(cam_from_world: Pose, origin: Tensor) -> Pose:
+    """Poses (B, ...) for points from which the origins (B, 3) were taken."""
+    between = [1] * (cam_from_world.translation.ndim - 2)
+    origin = origin.view(len(origin), *between, 3, 1)
+    shift = (cam_from_world.rotation @ origin)[..., 0]
+    return Pose(cam_from_world.rotation, cam_from_world.translation + shift)
+
+
+def working_precision(levels: Sequence[Level]) -> torch.dtype:
+    """Single, or double where the features are."""
+    return torch.float64 if levels[0].features.dtype == torch.float64 else torch.float32

@@ -1,0 +1,184 @@
+"""The cost of a pose, its gradient and its Gauss-Newton Hessian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from baselines.align.sampling import CellTable, Stride, inside, per_axis, stencil
+from baselines.align.trees import rows
+from scene.pose import Pose
+from scene.projection import Intrinsics
+
+
+@dataclass(frozen=True)
+class Level:
+    """One scale of a batch of B queries, and of the N points they are aligned to.
+
+    Attributes:
+        features: (B, C, h, w) query features; cells outside the picture (padding) cut off.
+            Channels-last in memory is fastest; bfloat16 is fine.
+        stride: pixels of the query's camera per cell.
+        reference: (B, N, C) features of the points.
+        confidence: (B, 1, h, w) of the query's cells, or None.
+        reference_confidence: (B, N) of the points, or None.
+    """
+
+    features: Tensor
+    stride: Stride
+    reference: Tensor
+    confidence: Tensor | None = None
+    reference_confidence: Tensor | None = None
+
+
+def robust_cost(squared: Tensor, scale: float) -> Tensor:
+    """Cost of squared residuals: quadratic below ``scale``, logarithmic above.
+
+    Barron's general loss (CVPR 2019) at shape 0, times the squared scale.
+    """
+    return 2 * scale**2 * torch.log1p(squared / (2 * scale**2))
+
+
+def robust_weight(squared: Tensor, scale: float) -> Tensor:
+    """Derivative of ``robust_cost`` by the squared residual, in (0, 1]."""
+    return 1 / (1 + squared / (2 * scale**2))
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """A cost around M poses, as seen by N points each.
+
+    Attributes:
+        seen: (M, N) points that count.
+        weight: (M, N) their confidence, zero where not seen.
+        cost: (M, N) robust, without confidence.
+        pull: (M, N, 6) gradient of each point's cost (half of it), weighted.
+        hessian: (M, 6, 6) Gauss-Newton, weighted.
+    """
+
+    seen: Tensor
+    weight: Tensor
+    cost: Tensor
+    pull: Tensor
+    hessian: Tensor
+
+    @property
+    def gradient(self) -> Tensor:
+        """Of half the summed cost by the tangent of the pose, (M, 6)."""
+        return self.pull.sum(-2)
+
+    def mean_cost(self) -> Tensor:
+        """Confidence-weighted mean over the points seen, (M,); infinite where there are none."""
+        total = self.weight.sum(-1)
+        mean = (self.weight * self.cost).sum(-1) / total
+        return torch.where(total > 0, mean, torch.inf)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One level, laid out for M poses; poses of one query share its features.
+
+    Attributes:
+        table: features of the queries.
+        trust: their confidence, or None.
+        first: (M,) where the maps of each one's query begin in these tables.
+        stride: (2,) pixels per cell, x and y.
+        points: (M, N, 3).
+        mask: (M, N) points to use.
+        target: (M, N, 3, C) minus the features of the points, with two rows of zeros.
+        target_trust: (M, N) confidence of the points, or None.
+        intrinsics: (M) of the queries, or one camera.
+        border: cells at the edge of the map in which points do not count; at least 1.
+        scale: of the robust cost.
+    """
+
+    table: CellTable
+    trust: CellTable | None
+    first: Tensor
+    stride: Tensor
+    points: Tensor
+    mask: Tensor
+    target: Tensor
+    target_trust: Tensor | None
+    intrinsics: Intrinsics
+    border: float
+    scale: float
+
+    @staticmethod
+    def of(
+        level: Level,
+        points: Tensor,
+        mask: Tensor,
+        intrinsics: Intrinsics,
+        border: float,
+        scale: float,
+    ) -> Problem:
+        """Of a level, for one pose per query."""
+        table = CellTable.of(level.features)
+        exact = level.features.dtype == torch.float64
+        reference = level.reference.to(torch.float64 if exact else torch.float32)
+        return Problem(
+            table=table,
+            trust=None if level.confidence is None else CellTable.of(level.confidence),
+            first=table.first(torch.arange(len(points), device=points.device)),
+            stride=per_axis(level.stride, points),
+            points=points,
+            mask=mask,
+            target=pad(-reference[..., None, :], (0, 0, 0, 2)),
+            target_trust=level.reference_confidence,
+            intrinsics=intrinsics,
+            border=max(border, 1.0),
+            scale=scale,
+        )
+
+    def rows(self, which: Tensor) -> Problem:
+        """For some of the poses by number, repeated or not, or by a mask."""
+        trust, cameras = self.target_trust, self.intrinsics
+        return replace(
+            self,
+            first=self.first[which],
+            points=self.points[which],
+            mask=self.mask[which],
+            target=self.target[which],
+            target_trust=None if trust is None else trust[which],
+            intrinsics=cameras if cameras.focal.ndim == 1 else rows(cameras, which),
+        )
+
+    def linearise(self, cam_from_world: Pose) -> Linearisation:
+        """The cost around poses (M)."""
+        in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
+        projected = self.intrinsics.project(in_camera, jacobian=True)
+        assert projected.jacobian is not None
+        cells = projected.xy / self.stride - 0.5
+        seen = projected.valid & self.mask
+        seen = seen & inside(cells, self.table.width, self.table.height, self.border)
+        cells = torch.where(seen[..., None], cells, 1)
+        index, weights = stencil(cells, self.table, self.first)
+
+        # Residual and slopes of all channels, 3 x C per point; then only their products, 3 x 3.
+        near = self.table.gather(index).flatten(0, 1)
+        field = torch.baddbmm(self.target.flatten(0, 1), weights.flatten(0, 1).to(near), near)
+        gram = (field @ field.transpose(-1, -2)).view(*seen.shape, 3, 3).to(cells)
+        squared = gram[..., 0, 0]
+
+        trust = seen.to(cells)
+        if self.trust is not None:
+            trust = trust * (self.trust.gather(index)[..., 0] * weights[..., 0, :]).sum(-1)
+        if self.target_trust is not None:
+            trust = trust * self.target_trust
+
+        jacobian = projected.jacobian / self.stride[:, None]
+        turn = torch.linalg.cross(in_camera[..., None, :].expand_as(jacobian), jacobian)
+        jacobian = torch.cat([turn, jacobian], -1)  # (M, N, 2, 6)
+        weight = (trust * robust_weight(squared, self.scale))[..., None, None]
+        chained = (weight * gram[..., 1:]) @ jacobian  # (M, N, 3, 6)
+        return Linearisation(
+            seen=seen,
+            weight=trust,
+            cost=robust_cost(squared, self.scale),
+            pull=chained[..., 0, :],
+            hessian=jacobian.flatten(1, 2).transpose(-1, -2) @ chained[..., 1:, :].flatten(1, 2),
+        )

@@ -1,0 +1,133 @@
+"""Features between the cells of a map, and their slopes.
+
+Cell (row i, column j) of a map of stride s is centred on pixel ((j + 0.5) s, (i + 0.5) s), in
+COLMAP's pixels. "Cells" below are coordinates in which that centre is (j, i).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+from torch import Tensor
+
+Stride = float | tuple[float, float]
+"""Pixels per cell, one number or x and y (a picture resized by two factors)."""
+
+
+def per_axis(stride: Stride, like: Tensor) -> Tensor:
+    """The stride in x and y, (2,), with the dtype and device of another tensor."""
+    both = stride if isinstance(stride, tuple) else (stride, stride)
+    return torch.tensor(both, dtype=like.dtype, device=like.device)
+
+
+def inside(cells: Tensor, width: int, height: int, border: float) -> Tensor:
+    """Whether cells (..., 2) are at least ``border`` away from the centres of the outermost."""
+    last = torch.tensor([width - 1 - border, height - 1 - border], device=cells.device)
+    return ((cells >= border) & (cells <= last)).all(-1)
+
+
+@dataclass(frozen=True)
+class CellTable:
+    """Maps of a batch as one table of cells, so that any number of points can share them.
+
+    Attributes:
+        cells: (B h w, C) in any floating type; a view where the map is channels-last in memory.
+        width: of a map.
+        height: of a map.
+    """
+
+    cells: Tensor
+    width: int
+    height: int
+
+    @staticmethod
+    def of(maps: Tensor) -> CellTable:
+        """From maps (B, C, h, w)."""
+        _, channels, height, width = maps.shape
+        return CellTable(maps.permute(0, 2, 3, 1).reshape(-1, channels), width, height)
+
+    def first(self, owner: Tensor) -> Tensor:
+        """Number of the first cell of maps by number."""
+        return owner * (self.width * self.height)
+
+    def gather(self, index: Tensor) -> Tensor:
+        """Cells by number (..., k), at least in single precision. -> (..., k, C)."""
+        found = self.cells.index_select(0, index.flatten()).view(*index.shape, self.cells.shape[-1])
+        return found if found.dtype == torch.float64 else found.float()
+
+
+def _stencil_basis() -> tuple[list[tuple[int, int]], Tensor]:
+    """The cells (x, y) of the stencil, and the (4, 36) matrix from 1, a, b, ab to its weights."""
+
+    def weights(a: float, b: float) -> Tensor:
+        value = [torch.tensor([0, 1 - t, t, 0]) for t in (a, b)]
+        slope = [0.5 * torch.tensor([t - 1, -t, 1 - t, t]) for t in (a, b)]
+        columns = (value[0], slope[0], value[0])
+        rows = (value[1], value[1], slope[1])
+        full = torch.stack([torch.outer(r, c) for r, c in zip(rows, columns, strict=True)])
+        return torch.stack([full[:, y + 1, x + 1] for x, y in cells], -1).flatten()
+
+    square = [(x, y) for y in range(-1, 3) for x in range(-1, 3)]
+    cells = [(x, y) for x, y in square if x in (0, 1) or y in (0, 1)]
+    at = {(a, b): weights(a, b).double() for a in (0.0, 1.0) for b in (0.0, 1.0)}
+    none, x, y, both = at[0, 0], at[1, 0], at[0, 1], at[1, 1]
+    return cells, torch.stack([none, x - none, y - none, both - x - y + none])
+
+
+# A square of 4 x 4 cells around a point, from -1 to 2, without its corners: what a bilinear value
+# and its central differences are made of. Weights are bilinear in the place a, b between cells.
+_CELLS, _BASIS = _stencil_basis()
+STENCIL: Final = len(_CELLS)
+
+
+def stencil(cells: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Tensor]:
+    """Which cells a bilinear value and its central differences are made of, and how.
+
+    Args:
+        cells: (M, N, 2), one cell or more from the border.
+        table: of the maps.
+        first: (M,) number of the first cell of each row's map.
+
+    Returns:
+        Cell numbers (M, N, 12), and weights (M, N, 3, 12) of the value, its slope along x and its
+        slope along y, per cell. A slope is half the difference of the values one cell before and
+        one cell after.
+    """
+    last = torch.tensor([table.width - 3, table.height - 3], device=cells.device)
+    corner = cells.detach().floor().clamp_min(1).minimum(last)
+    between = cells - corner
+    powers = torch.cat([torch.ones_like(between[..., :1]), between, between.prod(-1, True)], -1)
+    weights = (powers @ _BASIS.to(cells)).view(*cells.shape[:-1], 3, STENCIL)
+    x, y = corner.long().unbind(-1)
+    steps = torch.tensor([y * table.width + x for x, y in _CELLS], device=cells.device)
+    index = (first[:, None] + y * table.width + x)[..., None] + steps
+    return index.clamp_(0, len(table.cells) - 1), weights
+
+
+def sample(maps: Tensor, xy: Tensor, stride: Stride, border: float = 0) -> tuple[Tensor, Tensor]:
+    """Bilinear values of maps at pixels.
+
+    Args:
+        maps: (B, C, h, w).
+        xy: (B, N, 2) pixels, finite or not.
+        stride: pixels per cell.
+        border: cells; points nearer to the edge do not count as inside.
+
+    Returns:
+        Values (B, N, C), those of some cell where a point is not inside; (B, N) whether it is.
+    """
+    table = CellTable.of(maps)
+    cells = xy / per_axis(stride, xy) - 0.5
+    seen = inside(cells, table.width, table.height, max(border, 0))
+    cells = torch.where(seen[..., None], cells, 0)
+    corner = cells.detach().floor()
+    a, b = (cells - corner).unbind(-1)
+    x, y = corner.long().unbind(-1)
+    right, below = (x + 1).clamp_max(table.width - 1), (y + 1).clamp_max(table.height - 1)
+    first = table.first(torch.arange(len(maps), device=maps.device))[:, None]
+    index = torch.stack([v * table.width + u for v in (y, below) for u in (x, right)], -1)
+    weights = torch.stack([v * u for v in (1 - b, b) for u in (1 - a, a)], -1)
+    values = table.gather(first[..., None] + index)
+    return (weights[..., None, :].to(values.dtype) @ values)[..., 0, :], seen

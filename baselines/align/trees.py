@@ -1,0 +1,42 @@
+"""One function over all tensors of a dataclass: poses, cameras and costs as batches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+T = TypeVar("T")
+
+
+def over(function: Callable[..., Tensor], first: T, *others: T) -> T:
+    """Apply a function to the tensors of dataclasses of one type, field by field, nested too.
+
+    What is not a tensor is the first one's.
+    """
+    values: dict[str, Any] = {}
+    for field in fields(first):  # type: ignore[arg-type]
+        value, *rest = (getattr(each, field.name) for each in (first, *others))
+        if isinstance(value, Tensor):
+            value = function(value, *rest)
+        elif hasattr(value, "__dataclass_fields__"):
+            value = over(function, value, *rest)
+        values[field.name] = value
+    return type(first)(**values)
+
+
+def rows(tree: T, which: Tensor) -> T:
+    """The elements of a batch by number, or by a mask."""
+    return over(lambda t: t[which], tree)
+
+
+def choose(which: Tensor, yes: T, no: T) -> T:
+    """Element by element: those of ``yes`` (..., any) where ``which`` (...), else of ``no``."""
+
+    def pick(a: Tensor, b: Tensor) -> Tensor:
+        return torch.where(which[(..., *[None] * (a.ndim - which.ndim))], a, b)
+
+    return over(pick, yes, no)

@@ -1,0 +1,136 @@
+"""Keypoints where the dense features of D2-Net peak, over a pyramid of the image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from baselines.d2net.network import D2Net
+
+# Largest ratio of the two curvatures of a peak: beyond it lies an edge, as in SIFT.
+_EDGE: Final = 5.0
+# Flatter peaks, relative to their height, are rounding errors of a picture without contrast.
+_FLAT: Final = 1e-4
+# A peak further from the centre of its cell belongs to another cell.
+_MAX_OFFSET: Final = 0.5
+# Smaller images (px) have no cell with neighbours.
+_LEAST: Final = 16
+
+
+class Keypoints(NamedTuple):
+    """Keypoints of one image and what they look like.
+
+    Attributes:
+        xy: (N, 2) COLMAP pixels.
+        scale: (N,) side of a pixel of the level they were found in, in pixels of the image.
+        scores: (N,) value of the feature that peaks, less the coarser the levels before.
+        descriptors: (N, C) of unit length.
+    """
+
+    xy: Tensor
+    scale: Tensor
+    scores: Tensor
+    descriptors: Tensor
+
+
+def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
+    """Find and describe keypoints.
+
+    The features of each level are added to those of the next, which may not find again what is
+    found already (section 3.4 of the paper).
+
+    Args:
+        network: in use, without gradients.
+        image: (3, H, W) float RGB in 0..1.
+        scales: sizes of the levels over the image's, coarse to fine. Levels too small to hold a
+            keypoint are left out.
+    """
+    height, width = image.shape[1:]
+    coarser = taken = None
+    found = [_none(network.channels, image)]
+    for rank, scale in enumerate(scales, 1):
+        size = (int(height * scale), int(width * scale))
+        if min(size) < _LEAST:
+            continue
+        features = network.dense(_resized(image[None], size))[0]
+        cells = features.shape[1:]
+        if coarser is not None:
+            features = features + _resized(coarser[None], cells)[0]
+        coarser = features
+        peaks, offsets = find_peaks(features)
+        if taken is not None:
+            again = functional.interpolate(taken[None, None].float(), cells)[0, 0].bool()
+            peaks &= ~again
+            taken = peaks | again
+        else:
+            taken = peaks
+        rows, columns = peaks.nonzero().T
+        offset = offsets[:, rows, columns]
+        exact = torch.stack([columns, rows]) + offset
+        last = exact.new_tensor([cells[1] - 1, cells[0] - 1])[:, None]
+        kept = (offset.abs() < _MAX_OFFSET).all(0) & ((exact >= 0) & (exact <= last)).all(0)
+        exact = exact[:, kept]
+        # Both corners of the image stay where they are between levels: centres of pixels, at 0.5.
+        shrunk = [(width - 1) / (size[1] - 1), (height - 1) / (size[0] - 1)]
+        xy = (4 * exact.T + 3.5) * exact.new_tensor(shrunk) + 0.5
+        sampled = functional.grid_sample(
+            features[None], (2 * exact / last - 1).T[None, None], align_corners=True
+        )[0, :, 0]
+        strongest = features[:, rows[kept], columns[kept]].amax(0)
+        found.append(
+            Keypoints(
+                xy,
+                torch.full_like(strongest, 1 / scale),
+                strongest / rank,
+                functional.normalize(sampled, dim=0).T,
+            )
+        )
+    return Keypoints(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+
+
+def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
+    """Cells whose strongest channel peaks there, and where exactly it does.
+
+    A peak is the largest of 3 x 3 cells and curved alike in all directions. Its exact place is that
+    of the parabola through those cells (Brown and Lowe, BMVC 2002).
+
+    Args:
+        features: (C, h, w), not negative.
+
+    Returns:
+        (h, w) bool, and (2, h, w) offsets of columns and rows in cells; outside peaks they mean
+        nothing.
+    """
+    _, h, w = features.shape
+    channel = features.argmax(0)[None]
+    padded = functional.pad(features, (1, 1, 1, 1))
+    around = torch.stack(
+        [
+            padded[:, row : row + h, column : column + w].gather(0, channel)[0]
+            for row in range(3)
+            for column in range(3)
+        ]
+    )
+    nw, n, ne, west, centre, east, sw, s, se = around
+    dxx, dyy, dxy = west + east - 2 * centre, n + s - 2 * centre, (nw - ne - sw + se) / 4
+    dx, dy = (east - west) / 2, (s - n) / 2
+    determinant = dxx * dyy - dxy**2
+    round_enough = (dxx + dyy) ** 2 <= (_EDGE + 1) ** 2 / _EDGE * determinant
+    curved = (determinant > 0) & (dxx + dyy < -_FLAT * centre)
+    peaks = (centre == around.amax(0)) & curved & round_enough
+    steps = torch.stack([dxy * dy - dyy * dx, dxy * dx - dxx * dy])
+    return peaks, steps / determinant
+
+
+def _resized(values: Tensor, size: Sequence[int]) -> Tensor:
+    """(B, C, H, W) at another size, corners kept."""
+    return functional.interpolate(values, tuple(size), mode="bilinear", align_corners=True)
+
+
+def _none(channels: int, like: Tensor) -> Keypoints:
+    empty = like.new_zeros
+    return Keypoints(empty(0, 2), empty(0), empty(0), empty(0, channels))

@@ -1,0 +1,117 @@
+"""D2-Net's keypoints against the nearest photographs of the map, 2D-3D lifting and PnP.
+
+The map was not built from these keypoints: they are lifted between its observations
+(``baselines.lifting``).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, Self
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from baselines.d2net.detection import detect
+from baselines.d2net.network import D2Net, read_network
+from baselines.features import Extractor
+from baselines.structure import StructureConfig, StructureLocalizer
+from baselines.weights import SHIPPED
+from scene.errors import InputError
+from scene.features import Features
+
+WEIGHTS: Final = SHIPPED / "d2net.safetensors"
+# A picture is plain where grey levels have a smaller standard deviation over so many pixels.
+_PLAIN: Final = 1.0
+_AROUND: Final = 33
+
+
+class D2NetConfig(StructureConfig):
+    """Options of the d2net localizer, beside those of ``StructureConfig``.
+
+    Attributes:
+        weights: file of weights, ours or a checkpoint of the authors; None for those shipped.
+        scales: sizes of the levels of the pyramid, small to large.
+        max_edge: larger images are made so large (px) first.
+    """
+
+    weights: Path | None = None
+    scales: tuple[float, ...] = Field((1.0,), min_length=1)
+    max_edge: int = Field(1600, ge=64)
+    # The authors match mutual nearest neighbours without a ratio test.
+    ratio: float = Field(1.0, gt=0, le=1)
+    max_error_px: float = Field(8.0, gt=0)
+    max_features: int = Field(2048, ge=100)
+
+    @model_validator(mode="after")
+    def _pyramid(self) -> Self:
+        if min(self.scales) <= 0 or list(self.scales) != sorted(set(self.scales)):
+            raise ValueError("scales must be positive and become larger")
+        return self
+
+
+class D2NetExtractor(Extractor):
+    """Keypoints of the network, the strongest ``max_features`` of an image."""
+
+    name = "d2net"
+    turned = False
+
+    def __init__(self, network: D2Net, weights_sha256: str, config: D2NetConfig) -> None:
+        self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self._network = network.to(self._device)
+        self._config = config
+        self.weights_sha256 = weights_sha256
+        self.options = f"{config.scales} {config.max_edge} {config.max_features}"
+
+    def __call__(self, rgb: NDArray[np.uint8]) -> Features:
+        size = np.array(rgb.shape[1::-1])
+        smaller = np.round(size * min(1.0, self._config.max_edge / size.max())).astype(int)
+        if (smaller < size).any():
+            rgb = np.asarray(cv2.resize(rgb, smaller.tolist(), interpolation=cv2.INTER_AREA))
+        image = torch.from_numpy(rgb.astype(np.float32, order="C") / 255).permute(2, 0, 1)
+        with torch.inference_mode():
+            found = detect(self._network, image.to(self._device), self._config.scales)
+            strongest = found.scores.argsort(descending=True, stable=True)
+            xy, scale, descriptors = (
+                values[strongest].cpu().numpy()
+                for values in (found.xy, found.scale, found.descriptors)
+            )
+        kept = np.flatnonzero(_has_contrast(rgb, xy))[: self._config.max_features]
+        xy, scale, descriptors = xy[kept], scale[kept], descriptors[kept]
+        # Resized edge to edge, so that pixels counted from the edge are multiplied.
+        magnified = (size / smaller).astype(np.float32)
+        # Half precision moves a descriptor by less than a thousandth, and halves the cache.
+        return Features(xy * magnified, scale * magnified.max(), descriptors.astype(np.float16))
+
+
+def _has_contrast(rgb: NDArray[np.uint8], xy: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which keypoints (N, 2) have something to be seen around them, (N,).
+
+    Where an image is plain, what peaks is the padding of the convolutions at its border: in the
+    same places in any two images, so that those matches agree on a pose.
+    """
+    grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    window = (_AROUND, _AROUND)
+    variance = cv2.blur(grey**2, window) - cv2.blur(grey, window) ** 2
+    columns, rows = np.floor(xy).astype(int).T
+    return np.asarray(variance[rows, columns] > _PLAIN**2)
+
+
+class D2NetLocalizer(StructureLocalizer):
+    """See the module."""
+
+    def __init__(self, config: D2NetConfig) -> None:
+        """
+        Raises:
+            InputError: there are no weights, or they are not of this network.
+        """
+        if config.weights is None and not WEIGHTS.is_file():
+            raise InputError(
+                f"no weights of d2net at {WEIGHTS}: give a file as 'weights', or train them with "
+                "'objconnect train d2net'"
+            )
+        network, digest = read_network(config.weights or WEIGHTS)
+        super().__init__(config, D2NetExtractor(network, digest, config), interpolate=True)

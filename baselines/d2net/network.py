@@ -1,0 +1,157 @@
+"""The network of D2-Net: VGG16 up to conv4_3 at two strides, and the soft detection score.
+
+Dusmanu et al., "D2-Net: A Trainable CNN for Joint Description and Detection of Local Features",
+CVPR 2019. Parameters carry the names of the authors' checkpoints,
+``dense_feature_extraction.model.N``: those can be read as they are.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from pathlib import Path
+from typing import Final
+
+import torch
+from pydantic import Field
+from torch import Tensor, nn
+from torch.nn import functional
+
+from baselines.vgg import channels, vgg16_blocks
+from baselines.weights import load_into, read_weights
+from scene.config import Config, load_config
+from scene.errors import InputError
+
+STRIDE: Final = 8
+"""Pixels from cell to cell in training."""
+# Of blue, green and red in 0..255: what the authors' VGG16 expects to be taken off.
+_MEANS: Final = (103.939, 116.779, 123.68)
+# About the standard deviation of what is left.
+_SPREAD: Final = 60.0
+_FIRST: Final = "dense_feature_extraction.model.0.weight"
+_TINY: Final = 1e-12
+
+
+class D2NetNetConfig(Config):
+    """What the network is made of.
+
+    Attributes:
+        width: channels in parts of VGG16's; 1 is the authors' network.
+    """
+
+    width: float = Field(1.0, gt=0, le=1)
+
+
+class D2Net(nn.Module):
+    """Features of images, cell by cell.
+
+    Attributes:
+        config: what it is made of.
+        channels: of the features.
+    """
+
+    def __init__(self, config: D2NetNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.channels = channels(config.width)[3]
+        *first, last = vgg16_blocks(config.width)[:4]
+        layers: list[nn.Module] = []
+        for block in first:
+            layers += [*block, nn.MaxPool2d(2)]
+        # The features are conv4_3's own values: its ReLU is left to those who want it.
+        model = nn.Sequential(*layers, *last[:-1])
+        self.dense_feature_extraction = nn.Sequential(OrderedDict(model=model))
+        # Where training starts without weights: activations near one at every layer.
+        convolutions = [layer for layer in model if isinstance(layer, nn.Conv2d)]
+        for layer in convolutions:
+            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+            assert layer.bias is not None
+            nn.init.zeros_(layer.bias)
+        with torch.no_grad():
+            convolutions[0].weight /= _SPREAD
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Features as trained: cell (x, y) stands for the pixel (8x + 4, 8y + 4).
+
+        Args:
+            images: (B, 3, H, W) float RGB in 0..1, at least 8 x 8.
+
+        Returns:
+            (B, C, H // 8, W // 8), of either sign.
+        """
+        features: Tensor = self.dense_feature_extraction(_caffe(images))
+        return features
+
+    def dense(self, images: Tensor) -> Tensor:
+        """Features as used: cell (x, y) stands for the pixel (4x + 4, 4y + 4).
+
+        The third pooling averages and does not stride, and the convolutions after it are dilated to
+        see as far as in training. An average of 2 x 2 cells lies where they meet: half a cell
+        further than the authors' code reports.
+
+        Args:
+            images: (B, 3, H, W) float RGB in 0..1, at least 8 x 8.
+
+        Returns:
+            (B, C, H // 4 - 1, W // 4 - 1), not negative.
+        """
+        values = _caffe(images)
+        poolings = 0
+        for layer in self.dense_feature_extraction[0].children():
+            poolings += isinstance(layer, nn.MaxPool2d)
+            if poolings < 3:
+                values = layer(values)
+            elif isinstance(layer, nn.MaxPool2d):
+                values = functional.avg_pool2d(values, 2, stride=1)
+            elif isinstance(layer, nn.Conv2d):
+                values = functional.conv2d(values, layer.weight, layer.bias, padding=2, dilation=2)
+            else:
+                values = layer(values)
+        return functional.relu(values)
+
+
+def read_network(path: Path) -> tuple[D2Net, str]:
+    """A network with the weights of a file, ready for use, and the digest of the file.
+
+    Takes what training here writes, and the checkpoints of the authors.
+
+    Raises:
+        InputError: missing or damaged file, or weights of another network.
+    """
+    weights = read_weights(path)
+    # The authors' checkpoints do not say their width; its first layer does.
+    first = weights.tensors.get(_FIRST)
+    if first is None:
+        raise InputError(f"{path} lacks {_FIRST}: it holds no weights of D2-Net")
+    config = weights.config or {"width": len(first) / 64}
+    network = D2Net(load_config(D2NetNetConfig, None, config))
+    load_into(network, weights.tensors, path)
+    return network.eval().requires_grad_(False), weights.sha256
+
+
+def soft_scores(features: Tensor) -> Tensor:
+    """How much each cell stands out: among its neighbours, and by one channel among the others.
+
+    Args:
+        features: (B, C, h, w), of either sign.
+
+    Returns:
+        (B, h, w) float32, not negative, of sum one per image. An image without a positive feature
+        has scores of zero.
+    """
+    # Half precision would lose most of the exponentials.
+    positive = functional.relu(features.float())
+    largest = positive.amax((1, 2, 3), keepdim=True).clamp_min(_TINY)
+    exponential = torch.exp(positive / largest)
+    around = 9 * functional.avg_pool2d(
+        functional.pad(exponential, (1, 1, 1, 1), value=1.0), 3, stride=1
+    )
+    strongest = positive.amax(1, keepdim=True).clamp_min(_TINY)
+    scores = (exponential / around * (positive / strongest)).amax(1)
+    total: Tensor = scores.sum((1, 2), keepdim=True).clamp_min(_TINY)
+    return scores / total
+
+
+def _caffe(images: Tensor) -> Tensor:
+    """RGB in 0..1 as BGR in 0..255, less its mean. (B, 3, H, W)."""
+    means = images.new_tensor(_MEANS).view(3, 1, 1)
+    return images.flip(1) * 255 - means

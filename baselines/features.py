@@ -1,0 +1,94 @@
+"""What finds local features, and the features of a map's photographs."""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scene.features import Features, read_features, unit_descriptors, write_features
+from scene.files import sha256_of
+from scene.images import check_photographs, read_rgb
+from scene.matching import match
+from scene.progress import progress_bar
+from scene.sparse_map import SparseMap
+
+
+class Extractor(ABC):
+    """Finds keypoints and describes them.
+
+    What is here are descriptors that are vectors, compared by their angle; others say how theirs
+    are read and matched.
+
+    Attributes:
+        name: of the kind of feature; also that of its cache.
+        options: everything else that decides what is found, in words.
+        weights_sha256: digest of learned weights, or None.
+        turned: whether features are found again in a picture turned by any angle.
+    """
+
+    name: str
+    options: str
+    weights_sha256: str | None = None
+    turned: bool = True
+
+    @abstractmethod
+    def __call__(self, rgb: NDArray[np.uint8]) -> Features:
+        """Features of an (H, W, 3) uint8 image."""
+
+    def of_photographs(
+        self, root: Path, names: Sequence[str], on_progress: Callable[[int], None]
+    ) -> dict[str, Features]:
+        """Features of photographs by name; ``on_progress`` gets the number of those done.
+
+        Raises:
+            InputError: a photograph is missing or damaged.
+        """
+        found = {}
+        for done, name in enumerate(names, 1):
+            found[name] = self(read_rgb(root / name))
+            on_progress(done)
+        return found
+
+    def unit(self, features: Features) -> Tensor:
+        """Descriptors as (N, D) float32 of unit length, which ``match`` and retrieval take."""
+        return unit_descriptors(features)
+
+    def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
+        """Mutual nearest neighbours of ``unit`` descriptors under the ratio test, (K, 2) rows."""
+        return match(a, b, ratio)
+
+
+def map_features(
+    sparse_map: SparseMap, images: Path, extractor: Extractor, cache: Path | None
+) -> dict[str, Features]:
+    """Features of the map's photographs, read from the cache when it holds them.
+
+    Args:
+        sparse_map: whose photographs.
+        images: folder of the photographs.
+        extractor: of the features.
+        cache: folder of files named by a digest of photographs and extractor, or None.
+
+    Raises:
+        InputError: a photograph is missing, broken, or not of its camera's size.
+    """
+    check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
+    path = None
+    if cache is not None:
+        photographs = [(name, sha256_of(images / name)) for name in sparse_map.names]
+        parts = f"{photographs} {extractor.options} {extractor.weights_sha256}"
+        key = hashlib.sha256(parts.encode()).hexdigest()
+        path = cache / f"{extractor.name}-{key[:16]}.h5"
+        if path.is_file():
+            return read_features(path)
+    with progress_bar(f"{extractor.name} map features", len(sparse_map.names)) as advance:
+        features = extractor.of_photographs(images, sparse_map.names, advance)
+    if path is not None:
+        write_features(path, features)
+    return features

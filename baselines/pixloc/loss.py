@@ -1,0 +1,68 @@
+"""How far off the poses of an alignment put the points: what PixLoc is trained by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from scene.pose import Pose
+from scene.projection import Intrinsics
+
+_CLAMP: Final = 50.0
+# A level counts only where the coarser one came this near (px per px of its stride).
+_NEAR: Final = 3.0
+_LEAST_POINTS: Final = 10
+
+
+def reprojection_error(
+    pose: Pose, truth: Pose, points: Tensor, intrinsics: Intrinsics, valid: Tensor
+) -> Tensor:
+    """Mean pseudo-Huber distance of the points' projections by two poses, (B,), about pixels.
+
+    Args:
+        pose: ``camera_from_world``, batched (B).
+        truth: likewise.
+        points: (B, N, 3) world.
+        intrinsics: batched (B).
+        valid: (B, N) points to use; those behind a camera are left out too.
+    """
+    ours, true = (
+        intrinsics.project(each.to(dtype=points.dtype).transform(points)) for each in (pose, truth)
+    )
+    used = valid & ours.valid & true.valid
+    squared = torch.where(used[..., None], ours.xy - true.xy, 0).square().sum(-1)
+    # Barron's general loss (CVPR 2019) at shape 1 and scale 2, over 4: quadratic, then linear.
+    robust = 2 * (torch.sqrt(squared / 4 + 1) - 1)
+    return torch.as_tensor(robust.sum(-1) / used.sum(-1).clamp(min=1))
+
+
+def pose_loss(
+    by_level: Sequence[Pose],
+    strides: Sequence[int],
+    truth: Pose,
+    points: Tensor,
+    intrinsics: Intrinsics,
+    valid: Tensor,
+) -> tuple[Tensor, list[Tensor]]:
+    """The loss of a batch, and the error (B,) after each level.
+
+    Each level counts equally, up to 50 pixels, and only where the coarser one ended within three
+    of its cells: finer features cannot mend what lies beyond their reach. A pair with fewer than 10
+    points counts for nothing.
+
+    Args:
+        by_level: poses after each level, coarse to fine; no gradient between them.
+        strides: of the levels.
+        truth: as of ``reprojection_error``, as the rest.
+    """
+    errors = [reprojection_error(p, truth, points, intrinsics, valid) for p in by_level]
+    enough = valid.sum(-1) >= _LEAST_POINTS
+    counts = enough
+    total = torch.zeros_like(errors[0])
+    for error, stride in zip(errors, strides, strict=True):
+        total = total + torch.where(counts, error.clamp(max=_CLAMP), 0) / len(errors)
+        counts = enough & (error < _NEAR * stride)
+    return total.mean(), [error.detach() for error in errors]

@@ -1,0 +1,152 @@
+"""The U-Net of PixLoc: features and their confidence at several strides, on VGG16.
+
+After Sarlin et al. (CVPR 2021) and their code (github.com/cvg/pixloc, commit 65a51a7), and takes
+their weights.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, Self
+
+import torch
+from pydantic import Field, ValidationError, model_validator
+from torch import Tensor, nn
+from torch.nn import functional
+
+from baselines.align.damping import Damping
+from baselines.vgg import channels, encode, keep_variance, vgg16_encoder
+from baselines.weights import load_into, read_weights
+from scene.config import Config, describe
+from scene.errors import InputError
+
+_STRIDES: Final = (16, 8, 4, 2, 1)
+
+
+class PixlocNetConfig(Config):
+    """What the network is made of. Levels run from coarse to fine.
+
+    Attributes:
+        width: channels of the encoder in parts of VGG16's.
+        decoder: channels of the decoder's steps, from stride 8 to stride 1.
+        extra_convolutions: in each of the last three blocks of the encoder: 0 is VGG16, 1 is VGG19.
+        strides: of the levels, pixels of the image per cell.
+        dims: channels of the features of each level.
+    """
+
+    width: float = Field(1.0, gt=0, le=2)
+    decoder: tuple[int, int, int, int] = (64, 64, 64, 32)
+    extra_convolutions: int = Field(0, ge=0, le=1)
+    strides: tuple[int, ...] = Field((16, 4, 1), min_length=1)
+    dims: tuple[int, ...] = Field((128, 128, 32), min_length=1)
+
+    @model_validator(mode="after")
+    def _levels(self) -> Self:
+        if any(stride not in _STRIDES for stride in self.strides):
+            raise ValueError(f"strides must be of {_STRIDES}")
+        if any(fine >= coarse for coarse, fine in pairwise(self.strides)):
+            raise ValueError("strides must become finer")
+        if len(self.dims) != len(self.strides) or min(self.dims) < 1:
+            raise ValueError("dims must give one number of channels per stride")
+        return self
+
+
+class PixlocNet(nn.Module):
+    """See the module. Also holds the damping that was learned with the features.
+
+    Attributes:
+        config: what it is made of.
+        damping: of each level, coarse to fine; called, it gives factors (6,).
+    """
+
+    def __init__(self, config: PixlocNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.encoder = vgg16_encoder(config.width, config.extra_convolutions)
+        skips = channels(config.width)[::-1]
+        steps = _STRIDES.index(config.strides[-1])
+        sizes = [skips[0], *config.decoder[:steps]]
+        self.decoder = nn.ModuleList(
+            nn.Sequential(
+                nn.Conv2d(before + skip, after, 3, padding=1, bias=False),
+                nn.BatchNorm2d(after),
+                nn.ReLU(inplace=True),
+            )
+            for (before, after), skip in zip(pairwise(sizes), skips[1:], strict=False)
+        )
+        self._steps = [_STRIDES.index(stride) for stride in config.strides]
+        inputs = [sizes[step] for step in self._steps]
+        self.features = nn.ModuleList(
+            nn.Conv2d(size, dim, 1) for size, dim in zip(inputs, config.dims, strict=True)
+        )
+        self.confidence = nn.ModuleList(nn.Conv2d(size, 1, 1) for size in inputs)
+        self.damping = nn.ModuleList(Damping() for _ in config.strides)
+        keep_variance(self)
+
+    def forward(self, image: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Features, not normalised, and confidences in 0..1, from coarse to fine.
+
+        Args:
+            image: (B, 3, H, W) RGB in 0..1; H and W at least 16.
+
+        Returns:
+            Per level (B, C, h, w) and (B, 1, h, w). Cells are ``stride`` pixels from the top left
+            corner on; what an image has beyond a multiple of 16 pixels is cut off.
+        """
+        skips = encode(self.encoder, image)
+        decoded = [skips.pop()]
+        for step in self.decoder:
+            skip = skips.pop()
+            up = functional.interpolate(decoded[-1], scale_factor=2.0, mode="bilinear")
+            height, width = up.shape[-2:]
+            decoded.append(step(torch.cat([up, skip[..., :height, :width]], 1)))
+        return [
+            (features(decoded[step]), torch.sigmoid(-confidence(decoded[step])))
+            for step, features, confidence in zip(
+                self._steps, self.features, self.confidence, strict=True
+            )
+        ]
+
+
+def read_network(path: Path) -> tuple[PixlocNet, str]:
+    """The network in a file of weights: ours, or the authors' checkpoint. And the file's digest.
+
+    Raises:
+        InputError: there is no such file, or it is damaged or not of this network.
+    """
+    weights = read_weights(path)
+    tensors, values = weights.tensors, weights.config
+    if any(name.startswith("extractor.") for name in tensors):
+        tensors, values = _from_official(tensors)
+    try:
+        config = PixlocNetConfig.model_validate(values)
+    except ValidationError as error:
+        raise InputError(describe(error, PixlocNetConfig, f"in {path}")) from None
+    network = PixlocNet(config)
+    load_into(network, tensors, path)
+    return network.eval(), weights.sha256
+
+
+def _from_official(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors of the authors' checkpoint by our names, and the configuration they need.
+
+    Their levels run from fine to coarse, and their tangent is translation then rotation.
+    """
+    head = re.compile(r"extractor\.(adaptation|uncertainty)\.(\d+)\.0\.(weight|bias)")
+    heads = [found for name in tensors if (found := head.fullmatch(name))]
+    last = max((int(found[2]) for found in heads), default=0)
+    ours: dict[str, Tensor] = {}
+    for name, tensor in tensors.items():
+        if found := head.fullmatch(name):
+            kind = "features" if found[1] == "adaptation" else "confidence"
+            ours[f"{kind}.{last - int(found[2])}.{found[3]}"] = tensor
+        elif found := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
+            ours[f"damping.{last - int(found[1])}.theta"] = tensor.roll(3)
+        else:
+            ours[name.removeprefix("extractor.").replace(".layers.", ".")] = tensor
+    weights = [ours.get(f"features.{level}.weight") for level in range(last + 1)]
+    dims = [len(weight) for weight in weights if weight is not None]
+    return ours, {"dims": dims, "extra_convolutions": int("encoder.2.7.weight" in ours)}

@@ -1,0 +1,225 @@
+"""What the points of a map look like in its photographs: computed once, kept on disk.
+
+The authors run the network on the reference photographs again for every query. Only features at
+points are needed of them, and these are few.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final
+
+import h5py
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from baselines.pixloc.maps import FeatureMap, MapExtractor
+from scene.errors import HDF5_DAMAGE, InputError
+from scene.files import sha256_of, written_whole
+from scene.images import check_photographs, read_rgb
+from scene.progress import progress_bar
+from scene.sparse_map import MapImage, SparseMap
+
+# Points seen by fewer photographs are less sure; the authors leave them out.
+_LEAST_TRACK: Final = 3
+# Unless a photograph has fewer of the others than this.
+_LEAST_POINTS: Final = 64
+# Points are taken in turns from the cells of a grid of so many by so many over the photograph.
+_GRID: Final = 16
+_FORMAT: Final = 2
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Points of the map as one photograph shows them, N in all.
+
+    They stand in the order in which to take fewer of them: spread over the photograph.
+
+    Attributes:
+        rows: (N,) of ``SparseMap.xyz``.
+        features: per level, coarse to fine, (N, C) float16 of unit length.
+        confidence: (N, L) float16 in 0..1.
+    """
+
+    rows: NDArray[np.int64]
+    features: tuple[NDArray[np.float16], ...]
+    confidence: NDArray[np.float16]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory taken."""
+        return self.rows.nbytes + self.confidence.nbytes + sum(f.nbytes for f in self.features)
+
+
+class ReferenceFeatures:
+    """Observations of all photographs of a map, in a file; the last used also in memory.
+
+    Threads may share it.
+
+    Args:
+        path: written by ``write_references``.
+        memory: bytes that observations in memory may take.
+    """
+
+    def __init__(self, path: Path, memory: int) -> None:
+        self._path = path
+        self._memory = memory
+        self._held: OrderedDict[int, Observations] = OrderedDict()
+        self._bytes = 0
+        self._lock = Lock()
+        try:
+            with h5py.File(path) as file:
+                self._ends = file["ends"][:]
+                self._levels = int(file.attrs["levels"])
+        except HDF5_DAMAGE as error:
+            raise InputError(f"{path} is damaged ({error}): delete it") from None
+
+    def __len__(self) -> int:
+        return len(self._ends)
+
+    def __getitem__(self, photograph: int) -> Observations:
+        """Of a photograph by its row in ``SparseMap.names``."""
+        with self._lock:
+            if photograph in self._held:
+                self._held.move_to_end(photograph)
+                return self._held[photograph]
+            found = self._held[photograph] = self._read(photograph)
+            self._bytes += found.nbytes
+            while self._bytes > self._memory and len(self._held) > 1:
+                _, oldest = self._held.popitem(last=False)
+                self._bytes -= oldest.nbytes
+            return found
+
+    def _read(self, photograph: int) -> Observations:
+        first = int(self._ends[photograph - 1]) if photograph else 0
+        part = slice(first, int(self._ends[photograph]))
+        try:
+            with h5py.File(self._path) as file:
+                return Observations(
+                    file["rows"][part],
+                    tuple(file[f"features/{level}"][part] for level in range(self._levels)),
+                    file["confidence"][part],
+                )
+        except HDF5_DAMAGE as error:
+            raise InputError(f"{self._path} is damaged ({error}): delete it") from None
+
+
+def references(
+    sparse_map: SparseMap,
+    images: Path,
+    extract: MapExtractor,
+    points: int,
+    key: str,
+    cache: Path,
+    memory: int,
+) -> ReferenceFeatures:
+    """Observations of a map's photographs, from the cache where it holds them.
+
+    Args:
+        sparse_map: whose points and photographs.
+        images: folder of the photographs.
+        extract: of feature maps.
+        points: most to keep per photograph.
+        key: of everything else that decides the features: weights and options.
+        cache: folder of files named by a digest of all of it.
+        memory: bytes that observations in memory may take.
+
+    Raises:
+        InputError: a photograph is missing, broken, or not of its camera's size.
+    """
+    check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
+    photographs = [sha256_of(images / name) for name in sparse_map.names]
+    parts = [_FORMAT, sparse_map.sha256, photographs, points, key]
+    digest = hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()
+    path = cache / f"pixloc-{digest[:16]}.h5"
+    if not path.is_file():
+        write_references(path, sparse_map, images, extract, points)
+    return ReferenceFeatures(path, memory)
+
+
+def write_references(
+    path: Path,
+    sparse_map: SparseMap,
+    images: Path,
+    extract: MapExtractor,
+    points: int,
+) -> None:
+    """Run the network on every photograph of a map and keep what its points look like."""
+    config = extract.network.config
+    names = sparse_map.names
+    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+        file.attrs["levels"] = len(config.strides)
+        rows = file.create_dataset("rows", (0,), np.int64, maxshape=(None,))
+        shape = (0, len(config.strides))
+        confidence = file.create_dataset("confidence", shape, np.float16, maxshape=(None, shape[1]))
+        features = [
+            file.create_dataset(f"features/{level}", (0, dim), np.float16, maxshape=(None, dim))
+            for level, dim in enumerate(config.dims)
+        ]
+        ends = []
+        with progress_bar("pixloc map features", len(names)) as advance:
+            for done, name in enumerate(names, 1):
+                image = sparse_map.images[name]
+                maps = extract(read_rgb(images / name, image.camera))
+                seen = observe(maps, image, sparse_map, points)
+                _append(rows, seen.rows)
+                _append(confidence, seen.confidence)
+                for dataset, values in zip(features, seen.features, strict=True):
+                    _append(dataset, values)
+                ends.append(len(rows))
+                advance(done)
+        file["ends"] = np.array(ends, np.int64)
+
+
+def _append(dataset: h5py.Dataset, values: NDArray[Any]) -> None:
+    end = len(dataset)
+    dataset.resize(end + len(values), axis=0)
+    dataset[end:] = values
+
+
+def observe(
+    maps: list[FeatureMap], image: MapImage, sparse_map: SparseMap, points: int
+) -> Observations:
+    """What the points seen by a photograph look like there, at most ``points`` of them.
+
+    Features are taken where the points project, as the authors do, not where they were observed.
+    """
+    rows = np.unique(image.point_rows[image.point_rows >= 0])
+    sure = rows[sparse_map.track_length[rows] >= _LEAST_TRACK]
+    rows = sure if len(sure) >= _LEAST_POINTS else rows
+    in_camera = image.pose.transform(torch.from_numpy(sparse_map.xyz[rows]))
+    projected = image.camera.project(in_camera)
+    seen = (projected.valid & image.camera.contains(projected.xy)).numpy()
+    levels = [level.sample(projected.xy.float()) for level in maps]
+    xy = projected.xy.numpy()[seen]
+    size = np.array([image.camera.width, image.camera.height])
+    order = spread(xy / size, sparse_map.track_length[rows[seen]])[:points]
+    kept = np.flatnonzero(seen)[order]
+    return Observations(
+        rows[kept],
+        tuple(features[kept].to(torch.float16).numpy() for features, _ in levels),
+        torch.stack([c[kept] for _, c in levels], -1).to(torch.float16).numpy(),
+    )
+
+
+def spread(xy: NDArray[np.float64], worth: NDArray[np.int64]) -> NDArray[np.int64]:
+    """An order of points of which every beginning covers the picture: the worthiest of every cell
+    of a grid, then the second of every cell, and so on.
+
+    Args:
+        xy: (N, 2) in 0..1.
+        worth: (N,).
+    """
+    by_worth = np.argsort(-worth, kind="stable")
+    column, row = np.clip((xy[by_worth] * _GRID).astype(int), 0, _GRID - 1).T
+    cell = row * _GRID + column
+    by_cell = np.argsort(cell, kind="stable")
+    first = np.searchsorted(cell[by_cell], cell)
+    place = np.empty(len(cell), np.int64)
+    place[by_cell] = np.arange(len(cell))
+    return by_worth[np.argsort(place - first, kind="stable")]

@@ -1,0 +1,46 @@
+"""The card of trained weights: what they were made of, and what training said of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from baselines.training.config import TrainConfig
+from scene.bundle import Scene
+from scene.files import read_text, sha256_of, write_text
+
+
+def write_card(
+    path: Path,
+    method: str,
+    config: TrainConfig,
+    scenes: Sequence[Scene],
+    validation: Sequence[Scene],
+    weights: Path,
+    log: Path,
+) -> None:
+    """Write the card as Markdown. Recall is for those to add who measured it."""
+    rows = [json.loads(line) for line in read_text(log, "training log").splitlines()]
+    hours = sum(row.get("seconds", 0.0) for row in rows) / 3600
+    changed = config.model_dump(mode="json", exclude_defaults=True)
+    megabytes = weights.stat().st_size / 1e6
+    lines = [
+        f"# Weights of {method}",
+        "",
+        f"- file: {weights.name}, {megabytes:.1f} MB, sha256 {sha256_of(weights)}",
+        f"- trained on: {_places(scenes)}",
+        f"- looked at while training: {_places(validation) or 'nothing'}",
+        f"- steps: {config.steps} of {config.batch} pairs, seed {config.seed}, {hours:.2f} hours",
+        f"- settings beside the defaults: {json.dumps(changed, sort_keys=True)}",
+    ]
+    last = [row for row in rows if any(name.startswith("val/") for name in row)][-1:]
+    for row in last:
+        seen = {k.removeprefix("val/"): v for k, v in row.items() if k.startswith("val/")}
+        figures = ", ".join(f"{name} {value:.3g}" for name, value in seen.items())
+        lines.append(f"- at the end, on what was looked at: {figures}")
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _places(scenes: Sequence[Scene]) -> str:
+    return ", ".join(f"{scene.manifest.preset} {scene.manifest.seed}" for scene in scenes)

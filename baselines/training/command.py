@@ -1,0 +1,55 @@
+"""From scenes to weights: the command ``train``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from baselines.training.card import write_card
+from baselines.training.config import TrainConfig
+from baselines.training.loop import LOG, Trainable, join, train_loop
+from baselines.training.planes import PlanePairs
+from baselines.training.rendered import RenderedPairs
+from scene.bundle import Scene
+
+CARD: Final = "card.md"
+
+
+def train(
+    method: str,
+    make: Callable[[TrainConfig], Trainable],
+    data: Sequence[Path],
+    out: Path,
+    config: TrainConfig,
+    validation: Sequence[Path] = (),
+) -> Path:
+    """Train a method on scenes, or go on where training was stopped.
+
+    Args:
+        method: its name.
+        make: it, ready to learn.
+        data: finished scenes with depth, of pinhole cameras.
+        out: folder of the run: checkpoint, log, curves, and at the end weights and their card.
+        config: how.
+        validation: scenes to look at while training, never learned from.
+
+    Returns:
+        the file of the weights.
+
+    Raises:
+        InputError: a scene is unfinished, distorted or overlaps nowhere; ``out`` holds another run.
+    """
+    scenes = [Scene.open(path) for path in data]
+    looked_at = [Scene.open(path) for path in validation]
+    size, points = config.crop, config.points
+    rendered = RenderedPairs(scenes, size, points, config.strength)
+    planes = None
+    if config.photographs and config.photograph_share > 0:
+        planes = PlanePairs(config.photographs, size, points, config.strength)
+    chosen = RenderedPairs(looked_at, size, points, 0.0) if looked_at else None
+    described = {"method": method, "scenes": [scene.manifest.seed for scene in scenes]}
+    weights = train_loop(make(config), config, rendered, planes, chosen, out, described)
+    if join().rank == 0:
+        write_card(out / CARD, method, config, scenes, looked_at, weights, out / LOG)
+    return weights

@@ -1,0 +1,63 @@
+"""The loss that teaches features to tell places apart before any pose is solved with them.
+
+InfoNCE (van den Oord et al., 2018) of a point's feature in one image against its own place in the
+other, other places of that image, and places a few cells beside its own.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+_TEMPERATURE: Final = 0.07
+_ELSEWHERE: Final = 512
+# Offsets (cells) beside the true place: they make the peak sharp, and wide enough to be climbed.
+_BESIDE: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+_SAME_PLACE: Final = 1.0
+
+
+def sample(maps: Tensor, cells: Tensor) -> Tensor:
+    """Bilinear lookup. Maps (B, C, h, w), cells (B, N, 2) x y -> (B, N, C) float32.
+
+    The centre of the first cell is (0.5, 0.5); what lies outside takes the border's value.
+    """
+    height, width = maps.shape[-2:]
+    scale = cells.new_tensor([2 / width, 2 / height])
+    grid = (cells * scale - 1)[:, None]
+    found = functional.grid_sample(maps.float(), grid, "bilinear", "border", align_corners=False)
+    return found[:, :, 0].transpose(1, 2)
+
+
+def contrastive(
+    features_a: Tensor, features_b: Tensor, cells_a: Tensor, cells_b: Tensor, valid: Tensor
+) -> Tensor:
+    """Mean over points of the negative logarithm of how likely a point is found at its own place.
+
+    Args:
+        features_a: (B, C, h, w), of any length: they are normalised here.
+        features_b: likewise.
+        cells_a: (B, N, 2) where the points lie in a, cells.
+        cells_b: (B, N, 2) likewise in b.
+        valid: (B, N) bool.
+    """
+    points = functional.normalize(sample(features_a, cells_a), dim=-1)
+    batch, channels, height, width = features_b.shape
+    count = min(_ELSEWHERE, height * width)
+    elsewhere = torch.randint(height * width, (batch, count), device=cells_b.device)
+    distance = cells_b.new_tensor(_BESIDE)
+    angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(_BESIDE), device=cells_b.device)
+    ring = distance[:, None] * torch.stack([angle.cos(), angle.sin()], -1)
+    places = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
+    found = functional.normalize(sample(features_b, places.flatten(1, 2)), dim=-1)
+    to_near = (points[:, :, None] * found.view(*places.shape[:3], channels)).sum(-1)
+    index = elsewhere[:, None].expand(-1, channels, -1)
+    far = functional.normalize(features_b.flatten(2).gather(2, index).float(), dim=1)
+    centres = torch.stack([elsewhere % width, elsewhere // width], -1) + 0.5
+    too_close = torch.cdist(cells_b, centres) < _SAME_PLACE
+    to_far = (points @ far).masked_fill(too_close, -torch.inf)
+    logits = torch.cat([to_near, to_far], -1) / _TEMPERATURE
+    loss = logits.logsumexp(-1) - logits[..., 0]
+    return (loss * valid).sum() / valid.sum().clamp(min=1)

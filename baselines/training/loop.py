@@ -1,0 +1,311 @@
+"""The training loop: any method, one process or several, resumed where it was stopped."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+import torch
+from pydantic import BaseModel
+from torch import Tensor, distributed, nn
+from torch.utils.data import DataLoader, Dataset
+
+from baselines.training.config import TrainConfig
+from baselines.training.curves import draw_curves
+from baselines.training.pairs import Pair, PairBatch, PairSource, collate
+from baselines.weights import write_weights
+from scene.errors import InputError
+from scene.files import read_text, write_text, written_whole
+from scene.progress import progress_bar
+
+WEIGHTS: Final = "weights.safetensors"
+_CHECKPOINT = "checkpoint.pt"
+LOG: Final = "log.jsonl"
+_RUN = "run.json"
+_CURVES = "curves.png"
+_VALIDATION_BATCHES = 8
+# Training pairs are drawn with the run's seed, validation pairs always with this one.
+_VALIDATION_SEED = 987654321
+
+
+class Trainable(Protocol):
+    """A method that can learn."""
+
+    @property
+    def network(self) -> nn.Module:
+        """What is trained and written as weights."""
+        ...
+
+    @property
+    def network_config(self) -> BaseModel:
+        """What the network must be to take the weights."""
+        ...
+
+    def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
+        """The loss of a batch, and figures to log.
+
+        Args:
+            batch: see ``PairBatch``.
+            progress: 0 at the first step, 1 after the last.
+        """
+        ...
+
+    def groups(self, rate: float) -> list[dict[str, Any]]:
+        """Parameters with their learning rates, as torch's optimizers take them."""
+        ...
+
+
+class _Drawn(Dataset[Pair]):
+    """The k-th pair of a run, always the same one."""
+
+    def __init__(self, sources: Sequence[PairSource], shares: Sequence[float], seed: int) -> None:
+        self._sources, self._shares, self._seed = sources, shares, seed
+
+    def __getitem__(self, index: int) -> Pair:
+        rng = np.random.default_rng([self._seed, index])
+        return self._sources[rng.choice(len(self._sources), p=self._shares)].draw(rng)
+
+
+class _Stretch:
+    """The indices of the pairs of some steps, for one process of several."""
+
+    def __init__(self, first: int, last: int, batch: int, rank: int, world: int) -> None:
+        self._steps, self._batch, self._rank, self._world = range(first, last), batch, rank, world
+
+    def __iter__(self) -> Iterator[list[int]]:
+        for step in self._steps:
+            start = (step * self._world + self._rank) * self._batch
+            yield list(range(start, start + self._batch))
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+
+def train_loop(
+    method: Trainable,
+    config: TrainConfig,
+    rendered: PairSource,
+    photographs: PairSource | None,
+    validation: PairSource | None,
+    out: Path,
+    described: Mapping[str, Any],
+) -> Path:
+    """Train, or go on training what was stopped, and write the weights.
+
+    Every pair, and with it every step, follows from the seed: a run that was killed and resumed
+    sees what an undisturbed one does. Under ``torchrun`` each process takes its share of the pairs.
+
+    Args:
+        method: what learns.
+        config: how.
+        rendered: of training scenes.
+        photographs: pairs of plain photographs, or None.
+        validation: of scenes kept for choosing, or None to look at none.
+        out: folder of the run: checkpoint, log, curves, weights.
+        described: what else the run depends on; a folder that holds another run is refused.
+
+    Returns:
+        the file of the weights.
+
+    Raises:
+        InputError: ``out`` belongs to another run, or cannot be written.
+    """
+    rank, world = join()
+    device = torch.device("cuda", rank % torch.cuda.device_count()) if _gpu() else _CPU
+    _claim(out, {"config": config.model_dump(mode="json"), **described}, rank)
+    method.network.to(device)
+    # torch's annotations do not know this argument.
+    network = method.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = torch.optim.AdamW(method.groups(config.rate), weight_decay=config.decay)
+    peaks = [group["lr"] for group in optimizer.param_groups]
+    first = _restore(out / _CHECKPOINT, network, optimizer, device)
+    borders = sorted({0, round(config.warm_up * config.steps), config.steps})
+    with _log(out / LOG, first, rank) as log, progress_bar("training", config.steps) as advance:
+        for begin, end in pairwise(borders):
+            share = config.photograph_share * (1 if begin == 0 else 0.5)
+            sources = [rendered, photographs] if photographs else [rendered]
+            shares = [1 - share, share] if photographs else [1.0]
+            drawn = _Drawn(sources, shares, config.seed)
+            start = max(first, begin)
+            stretch = _Stretch(start, max(start, end), config.batch, rank, world)
+            loader = _loader(drawn, stretch, config.workers)
+            for step, batch in enumerate(loader, start):
+                began = time.perf_counter()
+                _schedule(optimizer, peaks, step, config)
+                torch.manual_seed(config.seed * 1_000_003 + step * world + rank)
+                loss, figures = _step(method, batch.to(device), step / config.steps)
+                loss.backward()  # type: ignore[no-untyped-call]
+                _share_gradients(network, world)
+                norm = nn.utils.clip_grad_norm_(network.parameters(), config.clip)
+                if torch.isfinite(norm):
+                    optimizer.step()
+                optimizer.zero_grad()
+                seconds = time.perf_counter() - began
+                log(step, figures | {"norm": float(norm), "seconds": seconds})
+                done = step + 1
+                if validation and (done % config.validate_every == 0 or done == config.steps):
+                    log(step, _validate(method, validation, config, device, done / config.steps))
+                if rank == 0 and (done % config.save_every == 0 or done == config.steps):
+                    _save(out / _CHECKPOINT, network, optimizer, done)
+                    draw_curves(out / LOG, out / _CURVES)
+                advance(done)
+    if rank == 0:
+        write_weights(out / WEIGHTS, network, method.network_config.model_dump(mode="json"))
+    if world > 1:
+        distributed.barrier()
+    return out / WEIGHTS
+
+
+_CPU: Final = torch.device("cpu")
+
+
+def _gpu() -> bool:
+    return torch.cuda.is_available()
+
+
+class Processes(NamedTuple):
+    """This process among those that train together."""
+
+    rank: int
+    world: int
+
+
+def join() -> Processes:
+    """Find the other processes where torchrun started us; else there is one."""
+    world = int(os.environ.get("WORLD_SIZE", "1"))
+    if world > 1 and not distributed.is_initialized():
+        distributed.init_process_group("nccl" if _gpu() else "gloo")
+    return Processes(int(os.environ.get("RANK", "0")), world)
+
+
+def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
+    """Take the folder for this run, or find that it is this run's already."""
+    text = json.dumps(run, indent=2, sort_keys=True) + "\n"
+    path = out / _RUN
+    if path.is_file():
+        before = json.loads(read_text(path, "description of the run"))
+        # Settings that came later than the run had the default's effect.
+        before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
+        changed = [key for key in run if before.get(key) != json.loads(text)[key]]
+        if changed:
+            raise InputError(
+                f"{out} holds a run with another {changed[0]}: resume it with the same, or name "
+                "another folder"
+            )
+    elif rank == 0:
+        write_text(path, text)
+
+
+def _loader(drawn: _Drawn, stretch: _Stretch, workers: int) -> DataLoader[Pair]:
+    # A forked worker would inherit locks of torch's threads in whatever state they are.
+    return DataLoader(
+        drawn,
+        batch_sampler=stretch,
+        collate_fn=collate,
+        num_workers=workers,
+        multiprocessing_context="spawn" if workers else None,
+        prefetch_factor=3 if workers else None,
+    )
+
+
+def _step(method: Trainable, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
+    method.network.train()
+    return method.loss(batch, progress)
+
+
+@torch.no_grad()
+def _validate(
+    method: Trainable,
+    source: PairSource,
+    config: TrainConfig,
+    device: torch.device,
+    progress: float,
+) -> dict[str, float]:
+    """Mean figures over the same pairs at every look."""
+    method.network.eval()
+    kept = torch.random.get_rng_state()
+    torch.manual_seed(_VALIDATION_SEED)
+    drawn = _Drawn([source], [1.0], _VALIDATION_SEED)
+    total: dict[str, list[float]] = {}
+    for number in range(_VALIDATION_BATCHES):
+        pairs = [drawn[number * config.batch + k] for k in range(config.batch)]
+        for name, value in method.loss(collate(pairs).to(device), progress)[1].items():
+            total.setdefault(name, []).append(value)
+    torch.random.set_rng_state(kept)
+    return {f"val/{name}": float(np.mean(values)) for name, values in total.items()}
+
+
+def _schedule(
+    optimizer: torch.optim.Optimizer, peaks: Sequence[float], step: int, config: TrainConfig
+) -> None:
+    """A straight rise, then a cosine down to a hundredth."""
+    rise = min(1.0, (step + 1) / config.rise)
+    fall = 0.505 + 0.495 * math.cos(math.pi * step / config.steps)
+    for group, peak in zip(optimizer.param_groups, peaks, strict=True):
+        group["lr"] = peak * rise * fall
+
+
+def _share_gradients(network: nn.Module, world: int) -> None:
+    """The mean over the processes; a parameter no loss touched in this step counts as zero."""
+    if world == 1:
+        return
+    for parameter in network.parameters():
+        if parameter.grad is None:
+            parameter.grad = torch.zeros_like(parameter)
+        distributed.all_reduce(parameter.grad)
+        parameter.grad /= world
+
+
+def _save(path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, done: int) -> None:
+    state = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "done": done}
+    with written_whole(path) as partial:
+        torch.save(state, partial)
+
+
+def _restore(
+    path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, device: torch.device
+) -> int:
+    """Steps done so far."""
+    if not path.is_file():
+        return 0
+    try:
+        state = torch.load(path, map_location=device, weights_only=True)
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+        return int(state["done"])
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path} is damaged ({reason}): remove it to begin again") from error
+
+
+class _Logger(Protocol):
+    def __call__(self, step: int, figures: Mapping[str, float]) -> None: ...
+
+
+@contextmanager
+def _log(path: Path, first: int, rank: int) -> Iterator[_Logger]:
+    """Appends one line of figures a step; what was logged beyond the checkpoint is dropped."""
+    if rank > 0:
+        yield lambda step, figures: None
+        return
+    kept = []
+    if path.is_file():
+        lines = read_text(path, "training log").splitlines()
+        kept = [line for line in lines if line.endswith("}") and json.loads(line)["step"] < first]
+    write_text(path, "".join(f"{line}\n" for line in kept))
+    with path.open("a") as file:
+
+        def log(step: int, figures: Mapping[str, float]) -> None:
+            rounded = {name: float(f"{value:.5g}") for name, value in figures.items()}
+            file.write(json.dumps({"step": step, **rounded}) + "\n")
+            file.flush()
+
+        yield log

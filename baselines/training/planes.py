@@ -1,0 +1,131 @@
+"""Pairs made of single photographs: each is taken for flat ground, seen by two cameras.
+
+It teaches what photographs look like before any scene is rendered (HomographyNet's and SuperPoint's
+way, DeTone et al. 2016 and 2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from baselines.training.augment import photometric
+from baselines.training.keypoints import keypoints
+from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
+from scene.errors import InputError
+from scene.images import read_rgb
+from scene.pose import so3_exp
+
+_SUFFIXES = (".jpg", ".jpeg", ".png")
+_HEIGHT_M = 80.0
+_TILT_DEG = 15.0
+_HEADING_DEG = 35.0
+_BORDER = 4.0
+_SMALLEST = 64
+
+
+class PlanePairs:
+    """Draws pairs from folders of photographs. Implements ``PairSource``."""
+
+    def __init__(self, folders: Sequence[Path], size: int, points: int, strength: float) -> None:
+        self._paths = sorted(
+            path
+            for folder in folders
+            for path in folder.rglob("*")
+            if path.suffix.lower() in _SUFFIXES
+        )
+        if not self._paths:
+            raise InputError(f"no photographs ({', '.join(_SUFFIXES)}) in {folders[0]}")
+        self._size, self._points, self._strength = size, points, strength
+
+    def draw(self, rng: np.random.Generator) -> Pair:
+        """See ``PairSource``."""
+        while True:
+            photograph = read_rgb(self._paths[rng.integers(len(self._paths))])
+            pair = self._seen_twice(photograph, rng)
+            if pair is not None:
+                return pair
+
+    def _seen_twice(self, photograph: NDArray[np.uint8], rng: np.random.Generator) -> Pair | None:
+        size, (height, width) = self._size, photograph.shape[:2]
+        camera = Pinhole(np.full(2, rng.uniform(0.8, 1.4) * size), np.full(2, size / 2))
+        # Metres of ground per pixel of the photograph, so that crops show it at 0.5 to 1.2 times.
+        ground = _HEIGHT_M / camera.focal[0] * rng.uniform(0.5, 1.2)
+        middle = np.array([width, height]) * rng.uniform(0.3, 0.7, 2) * ground
+        a_from_ground = _looking_down(middle, rng)
+        away = rng.uniform(-0.15, 0.15, 2) * size / camera.focal[0] * _HEIGHT_M
+        b_from_ground = _looking_down(middle + away, rng)
+        b_from_a = b_from_ground @ np.linalg.inv(a_from_ground)
+        image_a = _seen(photograph, ground, camera, a_from_ground, size)
+        image_b = _seen(photograph, ground, camera, b_from_ground, size)
+        xy_a = keypoints(image_a, 4 * self._points, rng)
+        # The ground is z = 0: where the rays meet it.
+        rays = camera.lift(xy_a, np.ones(len(xy_a)))
+        ground_from_a = np.linalg.inv(a_from_ground)
+        directions = rays @ ground_from_a[:3, :3].T
+        depth = -ground_from_a[2, 3] / directions[:, 2]
+        points = rays * depth[:, None]
+        xy_b = camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
+        on_ground = (directions * depth[:, None] + ground_from_a[:3, 3])[:, :2] / ground
+        good = ((xy_b > _BORDER) & (xy_b < size - _BORDER)).all(1)
+        good &= ((on_ground > 1) & (on_ground < [width - 1, height - 1])).all(1)
+        if good.sum() < _SMALLEST:
+            return None
+        valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
+        return Pair(
+            photometric(image_a, rng, self._strength),
+            photometric(image_b, rng, self._strength),
+            camera,
+            camera,
+            b_from_a,
+            wrong_start(b_from_a, float(np.median(depth)), rng),
+            points,
+            xy_a,
+            xy_b,
+            valid,
+        )
+
+
+def _looking_down(over: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """``camera_from_ground`` (4, 4) of a camera over a point; ground x right, y down, z away."""
+    height = _HEIGHT_M * rng.uniform(0.85, 1.2)
+    tilt = np.radians(rng.uniform(-_TILT_DEG, _TILT_DEG, 2))
+    heading = np.radians(rng.uniform(-_HEADING_DEG, _HEADING_DEG))
+    turn = so3_exp(torch.tensor([*tilt, 0.0])) @ so3_exp(torch.tensor([0.0, 0.0, heading]))
+    pose = np.eye(4)
+    pose[:3, :3] = turn.numpy()
+    # Aimed so that the point over which it stands is in the middle of the picture.
+    pose[:3, 3] = [0, 0, height] - pose[:3, :3] @ [*over, 0]
+    return pose
+
+
+def _seen(
+    photograph: NDArray[np.uint8],
+    metres_per_pixel: float,
+    camera: Pinhole,
+    camera_from_ground: NDArray[np.float64],
+    size: int,
+) -> NDArray[np.uint8]:
+    """The photograph lying on the ground as the camera sees it, (size, size, 3)."""
+    K = np.array(
+        [
+            [camera.focal[0], 0, camera.principal[0]],
+            [0, camera.focal[1], camera.principal[1]],
+            [0, 0, 1],
+        ]
+    )
+    image_from_photograph = (
+        K @ camera_from_ground[:3][:, [0, 1, 3]] @ np.diag([metres_per_pixel, metres_per_pixel, 1])
+    )
+    # Our pixel centres lie at halves, OpenCV's at whole numbers.
+    half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    shifted = np.linalg.inv(half) @ image_from_photograph @ half
+    seen = cv2.warpPerspective(
+        photograph, shifted, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
+    )
+    return np.asarray(seen, np.uint8)

@@ -1,0 +1,182 @@
+"""Pairs cut from rendered scenes: two frames of different flights, seasons and hours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.training.augment import photometric
+from baselines.training.crops import crop, quarter_turns
+from baselines.training.keypoints import keypoints
+from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
+from scene.bundle import Scene
+from scene.camera import Camera
+from scene.errors import InputError
+from scene.frames import DenseLayers
+from scene.images import read_rgb
+
+_OVERLAP = 0.3
+# Frames whose pictures are turned against each other by more show each other nothing a slim network
+# could learn: references are chosen by heading too.
+_LARGEST_TURN_DEG = 60.0
+_CROSS_SHARE = 0.65
+_ZOOM = (0.4, 1.1)
+# So often frames flown at different heights are brought to the same metres per pixel.
+_LEVEL_SHARE = 0.7
+_BORDER = 4.0
+_SMALLEST = 64
+# Two depths of one place agree within this share.
+_SAME_DEPTH = 0.01
+
+
+@dataclass(frozen=True)
+class _Frame:
+    image: Path
+    camera: Pinhole
+    cam_from_world: NDArray[np.float64]
+    condition: str
+    session: tuple[int, str]
+    index: int
+
+
+class RenderedPairs:
+    """Draws pairs from finished scenes with depth. Implements ``PairSource``.
+
+    Files are opened when the first pair is drawn, so that a worker process can be handed this.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], size: int, points: int, strength: float) -> None:
+        self._size, self._points, self._strength = size, points, strength
+        self._scenes = scenes
+        self._frames: list[_Frame] = []
+        same: list[tuple[int, int]] = []
+        cross: list[tuple[int, int]] = []
+        for number, scene in enumerate(self._scenes):
+            first = len(self._frames)
+            self._frames += _frames(scene, number)
+            for a, b in _pairs(scene, self._frames[first:]):
+                a, b = a + first, b + first
+                differ = self._frames[a].condition != self._frames[b].condition
+                (cross if differ else same).append((a, b))
+        if not same and not cross:
+            raise InputError(f"no two frames of {scenes[0].path} overlap by {_OVERLAP:.0%}")
+        self._same, self._cross = same or cross, cross or same
+        self._open: dict[tuple[int, str], DenseLayers] | None = None
+
+    def draw(self, rng: np.random.Generator) -> Pair:
+        """See ``PairSource``."""
+        while True:
+            pairs = self._cross if rng.uniform() < _CROSS_SHARE else self._same
+            a, b = pairs[rng.integers(len(pairs))]
+            if rng.uniform() < 0.5:
+                a, b = b, a
+            pair = self._cut(self._frames[a], self._frames[b], rng)
+            if pair is not None:
+                return pair
+
+    def _depth(self, frame: _Frame) -> NDArray[np.float32]:
+        if self._open is None:
+            # They stay open for the life of the process.
+            stack = ExitStack()
+            self._open = {
+                (number, session): stack.enter_context(scene.dense(session))
+                for number, scene in enumerate(self._scenes)
+                for session in scene.sessions
+            }
+            self._stack = stack
+        return np.asarray(self._open[frame.session].read("depth", frame.index))
+
+    def _cut(self, a: _Frame, b: _Frame, rng: np.random.Generator) -> Pair | None:
+        photo_a, photo_b = read_rgb(a.image), read_rgb(b.image)
+        depth_a, depth_b = self._depth(a), self._depth(b)
+        b_from_a = b.cam_from_world @ np.linalg.inv(a.cam_from_world)
+        xy_a = keypoints(photo_a, 24 * self._points, rng)
+        points = a.camera.lift(xy_a, _at(depth_a, xy_a))
+        in_b = points @ b_from_a[:3, :3].T + b_from_a[:3, 3]
+        good = (points[:, 2] > 0) & (in_b[:, 2] > 1)
+        xy_a, points, in_b = xy_a[good], points[good], in_b[good]
+        xy_b = b.camera.project(in_b)
+        height, width = photo_b.shape[:2]
+        good = ((xy_b > 0) & (xy_b < [width, height])).all(1)
+        seen = _at(depth_b, np.where(good[:, None], xy_b, 0.5))
+        good &= np.abs(seen - in_b[:, 2]) < _SAME_DEPTH * in_b[:, 2]
+        xy_a, xy_b, points = xy_a[good], xy_b[good], points[good]
+        if len(points) < _SMALLEST:
+            return None
+        zoom = np.exp(rng.uniform(*np.log(_ZOOM)))
+        anchor = rng.integers(len(points))
+        jitter = rng.uniform(-0.25, 0.25, (2, 2)) * self._size / zoom
+        match_scale = np.exp(rng.normal(0, 0.08))
+        if rng.uniform() < _LEVEL_SHARE:
+            distance = float(in_b[good][anchor, 2] / points[anchor, 2])
+            match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
+        cut_a = crop(photo_a, a.camera, xy_a[anchor] + jitter[0], zoom, self._size)
+        cut_b = crop(photo_b, b.camera, xy_b[anchor] + jitter[1], zoom * match_scale, self._size)
+        turns = int(rng.integers(4))
+        image_a, camera_a, turn = quarter_turns(cut_a.image, cut_a.camera, turns)
+        image_b, camera_b, _ = quarter_turns(cut_b.image, cut_b.camera, turns)
+        b_from_a = turn @ b_from_a @ turn.T
+        points = points @ turn[:3, :3].T
+        xy_a = camera_a.project(points)
+        xy_b = camera_b.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
+        good = cut_a.contains(xy_a, _BORDER) & cut_b.contains(xy_b, _BORDER)
+        if good.sum() < _SMALLEST:
+            return None
+        depth = float(np.median(points[good, 2]))
+        valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
+        return Pair(
+            photometric(image_a, rng, self._strength),
+            photometric(image_b, rng, self._strength),
+            camera_a,
+            camera_b,
+            b_from_a,
+            wrong_start(b_from_a, depth, rng),
+            points,
+            xy_a,
+            xy_b,
+            valid,
+        )
+
+
+def _frames(scene: Scene, number: int) -> list[_Frame]:
+    """Every frame of a scene, in the order of its covisibility."""
+    found = []
+    for name, session in scene.sessions.items():
+        frames = scene.frames(name)
+        for index, (image, camera) in enumerate(zip(frames.names, frames.cameras, strict=True)):
+            pinhole = _pinhole(camera, scene.images_root / image)
+            pose = frames.cam_from_world[index]
+            path = scene.images_root / image
+            found.append(_Frame(path, pinhole, pose, session.condition, (number, name), index))
+    return found
+
+
+def _pinhole(camera: Camera, image: Path) -> Pinhole:
+    if any(camera.distortion) or camera.is_fisheye:
+        raise InputError(f"{image} was taken through a lens with distortion: train on pinholes")
+    return Pinhole(np.array(camera.focal), np.array(camera.principal))
+
+
+def _pairs(scene: Scene, frames: Sequence[_Frame]) -> list[tuple[int, int]]:
+    """Index pairs (a < b) of frames that see enough of the same ground about the same way up."""
+    names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
+    overlap = scene.covisibility.of(names).mutual
+    rotations = np.stack([frame.cam_from_world[:3, :3] for frame in frames])
+    # Of the whole relative rotation: of two pictures of the ground mostly their headings'.
+    traces = np.einsum("aij,bij->ab", rotations, rotations)
+    angle = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+    rows, columns = np.nonzero(np.triu((overlap >= _OVERLAP) & (angle <= _LARGEST_TURN_DEG), 1))
+    return list(zip(rows.tolist(), columns.tolist(), strict=True))
+
+
+def _at(depth: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth of the pixels that hold ``xy``, (N,)."""
+    height, width = depth.shape
+    column = np.clip(xy[:, 0].astype(int), 0, width - 1)
+    row = np.clip(xy[:, 1].astype(int), 0, height - 1)
+    return np.asarray(depth[row, column], np.float64)

@@ -1,0 +1,58 @@
+"""What an object-connect network is made of."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from scene.config import Config
+
+STRIDES: Final = (16, 8, 4, 2, 1)
+
+
+class ObjConnectNetConfig(Config):
+    """Every block of the method can be switched off. Levels run from coarse to fine.
+
+    Attributes:
+        width: channels of the encoder in parts of VGG16's.
+        pyramid: channels of the feature pyramid.
+        strides: of the levels, pixels of the image per cell.
+        dims: channels of the features of each level.
+        segmentation: what objects are made by. ``slic`` and ``felzenszwalb`` follow the picture,
+            ``grid`` is squares that know nothing of it, ``given`` expects label maps, and ``none``
+            makes no objects.
+        segments: N, the most objects of a picture.
+        segment_side: pixels; pictures too small for N objects of this side have fewer.
+        attention: equations (1) to (3), features enriched by their object's.
+        object_graph: equations (4) and (5), a graph over the points of each object.
+        scene_graph: a graph over all objects.
+    """
+
+    width: float = Field(1.0, gt=0, le=2)
+    pyramid: int = Field(64, ge=8)
+    strides: tuple[int, ...] = Field((16, 4, 2), min_length=1)
+    dims: tuple[int, ...] = Field((128, 128, 32), min_length=1)
+    segmentation: Literal["slic", "felzenszwalb", "grid", "given", "none"] = "slic"
+    segments: int = Field(128, ge=1, le=1024)
+    segment_side: float = Field(32.0, ge=4)
+    attention: bool = True
+    object_graph: bool = True
+    scene_graph: bool = True
+
+    @model_validator(mode="after")
+    def _levels(self) -> Self:
+        if any(stride not in STRIDES for stride in self.strides):
+            raise ValueError(f"strides must be of {STRIDES}")
+        if any(fine >= coarse for coarse, fine in pairwise(self.strides)):
+            raise ValueError("strides must become finer")
+        if len(self.dims) != len(self.strides) or min(self.dims) < 1:
+            raise ValueError("dims must give one number of channels per stride")
+        blocks = self.attention or self.object_graph or self.scene_graph
+        if self.segmentation == "none" and blocks:
+            raise ValueError(
+                "without segmentation there are no objects: switch attention, object_graph and "
+                "scene_graph off too"
+            )
+        return self

@@ -1,0 +1,50 @@
+"""The feature pyramid on VGG16's blocks: Lin et al., "Feature Pyramid Networks", CVPR 2017."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor, nn
+from torch.nn import functional
+
+from baselines.vgg import channels
+from objconnect.config import STRIDES
+
+
+class FeaturePyramid(nn.Module):
+    """I_l: a picture's features at several strides, each of which has seen the coarser ones.
+
+    Lateral 1x1 convolutions bring the encoder's blocks to one number of channels, coarser steps are
+    added to finer ones bilinearly, and what is used is smoothed by a 3x3 convolution.
+    """
+
+    def __init__(self, width: float, size: int, strides: tuple[int, ...]) -> None:
+        """For an encoder of ``width``; ``strides`` coarse to fine, of ``size`` channels each."""
+        super().__init__()
+        self._wanted = [STRIDES.index(stride) for stride in strides]
+        depths = channels(width)[::-1][: self._wanted[-1] + 1]
+        self.lateral = nn.ModuleList(nn.Conv2d(depth, size, 1) for depth in depths)
+        self.smooth = nn.ModuleList(
+            nn.Sequential(
+                nn.Conv2d(size, size, 3, padding=1, bias=False),
+                nn.BatchNorm2d(size),
+                nn.ReLU(inplace=True),
+            )
+            for _ in strides
+        )
+
+    def forward(self, blocks: Sequence[Tensor]) -> list[Tensor]:
+        """What the encoder's blocks made, fine to coarse -> per level (B, C, h, w), coarse to fine.
+
+        Cells are ``stride`` pixels from the top left corner on; what an image has beyond a multiple
+        of 16 pixels is cut off.
+        """
+        steps: list[Tensor] = []
+        for lateral, block in zip(self.lateral, reversed(blocks), strict=False):
+            if steps:
+                up = functional.interpolate(steps[-1], scale_factor=2.0, mode="bilinear")
+                height, width = up.shape[-2:]
+                steps.append(lateral(block[..., :height, :width]) + up)
+            else:
+                steps.append(lateral(block))
+        return [smooth(steps[step]) for step, smooth in zip(self._wanted, self.smooth, strict=True)]

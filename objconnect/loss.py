@@ -1,0 +1,109 @@
+"""What the network learns from a pair of pictures: equations (6) to (8), and what they lack.
+
+Equation (6) alone is at its least when all features are equal. Features are therefore normalised,
+and the contrastive loss of ``baselines.training.contrastive`` stands beside it, whose negatives are
+other places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from baselines.align.residuals import Level
+from baselines.pixloc.loss import pose_loss
+from baselines.training.contrastive import sample
+from baselines.training.pairs import PairBatch
+from scene.pose import Pose
+
+# Both are about one once features have begun to tell places apart, at the end a tenth and a third.
+FEATURE_SHARE: Final = 0.1
+POSE_SHARE: Final = 0.3
+# Objects of fewer points say too little of what became of them.
+_LEAST_POINTS: Final = 4
+
+
+def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
+    """Equation (6), L_2d-f: mean over levels and points of |F_2(project(X)) - F_1(X)|.
+
+    Taken at the true pose of image 2. The predicted one, of the paper, is the same at the end of
+    training; at its beginning it would teach that wrong places look alike.
+
+    Args:
+        levels: features of unit length.
+        batch: with ``xy_b``, the projections by the true pose.
+    """
+    count = batch.valid.sum().clamp(min=1)
+    distances = []
+    for level in levels:
+        assert not isinstance(level.stride, tuple)
+        found = functional.normalize(sample(level.features, batch.xy_b / level.stride), dim=-1)
+        # The root has no slope at zero.
+        squared = (found - level.reference).square().sum(-1)
+        distances.append(((squared + 1e-8).sqrt() * batch.valid).sum() / count)
+    return torch.stack(distances).mean()
+
+
+def pose_distance(
+    by_level: Sequence[Pose], strides: Sequence[int], batch: PairBatch
+) -> tuple[Tensor, list[Tensor]]:
+    """Equation (7), L_3d-d: mean over levels of the Huber distance of projections by two poses.
+
+    The smooth Huber function, up to 50 pixels, and of a finer level only where the coarser one came
+    near: as PixLoc is trained, so that the two differ in their features alone.
+
+    Args:
+        by_level: predicted poses after each level, coarse to fine.
+        strides: of the levels.
+        batch: with the true pose.
+
+    Returns:
+        the loss, and the distance (B,) in pixels after each level.
+    """
+    place = batch.points, batch.intrinsics_b, batch.valid
+    return pose_loss(by_level, strides, batch.b_from_a, *place)
+
+
+def total(contrast: Tensor, features: Tensor, poses: Tensor | None) -> Tensor:
+    """Equation (8): (6) and (7) together, and the contrast. Without poses in the warm-up."""
+    loss = contrast + FEATURE_SHARE * features
+    return loss if poses is None else loss + POSE_SHARE * poses
+
+
+def kept_together(
+    labels_a: Tensor, labels_b: Tensor, valid: Tensor, count: int
+) -> tuple[Tensor, Tensor]:
+    """How well each object of image a is one object of image b too: what confidence is taught by.
+
+    The points of an object are held against those of the object of image b that shares the most:
+    points of both over points of either.
+
+    Args:
+        labels_a: (B, P) the object of each point in image a, negative for none.
+        labels_b: likewise in b.
+        valid: (B, P) points that are there.
+        count: N.
+
+    Returns:
+        (B, N) in 0..1, and (B, N) which objects have the points to say.
+    """
+    batch = len(labels_a)
+    used = valid & (labels_a >= 0) & (labels_b >= 0)
+    pair = (labels_a * count + labels_b).clamp(min=0)
+    shared = torch.zeros(batch, count * count, device=pair.device)
+    shared = shared.scatter_add(1, pair, used.float()).view(batch, count, count)
+    in_a, in_b = shared.sum(2), shared.sum(1)
+    either = (in_a[:, :, None] + in_b[:, None] - shared).clamp(min=1)
+    return (shared / either).amax(2), in_a >= _LEAST_POINTS
+
+
+def trust_loss(confidence: Tensor, kept: Tensor, counts: Tensor) -> Tensor:
+    """Cross entropy of the objects' confidence (B, N) against ``kept_together``."""
+    # Not in half precision: one minus a small number would be one.
+    p = confidence.float().clamp(1e-4, 1 - 1e-4)
+    entropy = -(kept * p.log() + (1 - kept) * (1 - p).log())
+    return (entropy * counts).sum() / counts.sum().clamp(min=1)

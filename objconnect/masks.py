@@ -1,0 +1,120 @@
+"""Objects that a person gives: label pictures, and masks in COCO's run-length form."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from objconnect.segmentation import NOTHING, Labels, keep_largest
+from scene.errors import InputError
+from scene.files import read_text
+
+_GREY = ("1", "L", "P", "I", "I;16")
+
+
+def read_label_png(path: Path, count: int) -> Labels:
+    """Labels of a picture of one channel: 0 is no object, every other value is one.
+
+    Args:
+        path: PNG of 8 or 16 bits; values of a palette are taken, not its colours.
+        count: N, the most objects; the largest are kept.
+
+    Returns:
+        (H, W) int64, 0 to N - 1, or ``NOTHING``.
+
+    Raises:
+        InputError: missing, damaged, or a picture of colours.
+    """
+    try:
+        with Image.open(path) as image:
+            mode, values = image.mode, np.asarray(image)
+    except FileNotFoundError:
+        raise InputError(f"label picture {path} does not exist") from None
+    except UnidentifiedImageError:
+        raise InputError(f"{path} is not an image this program can read") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"label picture {path} is damaged: {error}") from None
+    if mode not in _GREY:
+        raise InputError(f"{path} has colours ({mode}): labels are one number per pixel")
+    return keep_largest(np.where(values == 0, NOTHING, values.astype(np.int64)), count)
+
+
+def read_coco(path: Path, image: str, count: int) -> Labels:
+    """Labels of one photograph in a file of COCO annotations with run-length masks.
+
+    Where masks overlap, the smaller lies on top.
+
+    Args:
+        path: JSON with ``images`` (``id``, ``file_name``) and ``annotations`` (``image_id``,
+            ``segmentation`` of ``size`` and ``counts``, in numbers or as COCO's string).
+        image: ``file_name`` of the photograph.
+        count: N, the most objects; those of the most visible pixels are kept.
+
+    Returns:
+        (H, W) int64, 0 to N - 1, or ``NOTHING``.
+
+    Raises:
+        InputError: unreadable file, a photograph it does not have, or a mask that does not fit.
+    """
+    try:
+        content = json.loads(read_text(path, "COCO annotations"))
+        ids = [entry["id"] for entry in content["images"] if entry["file_name"] == image]
+        found = [a["segmentation"] for a in content["annotations"] if a["image_id"] in ids]
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is not a file of COCO annotations: {error!r}") from None
+    if not ids:
+        raise InputError(f"{path} has no image {image!r}")
+    if not found:
+        raise InputError(f"{path} has no masks of {image!r}")
+    masks = [_mask(segmentation, f"{path}, mask {k}") for k, segmentation in enumerate(found)]
+    if len({mask.shape for mask in masks}) > 1:
+        raise InputError(f"{path}: the masks of {image!r} have several sizes")
+    labels = np.full(masks[0].shape, NOTHING, np.int64)
+    for number in np.argsort([-int(mask.sum()) for mask in masks], kind="stable"):
+        labels[masks[number]] = number
+    return keep_largest(labels, count)
+
+
+def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
+    """Runs of zeros and ones, in turn, down the columns of a picture."""
+    if not isinstance(segmentation, dict):
+        raise InputError(f"{where} is a polygon: convert masks to run lengths (RLE)")
+    try:
+        height, width = (int(side) for side in segmentation["size"])
+        counts = segmentation["counts"]
+        runs = _runs(counts) if isinstance(counts, str) else [int(run) for run in counts]
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{where} cannot be read: {error!r}") from None
+    if min(height, width, *runs) < 0 or sum(runs) != height * width:
+        raise InputError(f"{where} has {sum(runs)} pixels, its size is {width} x {height}")
+    values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+    return values.reshape(width, height).T
+
+
+def _runs(text: str) -> list[int]:
+    """COCO's string: five bits a character from 48 on, the sixth says that more follow, the last's
+    fifth is the sign; from the fourth number on, differences to the number before the last."""
+    runs: list[int] = []
+    position = 0
+    while position < len(text):
+        value = shift = 0
+        more = True
+        while more:
+            bits = ord(text[position]) - 48
+            if not 0 <= bits < 64:
+                raise ValueError(f"character {text[position]!r}")
+            value |= (bits & 31) << shift
+            shift += 5
+            position += 1
+            more = bool(bits & 32)
+        if bits & 16:
+            value -= 1 << shift
+        runs.append(value + (runs[-2] if len(runs) > 2 else 0))
+    return runs

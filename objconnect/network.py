@@ -1,0 +1,183 @@
+"""The object-connect network: a feature pyramid whose features know their objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import Tensor, nn
+
+import baselines.pixloc.network as pixloc
+from baselines.align.damping import Damping
+from baselines.training.contrastive import sample
+from baselines.vgg import encode, keep_variance, vgg16_encoder
+from baselines.weights import load_into, read_weights
+from objconnect.config import ObjConnectNetConfig
+from objconnect.fpn import FeaturePyramid
+from objconnect.graph import ObjectGraph, SceneGraph
+from objconnect.objects import Attention, Objects, Occupancy, centres, occupancy
+from objconnect.segmentation import at_level, segment
+from scene.config import load_config
+from scene.errors import InputError
+
+# Objects on finer levels cost as much as the rest of the network, and say nothing new: their cells
+# lie within one object almost everywhere.
+_FINEST_STRIDE: Final = 4
+_ENCODER: Final = "encoder."
+# What only a configuration of this network says.
+_OURS: Final = "segmentation"
+
+Level = tuple[Tensor, Tensor]
+
+
+class ObjectBlocks(nn.Module):
+    """The blocks of one level that are switched on, each adding to the features."""
+
+    def __init__(self, config: ObjConnectNetConfig) -> None:
+        super().__init__()
+        size = config.pyramid
+        switches = (
+            (config.attention, Attention),
+            (config.object_graph, ObjectGraph),
+            (config.scene_graph, SceneGraph),
+        )
+        self.blocks = nn.ModuleList(block(size) for on, block in switches if on)
+
+    def forward(self, maps: Tensor, objects: Occupancy) -> Tensor:
+        """O of equation (3) and what the graphs add: maps (B, C, h, w) -> the same."""
+        if not len(self.blocks):
+            return maps
+        _, _, height, width = maps.shape
+        rows = maps.permute(0, 2, 3, 1).flatten(1, 2)
+        for block in self.blocks:
+            rows = block(rows, objects)
+        return rows.view(len(maps), height, width, -1).permute(0, 3, 1, 2)
+
+
+class ObjConnectNet(nn.Module):
+    """See the module. Also holds the damping that was learned with the features.
+
+    Attributes:
+        config: what it is made of.
+        damping: of each level, coarse to fine; called, it gives factors (6,).
+    """
+
+    def __init__(self, config: ObjConnectNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        # Named as PixLoc's, which can be taken over.
+        self.encoder = vgg16_encoder(config.width)
+        self.pyramid = FeaturePyramid(config.width, config.pyramid, config.strides)
+        levels = [stride for stride in config.strides if stride >= _FINEST_STRIDE]
+        self._with_objects = 0 if config.segmentation == "none" else len(levels)
+        self.objects_of = nn.ModuleList(ObjectBlocks(config) for _ in range(self._with_objects))
+        self.features = nn.ModuleList(nn.Conv2d(config.pyramid, dim, 1) for dim in config.dims)
+        self.confidence = nn.ModuleList(nn.Conv2d(config.pyramid, 1, 1) for _ in config.dims)
+        self.trust = nn.Linear(config.pyramid, 1) if self._with_objects else None
+        self.damping = nn.ModuleList(Damping() for _ in config.strides)
+        keep_variance(self)
+
+    def forward(self, image: Tensor, labels: Tensor | None = None) -> list[Level]:
+        """Features, not normalised, and confidences in 0..1, from coarse to fine.
+
+        Args:
+            image: (B, 3, H, W) RGB in 0..1; H and W at least 16.
+            labels: (B, _, _) int64 label maps of any size that cover the picture, see
+                ``objconnect.segmentation``; None to segment it as configured.
+
+        Returns:
+            Per level (B, C, h, w) and (B, 1, h, w). Cells are ``stride`` pixels from the top left
+            corner on; what an image has beyond a multiple of 16 pixels is cut off.
+
+        Raises:
+            InputError: the configuration expects label maps, and there are none.
+        """
+        return self.describe(image, labels)[0]
+
+    def objects(self, image: Tensor, labels: Tensor | None = None) -> Objects:
+        """The objects of pictures, on the finest level that has objects.
+
+        Args:
+            image: as of ``forward``.
+            labels: likewise.
+
+        Raises:
+            InputError: the network was made without objects, or label maps are missing.
+        """
+        objects = self.describe(image, labels)[1]
+        if objects is None:
+            raise InputError("this network was trained without objects: it has no centres")
+        return objects
+
+    def describe(
+        self, image: Tensor, labels: Tensor | None = None
+    ) -> tuple[list[Level], Objects | None]:
+        """What ``forward`` gives and what ``objects`` does, None without objects, at once."""
+        if not self._with_objects:
+            labels = None
+        elif labels is None:
+            labels = segment(image, self.config)
+        levels, objects = [], None
+        for number, maps in enumerate(self.pyramid(encode(self.encoder, image))):
+            if labels is not None and number < self._with_objects:
+                stride = self.config.strides[number]
+                here = at_level(labels, image, maps, stride)
+                found = occupancy(here, self.config.segments)
+                maps = self.objects_of[number](maps, found)
+                if number == self._with_objects - 1:
+                    objects = self._as_points(maps, found, stride)
+            trust = torch.sigmoid(self.confidence[number](maps))
+            levels.append((self.features[number](maps), trust))
+        return levels, objects
+
+    def _as_points(self, maps: Tensor, found: Occupancy, stride: int) -> Objects:
+        """The set V: o_i, the features O at the centres c_i."""
+        assert self.trust is not None
+        cells = centres(found)
+        vectors = sample(maps, cells)
+        # The head judges the features; it must not bend them.
+        confidence = torch.sigmoid(self.trust(vectors.detach()).float())[..., 0]
+        return Objects(cells * stride, vectors, confidence, found.present)
+
+
+def read_network(path: Path) -> tuple[ObjConnectNet, str]:
+    """The network in a file of weights, ready for use, and the file's digest.
+
+    Raises:
+        InputError: there is no such file, or it is damaged or not of this network.
+    """
+    weights = read_weights(path)
+    if _OURS not in weights.config:
+        raise InputError(f"{path} holds no weights of objconnect")
+    network = ObjConnectNet(load_config(ObjConnectNetConfig, None, weights.config))
+    load_into(network, weights.tensors, path)
+    return network.eval(), weights.sha256
+
+
+def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
+    """A network that goes on from weights, to be trained.
+
+    Args:
+        path: weights of this network, of which everything is taken that the settings leave, or of
+            PixLoc's, of which the encoder is.
+        settings: of ``ObjConnectNetConfig``; they win over those of the file.
+
+    Raises:
+        InputError: there is no such file, or nothing in it fits.
+    """
+    weights = read_weights(path)
+    tensors, config = weights.tensors, weights.config
+    if _OURS not in config:
+        peer, _ = pixloc.read_network(path)
+        if peer.config.extra_convolutions:
+            raise InputError(f"{path} is of a VGG19: the encoder here is a VGG16")
+        tensors = {k: v for k, v in peer.state_dict().items() if k.startswith(_ENCODER)}
+        config = {"width": peer.config.width}
+    network = ObjConnectNet(load_config(ObjConnectNetConfig, None, {**config, **settings}))
+    own = network.state_dict()
+    taken = {name: tensor for name, tensor in tensors.items() if name in own}
+    fresh = {name: tensor for name, tensor in own.items() if not name.startswith(_ENCODER)}
+    load_into(network, fresh | taken, path)
+    return network

@@ -1,0 +1,160 @@
+"""Objects of a picture: which segment each pixel belongs to. No gradient passes here."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from skimage.segmentation import felzenszwalb, slic
+from torch import Tensor
+from torch.nn import functional
+
+from objconnect.config import ObjConnectNetConfig
+from scene.errors import InputError
+
+NOTHING: Final = -1
+"""The label of pixels that belong to no object."""
+
+# Segments are looked for in the picture at half its size, and no larger than this, which is still
+# finer than the levels of a photograph of 512 pixels that have objects. At 256, SLIC takes twice
+# the time.
+_LONG_SIDE: Final = 192
+# SLIC has settled by then: ten iterations take twice the time.
+_ITERATIONS: Final = 5
+_COMPACTNESS: Final = 10.0
+# Felzenszwalb and Huttenlocher's k, for colours in 0..1; segments grow with it.
+_SCALE: Final = 100.0
+_BLUR: Final = 0.8
+
+Labels = NDArray[np.int64]
+Picture = NDArray[np.float32]
+
+
+def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
+    """S of equation (1): the segments of each picture.
+
+    Args:
+        images: (B, 3, H, W) RGB in 0..1.
+        config: ``segmentation``, ``segments`` and ``segment_side`` of it.
+
+    Returns:
+        (B, h, w) int64 on the device of the images, at most 192 cells a side and each standing for
+        an equal part of the picture; labels are 0 to N - 1, or ``NOTHING``.
+
+    Raises:
+        InputError: the configuration expects label maps to be given, or wants none.
+    """
+    if config.segmentation in ("given", "none"):
+        raise InputError(
+            f"segmentation is '{config.segmentation}': give label maps, or choose slic, "
+            "felzenszwalb or grid"
+        )
+    height, width = images.shape[-2:]
+    size = reduced_size(height, width)
+    count = min(config.segments, max(1, round(height * width / config.segment_side**2)))
+    if config.segmentation == "grid":
+        return _squares(*size, count).to(images.device).expand(len(images), -1, -1)
+    find = _slic if config.segmentation == "slic" else _felzenszwalb
+    small = functional.interpolate(images.detach().float(), size, mode="area")
+    pictures = small.permute(0, 2, 3, 1).cpu().numpy()
+
+    def one(picture: Picture) -> Labels:
+        return keep_largest(find(picture, count), count)
+
+    # A segmentation is one thread's work, and most of it lets others run.
+    labels = list(_pool().map(one, pictures))
+    return torch.from_numpy(np.stack(labels)).to(images.device)
+
+
+def reduced_size(height: int, width: int) -> tuple[int, int]:
+    """Height and width at which a picture is segmented."""
+    factor = min(0.5, _LONG_SIDE / max(height, width))
+    return max(1, round(height * factor)), max(1, round(width * factor))
+
+
+def keep_largest(labels: Labels, count: int) -> Labels:
+    """Labels renumbered from 0, by decreasing area; beyond ``count`` they become ``NOTHING``.
+
+    Args:
+        labels: (h, w), negative where there is no object.
+        count: of objects to keep.
+    """
+    found, index, areas = np.unique(labels, return_inverse=True, return_counts=True)
+    order = np.argsort(-np.where(found < 0, 0, areas), kind="stable")
+    number = np.full(len(found), NOTHING)
+    number[order[:count]] = np.arange(min(count, len(found)))
+    number[found < 0] = NOTHING
+    return np.asarray(number[index.reshape(labels.shape)], np.int64)
+
+
+def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tensor:
+    """The label at the centre of each cell of a level, (B, h, w).
+
+    Args:
+        labels: (B, _, _) that cover the picture.
+        image: (..., H, W) the picture.
+        level: (..., h, w) the level, which may end before the picture does.
+        stride: pixels per cell.
+    """
+    rows, columns = (
+        ((torch.arange(cells, device=labels.device) + 0.5) * (stride * size / pixels)).long()
+        for cells, size, pixels in zip(
+            level.shape[-2:], labels.shape[1:], image.shape[-2:], strict=True
+        )
+    )
+    return labels[:, rows[:, None], columns]
+
+
+def at_pixels(labels: Tensor, image: Tensor, xy: Tensor) -> Tensor:
+    """The label under each pixel, (B, P).
+
+    Args:
+        labels: (B, _, _) that cover the picture.
+        image: (..., H, W) the picture.
+        xy: (B, P, 2) pixels; those outside take the border's label.
+    """
+    height, width = labels.shape[1:]
+    column = (xy[..., 0] * (width / image.shape[-1])).long().clamp(0, width - 1)
+    row = (xy[..., 1] * (height / image.shape[-2])).long().clamp(0, height - 1)
+    return labels.flatten(1).gather(1, row * width + column)
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=os.cpu_count() or 1)
+
+
+def _slic(picture: Picture, count: int) -> Labels:
+    """Achanta et al., "SLIC superpixels", PAMI 2012."""
+    found: Callable[..., Labels] = slic
+    return found(
+        picture,
+        n_segments=count,
+        compactness=_COMPACTNESS,
+        max_num_iter=_ITERATIONS,
+        start_label=0,
+        channel_axis=-1,
+    )
+
+
+def _felzenszwalb(picture: Picture, count: int) -> Labels:
+    """Felzenszwalb and Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004."""
+    least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
+    found: Callable[..., Labels] = felzenszwalb
+    return found(picture, scale=_SCALE, sigma=_BLUR, min_size=least, channel_axis=-1)
+
+
+def _squares(height: int, width: int, count: int) -> Tensor:
+    """(1, height, width): at most ``count`` rectangles, as square as they come."""
+    rows = max(1, min(count, math.floor(math.sqrt(count * height / width))))
+    columns = max(1, count // rows)
+    row = torch.arange(height) * rows // height
+    column = torch.arange(width) * columns // width
+    return (row[:, None] * columns + column)[None]

@@ -1,0 +1,34 @@
+"""Plain steps go where PixLoc's own optimizer goes (commit 65a51a7, recorded)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from baselines.align.aligner import align
+from baselines.align.damping import Damping
+from baselines.align.descent import Options
+from scene.pose import Pose
+from tests.baselines.align.official import CASES, ITERATIONS, RECORD, case
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_poses_are_those_of_the_official_optimizer(name: str) -> None:
+    at, record = case(name), np.load(RECORD)
+    damping = []
+    for theta in at.thetas:
+        module = Damping()
+        module.theta.data = theta
+        damping.append(module())
+    start = Pose(at.start.rotation[None], at.start.translation[None])
+    for count in ITERATIONS:
+        options = Options(iterations=count, careful=False, border=4)
+        found = align(at.levels, at.points[None], at.camera.intrinsics(), start, damping, options)
+        assert not found.failed.any()
+        rotation = torch.as_tensor(record[f"{name}/{count}/R"])
+        translation = torch.as_tensor(record[f"{name}/{count}/t"])
+        torch.testing.assert_close(found.pose.rotation[0].float(), rotation, atol=1e-4, rtol=0)
+        torch.testing.assert_close(
+            found.pose.translation[0].float(), translation, atol=1e-4, rtol=0
+        )

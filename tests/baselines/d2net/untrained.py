@@ -1,0 +1,19 @@
+"""Weights of a slim D2-Net that has learned nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from baselines.d2net.network import D2Net, D2NetNetConfig
+from baselines.weights import write_weights
+
+
+def untrained(folder: Path) -> Path:
+    """Write them, always the same."""
+    torch.manual_seed(0)
+    config = D2NetNetConfig(width=0.125)
+    path = folder / "untrained.safetensors"
+    write_weights(path, D2Net(config), config.model_dump(mode="json"))
+    return path

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
+from baselines.registry import create
+from scene.camera import Camera
+from scene.errors import InputError
+from scene.localizer import Estimate, Prior, Query, Status
+from scene.pose import Pose
+from scene.sparse_map import SparseMap
+from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
+from tests.baselines.pixloc.made_map import write_network as network_at
+
+TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
+START = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
+STAGES = {"features", "retrieval", "points", "alignment"}
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return network_at(tmp_path_factory.mktemp("weights") / "pixloc.safetensors")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[SparseMap, Path]:
+    images = tmp_path_factory.mktemp("map") / "images"
+    return write_map(images), images
+
+
+@pytest.fixture(scope="module")
+def localizer(weights: Path, made: tuple[SparseMap, Path]) -> PixlocLocalizer:
+    localizer = PixlocLocalizer(PixlocConfig(weights=weights))
+    localizer.prepare(*made)
+    return localizer
+
+
+def prior(pose: Pose, attitude: bool = True) -> Prior:
+    rotation = pose.rotation.numpy() if attitude else None
+    return Prior(pose.centre().numpy(), None, rotation, None)
+
+
+QUERY = Query("query.png", photograph(TRUTH), CAMERA, prior(START))
+
+
+def errors(estimate: Estimate) -> tuple[float, float]:
+    assert estimate.cam_from_world is not None
+    metres, degrees = estimate.cam_from_world.error_to(TRUTH)
+    return float(metres), float(degrees)
+
+
+def assert_fell_back(estimate: Estimate, pose: Pose, reason: str) -> None:
+    assert estimate.status is Status.FALLBACK
+    assert reason in estimate.reason
+    assert estimate.cam_from_world is not None
+    np.testing.assert_allclose(estimate.cam_from_world.matrix(), pose.matrix(), atol=1e-9)
+
+
+def test_finds_the_pose(localizer: PixlocLocalizer) -> None:
+    estimate = localizer.localize(QUERY)
+    assert estimate.status is Status.OK, estimate.reason
+    metres, degrees = errors(estimate)
+    assert metres < 0.1 and degrees < 0.25
+    assert set(estimate.seconds) == STAGES
+    assert 100 < estimate.inliers <= localizer.config.points
+    assert estimate.iterations > 3
+    sigma = estimate.sigma_position()
+    assert sigma is not None and 0 < sigma < 1
+
+
+def test_attitude_of_the_nearest_photograph(localizer: PixlocLocalizer) -> None:
+    pose = looking_down(9.0, -0.2)  # the photographs look straight down
+    metres, degrees = errors(localizer.localize(replace(QUERY, prior=prior(pose, attitude=False))))
+    assert metres < 0.1 and degrees < 0.25
+
+
+def test_without_prior(localizer: PixlocLocalizer) -> None:
+    """Photographs of the map find themselves among its photographs: these start at the truth."""
+    for number in range(5):
+        truth = looking_down(6.0 * number, 0.5 * (number % 2))
+        estimate = localizer.localize(Query("q", photograph(truth), CAMERA))
+        assert estimate.status is Status.OK, estimate.reason
+        assert estimate.cam_from_world is not None
+        metres, degrees = estimate.cam_from_world.error_to(truth)
+        assert metres < 0.5 and degrees < 1
+
+
+def test_references_of_the_query(localizer: PixlocLocalizer) -> None:
+    estimate = localizer.localize(replace(QUERY, references=("1.png", "2.png")))
+    assert errors(estimate)[0] < 0.1
+    # The other end of the map shows little of what the query shows.
+    assert errors(localizer.localize(replace(QUERY, references=("4.png",))))[0] > 1
+    with pytest.raises(InputError, match="no photograph 9.png"):
+        localizer.localize(replace(QUERY, references=("9.png",)))
+
+
+def test_many_starts_reach_further(weights: Path, made: tuple[SparseMap, Path]) -> None:
+    far = replace(QUERY, prior=prior(looking_down(15.0, 3.6, (7.0, -6.0, 10.0))))
+    found = {}
+    for many in (False, True):
+        localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=many))
+        localizer.prepare(*made)
+        found[many] = errors(localizer.localize(far))[0]
+    assert found[False] > 1
+    assert found[True] < 0.2
+
+
+@pytest.mark.parametrize("offset", [(1000.0, 0, 0), (0, 0, -60.0)], ids=["aside", "below"])
+def test_prior_far_off(localizer: PixlocLocalizer, offset: tuple[float, float, float]) -> None:
+    rotation = START.rotation
+    pose = Pose(rotation, -rotation @ (START.centre() + START.centre().new_tensor(offset)))
+    assert_fell_back(localizer.localize(replace(QUERY, prior=prior(pose))), pose, "too few points")
+
+
+def test_images_nobody_can_localize(localizer: PixlocLocalizer) -> None:
+    nan = np.full((192, 256, 3), np.nan)
+    small = Camera("PINHOLE", 15, 40, (20.0, 20.0, 7.0, 20.0))
+    for query in (
+        replace(QUERY, image=nan),  # type: ignore[arg-type]
+        replace(QUERY, image=QUERY.image[:100]),
+        replace(QUERY, image=np.zeros((40, 15, 3), np.uint8), camera=small),
+        replace(QUERY, prior=Prior(np.array([np.nan, 0, 0]))),
+    ):
+        estimate = localizer.localize(query)
+        assert estimate.status is Status.FAILED
+        assert estimate.reason and estimate.cam_from_world is None
+
+
+def test_blank_image(localizer: PixlocLocalizer) -> None:
+    """Whatever comes of it, it is a finite pose."""
+    estimate = localizer.localize(replace(QUERY, image=np.zeros_like(QUERY.image)))
+    assert estimate.cam_from_world is not None
+    assert np.isfinite(estimate.cam_from_world.matrix()).all()
+
+
+@pytest.mark.parametrize("kept", [0, 1])
+def test_map_of_a_point_or_none(
+    weights: Path, made: tuple[SparseMap, Path], tmp_path: Path, kept: int
+) -> None:
+    sparse_map, images = made
+    few = {
+        name: replace(image, point_rows=np.full_like(image.point_rows, -1))
+        for name, image in sparse_map.images.items()
+    }
+    if kept:
+        first = sparse_map.images["1.png"]
+        rows = np.full_like(first.point_rows, -1)
+        rows[len(rows) // 2] = first.point_rows[len(rows) // 2]
+        few["1.png"] = replace(first, point_rows=rows)
+    localizer = PixlocLocalizer(PixlocConfig(weights=weights))
+    localizer.prepare(replace(sparse_map, images=few), images, tmp_path)
+    assert_fell_back(localizer.localize(QUERY), START, "too few points")
+    without = localizer.localize(replace(QUERY, prior=None))
+    assert without.status is Status.FALLBACK
+
+
+def test_sizes_that_are_no_multiples(weights: Path, made: tuple[SparseMap, Path]) -> None:
+    """Resized by two factors that differ, and cut by the network: pixels still mean the same."""
+    sparse_map, images = made
+    odd = Camera("PINHOLE", 250, 187, (220.0, 224.0, 123.0, 95.5))
+    query = replace(QUERY, image=photograph(TRUTH, odd), camera=odd)
+    localizer = PixlocLocalizer(PixlocConfig(weights=weights, longest=171))
+    localizer.prepare(sparse_map, images)
+    metres, degrees = errors(localizer.localize(query))
+    assert metres < 0.2 and degrees < 0.6
+
+
+def test_no_weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("baselines.pixloc.localizer.SHIPPED", tmp_path)
+    with pytest.raises(InputError, match="train them .* or name a file"):
+        create("pixloc", {})
+    with pytest.raises(InputError, match="no weights at"):
+        create("pixloc", {"weights": str(tmp_path / "none.tar")})

@@ -1,0 +1,80 @@
+"""The network is the authors', and takes their weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from baselines.pixloc.network import PixlocNet, PixlocNetConfig, read_network
+from baselines.weights import write_weights
+from scene.config import load_config
+from scene.errors import InputError
+from tests.baselines.pixloc import official
+
+TOLERANCE = 1e-4
+
+
+@pytest.mark.parametrize("extra", [0, 1], ids=["vgg16", "vgg19"])
+def test_equals_the_authors(extra: int) -> None:
+    network = official.ours(extra)
+    recorded = np.load(official.RECORDED)
+    for height, width in official.SIZES:
+        with torch.no_grad():
+            levels = network(official.picture(height, width))
+        assert len(levels) == 3
+        for level, pair in enumerate(levels):
+            for kind, values in zip(("feature_maps", "confidences"), pair, strict=True):
+                name = f"vgg{16 + 3 * extra}/{height}x{width}/{kind}/{level}"
+                assert values.shape == tuple(recorded[f"{name}/shape"])
+                np.testing.assert_allclose(
+                    official.sampled(values), recorded[name], rtol=0, atol=TOLERANCE
+                )
+
+
+def test_damping_of_the_authors() -> None:
+    network = official.ours()
+    theirs = official.tensors()
+    # Their level 0 is the finest, their tangent is translation then rotation.
+    for ours, level in zip(network.damping, (2, 1, 0), strict=True):
+        const = theirs[f"optimizer.{level}.dampingnet.const"]
+        torch.testing.assert_close(ours.theta.data, torch.cat([const[3:], const[:3]]))
+
+
+def test_written_weights_come_back(tmp_path: Path) -> None:
+    config = PixlocNetConfig(width=0.125, strides=(16, 4, 2), dims=(24, 16, 8))
+    network = PixlocNet(config).eval()
+    path = tmp_path / "pixloc.safetensors"
+    write_weights(path, network, config.model_dump())
+    again, digest = read_network(path)
+    assert again.config == config and len(digest) == 64
+    image = official.picture(48, 64)
+    with torch.no_grad():
+        for (a, u), (b, v), stride, dim in zip(
+            network(image), again(image), config.strides, config.dims, strict=True
+        ):
+            assert a.shape == (1, dim, 48 // stride, 64 // stride)
+            assert torch.equal(a, b) and torch.equal(u, v)
+
+
+def test_bad_weights(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no weights at"):
+        read_network(tmp_path / "none.tar")
+    lacking = dict(official.tensors())
+    del lacking["optimizer.1.dampingnet.const"], lacking["extractor.uncertainty.0.0.bias"]
+    torch.save({"model": lacking}, tmp_path / "lacking.tar")
+    with pytest.raises(InputError, match=r"lacking.tar"):
+        read_network(tmp_path / "lacking.tar")
+    torch.save({"model": {"extractor.encoder.0.0.weight": torch.zeros(3)}}, tmp_path / "a.tar")
+    with pytest.raises(InputError, match=r"a.tar"):
+        read_network(tmp_path / "a.tar")
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"strides": (16, 3)}, {"strides": (4, 16, 1)}, {"dims": (8,)}, {"width": 0}]
+)
+def test_bad_configuration(wrong: dict[str, object]) -> None:
+    with pytest.raises(InputError):
+        load_config(PixlocNetConfig, None, wrong)

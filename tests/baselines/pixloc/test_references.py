@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from baselines.pixloc.maps import MapExtractor
+from baselines.pixloc.network import read_network
+from baselines.pixloc.references import ReferenceFeatures, observe, references, spread
+from scene.errors import InputError
+from scene.images import read_rgb
+from scene.sparse_map import SparseMap
+from tests.baselines.pixloc.made_map import write_map, write_network
+
+BORDER = 2.0
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[SparseMap, Path]:
+    images = tmp_path_factory.mktemp("map") / "images"
+    return write_map(images), images
+
+
+@pytest.fixture(scope="module")
+def extract(tmp_path_factory: pytest.TempPathFactory) -> MapExtractor:
+    path = write_network(tmp_path_factory.mktemp("weights") / "pixloc.safetensors")
+    return MapExtractor(read_network(path)[0], 1024, "float32")
+
+
+def read(
+    made: tuple[SparseMap, Path], extract: MapExtractor, cache: Path, memory: int = 2**30
+) -> ReferenceFeatures:
+    return references(*made, extract, 100, BORDER, "key", cache, memory)
+
+
+def test_beginnings_cover_the_picture() -> None:
+    rng = np.random.default_rng(0)
+    # Nearly all points in one corner.
+    xy = np.concatenate([rng.uniform(0, 0.06, (900, 2)), rng.uniform(0, 1, (100, 2))])
+    worth = rng.integers(3, 9, 1000)
+    order = spread(xy, worth)
+    assert sorted(order) == list(range(1000))
+    cells = (xy * 16).astype(int) @ [1, 16]
+    taken = len(np.unique(cells))
+    assert len(np.unique(cells[order[:taken]])) == taken
+    for row in order[:taken]:
+        assert worth[row] == worth[cells == cells[row]].max()
+
+
+def test_observed_as_the_network_sees_them(
+    made: tuple[SparseMap, Path], extract: MapExtractor
+) -> None:
+    sparse_map, images = made
+    image = sparse_map.images["2.png"]
+    maps = extract(read_rgb(images / "2.png"))
+    seen = observe(maps, image, sparse_map, 60, BORDER)
+    assert len(seen.rows) == 60 == len(np.unique(seen.rows))
+    assert (sparse_map.track_length[seen.rows] >= 3).all()
+    xy = image.camera.project(image.pose.transform(torch.from_numpy(sparse_map.xyz[seen.rows]))).xy
+    for level, stride in enumerate((16, 4, 1)):
+        map_ = maps[level]
+        place = 2 * xy.float() / torch.tensor([256.0, 192.0]) - 1
+        cells = xy / stride - 0.5
+        assert (cells >= BORDER).all() and (cells[:, 0] <= 256 / stride - 1 - BORDER).all()
+        there = torch.nn.functional.grid_sample(
+            map_.features, place[None, None], align_corners=False
+        )
+        unit = torch.nn.functional.normalize(there[0, :, 0].T, dim=-1)
+        np.testing.assert_allclose(seen.features[level], unit, atol=1e-3)
+        assert np.linalg.norm(seen.features[level].astype(float), axis=1) == pytest.approx(
+            1, abs=1e-3
+        )
+    assert seen.confidence.shape == (60, 3)
+    assert seen.confidence.min() > 0 and seen.confidence.max() < 1
+
+
+def test_kept_on_disk_and_bounded_in_memory(
+    made: tuple[SparseMap, Path],
+    extract: MapExtractor,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = read(made, extract, tmp_path)
+    monkeypatch.setattr(MapExtractor, "__call__", None)  # the network is not asked again
+    one = first[0].nbytes
+    again = read(made, extract, tmp_path, memory=2 * one + one // 2)
+    assert len(again) == 5
+    for row in (0, 1, 2, 3, 4, 0, 4, 2):
+        for ours, theirs in zip(again[row].features, first[row].features, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(again[row].rows, first[row].rows)
+        assert sum(held.nbytes for held in again._held.values()) <= 2 * one + one // 2
+    assert len(again._held) == 2
+    assert again[2] is again[2]
+    # 100 points of 112 channels and 3 confidences in half precision, and their rows.
+    assert one == 100 * (2 * (112 + 3) + 8)
+
+
+def test_other_inputs_are_other_files(
+    made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path
+) -> None:
+    read(made, extract, tmp_path)
+    sparse_map, images = made
+    moved = replace(sparse_map, xyz=sparse_map.xyz + 0.01)
+    references(moved, images, extract, 100, BORDER, "key", tmp_path, 2**30)
+    references(sparse_map, images, extract, 100, BORDER, "other", tmp_path, 2**30)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_damaged_cache(made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path) -> None:
+    read(made, extract, tmp_path)
+    (path,) = tmp_path.iterdir()
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(InputError, match="delete it"):
+        read(made, extract, tmp_path)
+
+
+def test_missing_photograph(
+    made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        references(made[0], tmp_path, extract, 100, BORDER, "key", tmp_path, 2**30)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from baselines.pixloc.training import PixlocTraining
+from baselines.training.command import CARD, train
+from baselines.training.config import TrainConfig
+from baselines.training.loop import LOG, WEIGHTS
+from baselines.training.pairs import PairBatch
+from baselines.weights import read_weights
+from objconnect.registry import TRAINABLE, trainable
+from scene.bundle import Scene
+from scene.errors import InputError
+
+ROOT = Path(__file__).parents[3]
+TINY = TrainConfig(
+    steps=6,
+    batch=2,
+    crop=96,
+    points=64,
+    width=0.05,
+    rise=2,
+    workers=0,
+    save_every=2,
+    validate_every=3,
+    warm_up=0.5,
+)
+
+
+class Killed(BaseException):
+    """Stands for a signal that no handler catches."""
+
+
+class KilledAt(PixlocTraining):
+    """Dies in the middle of a step."""
+
+    def __init__(self, config: TrainConfig, step: int) -> None:
+        super().__init__(config)
+        self._last = step / config.steps
+
+    def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
+        if progress >= self._last:
+            raise Killed
+        return super().loss(batch, progress)
+
+
+@pytest.mark.parametrize("method", TRAINABLE)
+def test_every_method_learns_and_leaves_weights_curves_and_a_card(
+    method: str, rendered: Scene, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    weights = train(method, trainable(method), [rendered.path], out, TINY, [rendered.path])
+    assert weights == out / WEIGHTS
+    found = read_weights(weights)
+    assert found.config["width"] == TINY.width
+    assert all(bool(torch.isfinite(tensor).all()) for tensor in found.tensors.values())
+    untrained = trainable(method)(TINY).network.state_dict()
+    assert any(not torch.equal(found.tensors[name], untrained[name]) for name in untrained)
+    rows = [json.loads(line) for line in (out / LOG).read_text().splitlines()]
+    assert sum(any(key.startswith("val/") for key in row) for row in rows) == 2
+    assert (out / "curves.png").stat().st_size > 5000
+    assert found.sha256 in (out / CARD).read_text()
+
+
+def test_a_killed_run_resumes_to_the_same_weights(rendered: Scene, tmp_path: Path) -> None:
+    whole = train("pixloc", PixlocTraining, [rendered.path], tmp_path / "whole", TINY)
+    broken = tmp_path / "broken"
+    with pytest.raises(Killed):
+        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], broken, TINY)
+    assert not (broken / WEIGHTS).exists()
+    resumed = train("pixloc", PixlocTraining, [rendered.path], broken, TINY)
+    expected, found = read_weights(whole).tensors, read_weights(resumed).tensors
+    for name, tensor in expected.items():
+        assert torch.allclose(found[name], tensor, atol=1e-5), name
+    steps = [json.loads(line)["step"] for line in (broken / LOG).read_text().splitlines()]
+    assert steps == list(range(TINY.steps))
+
+
+def test_the_folder_of_another_run_is_refused(rendered: Scene, tmp_path: Path) -> None:
+    short = TINY.model_copy(update={"steps": 1})
+    train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)
+    with pytest.raises(InputError, match="another config"):
+        train("pixloc", PixlocTraining, [rendered.path], tmp_path, TINY)
+
+
+def test_a_damaged_checkpoint_is_named(rendered: Scene, tmp_path: Path) -> None:
+    short = TINY.model_copy(update={"steps": 1})
+    train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)
+    (tmp_path / "checkpoint.pt").write_bytes(b"PK\x03\x04 cut short")
+    with pytest.raises(InputError, match=r"checkpoint.pt is damaged .* remove it"):
+        train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)
+
+
+def test_a_method_that_cannot_learn_is_refused() -> None:
+    with pytest.raises(InputError, match="'sift' cannot be trained"):
+        trainable("sift")
+
+
+class _Line(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.slope = nn.Parameter(torch.zeros(1))
+
+
+class _Fit:
+    """The gradient of a process is its rank plus one."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        self.network = _Line()
+        self.network_config = config
+
+    def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
+        from baselines.training.loop import join
+
+        return self.network.slope.sum() * (join().rank + 1.0), {}
+
+    def groups(self, rate: float) -> list[dict[str, Any]]:
+        return [{"params": list(self.network.parameters()), "lr": rate}]
+
+
+@pytest.mark.slow
+def test_processes_share_their_gradients(rendered: Scene, tmp_path: Path) -> None:
+    script = tmp_path / "two.py"
+    script.write_text(
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from baselines.training.command import train\n"
+        "from tests.baselines.training.test_loop import TINY, _Fit\n"
+        "train('line', _Fit, [Path(sys.argv[1])], Path(sys.argv[2]), TINY)\n"
+    )
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    run = [*command, str(script), str(rendered.path), str(tmp_path / "run")]
+    subprocess.run(
+        run, check=True, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=300
+    )
+    rows = (tmp_path / "run" / LOG).read_text().splitlines()
+    # The mean of one and two.
+    assert json.loads(rows[-1])["norm"] == pytest.approx(1.5)
