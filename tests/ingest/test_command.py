@@ -292,17 +292,14 @@ def test_no_gps_no_scene(photographs: Path, tmp_path: Path) -> None:
 
 
 def test_a_table_of_positions_does_as_well(photographs: Path, beach: Path, tmp_path: Path) -> None:
-    folder = few(photographs, tmp_path / "photos", 4)
+    folder = few(photographs, tmp_path / "photos", 6)
     for path in folder.iterdir():
         set_gps(path, None)
-    out = tmp_path / "scene"
-    arguments = ["ingest", str(folder), "--out", str(out), "--gps", str(beach / "gps.csv")]
-    answer = CliRunner().invoke(app, [*arguments, "--size", "400"])
+    camera = "SIMPLE_RADIAL 1024 576 597 512 288 0.0038"
+    arguments = ["ingest", str(folder), "--out", str(tmp_path / "scene"), "--camera", camera]
+    answer = CliRunner().invoke(app, [*arguments, "--gps", str(beach / "gps.csv")])
     assert answer.exit_code == 0, answer.stderr
-    assert "GPS residuals of 4 photographs" in answer.stdout
-    # Without the calibration of their EXIF; and so the scene says what it was placed by.
-    with pytest.raises(InputError, match="holds a scene of other photographs or options"):
-        run(folder, out, size=400, camera=Camera("SIMPLE_PINHOLE", 400, 225, (233, 200, 112.5)))
+    assert "GPS residuals of 6 photographs" in answer.stdout
 
 
 def test_two_runs_do_not_write_one_scene(photographs: Path, tmp_path: Path) -> None:
