@@ -24,7 +24,7 @@ _RELIEF = 0.25
 # that are turned about tell them apart: the mean of their unit vectors to the right is shorter.
 _ONE_WAY = 0.8
 # It stays in the middle where the pixels agree as well with that: GPS errors would move it.
-_BETTER = 0.995
+_BETTER = 0.998
 # Standard deviation of an altitude that is not one, metres.
 _NO_ALTITUDE = 1e4
 # Centres move with the lag, and velocities with them, by a few per cent.
