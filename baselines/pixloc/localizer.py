@@ -52,8 +52,8 @@ class PixlocConfig(Config):
     """
 
     weights: Path | None = None
-    references: int = Field(3, ge=1)
-    points: int = Field(512, ge=10)
+    references: int = Field(5, ge=1)
+    points: int = Field(1024, ge=10)
     longest: int = Field(1024, ge=64)
     iterations: int = Field(100, ge=1)
     multistart: bool = False

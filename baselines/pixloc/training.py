@@ -28,7 +28,7 @@ from scene.pose import Pose
 # The authors' finest level is every pixel. Every other costs a third of it in training, and the
 # precision lost is below that of a map's points.
 _STRIDES: Final = (16, 4, 2)
-_UNROLLED: Final = Options(iterations=6, careful=False)
+_UNROLLED: Final = Options(iterations=8, careful=False)
 # Pixels against nats: at the end both are about one.
 POSE_SHARE: Final = 0.3
 # Damping is one number for all pixels: it needs larger steps than the filters.

@@ -14,8 +14,8 @@ from scene.pose import Pose, so3_exp
 from scene.projection import Intrinsics
 
 # Starts of the alignment: as far from the truth as an aircraft's own belief may be.
-_START_DEG = 7.0
-_START_SHARE_OF_DEPTH = 0.06
+_START_DEG = 10.0
+_START_SHARE_OF_DEPTH = 0.08
 
 
 class Pinhole(NamedTuple):
@@ -154,7 +154,7 @@ def wrong_start(
 ) -> NDArray[np.float64]:
     """A pose near the truth, (4, 4): camera b turned and moved, ``depth`` metres from the ground.
 
-    Turns reach 7 degrees and moves 6 % of the depth; both lengths are uniform, so that small errors
+    Turns reach 10 degrees and moves 8 % of the depth; both lengths are uniform, so that small errors
     are as frequent as large ones.
     """
     turn = _direction(rng) * np.radians(_START_DEG) * rng.uniform()

@@ -54,7 +54,9 @@ def query(folder: Path) -> Query:
 def localizer(folder: Path, sparse_map: SparseMap) -> PixlocLocalizer:
     path, network = folder / "pixloc.safetensors", official.ours()
     write_weights(path, network, network.config.model_dump())
-    localizer = PixlocLocalizer(PixlocConfig(weights=path, iterations=ITERATIONS))
+    localizer = PixlocLocalizer(
+        PixlocConfig(weights=path, iterations=ITERATIONS, references=3, points=512)
+    )
     localizer.prepare(sparse_map, folder / "images", folder)
     return localizer
 

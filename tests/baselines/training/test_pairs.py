@@ -88,8 +88,8 @@ def test_starts_are_wrong_but_near(rendered: Scene) -> None:
         apart = pair.start @ np.linalg.inv(pair.b_from_a)
         degrees = np.degrees(np.arccos(np.clip((np.trace(apart[:3, :3]) - 1) / 2, -1, 1)))
         depth = np.median(pair.points[:, 2])
-        assert 0 < degrees <= 7
-        assert 0 < np.linalg.norm(apart[:3, 3]) <= 0.061 * depth
+        assert 0 < degrees <= 10
+        assert 0 < np.linalg.norm(apart[:3, 3]) <= 0.081 * depth
 
 
 def test_the_same_seed_draws_the_same_pair(rendered: Scene) -> None:
