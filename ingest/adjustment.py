@@ -23,6 +23,8 @@ _RELIEF = 0.25
 # A principal point off the middle looks like cameras that stand beside where they do. Only cameras
 # that are turned about tell them apart: the mean of their unit vectors to the right is shorter.
 _ONE_WAY = 0.8
+# It stays in the middle where the pixels agree as well with that: GPS errors would move it.
+_BETTER = 0.998
 # Standard deviation of an altitude that is not one, metres.
 _NO_ALTITUDE = 1e4
 # Centres move with the lag, and velocities with them, by a few per cent.
@@ -37,7 +39,6 @@ class Adjusted:
         model: in world metres.
         placed: where it was before the adjustment.
         focal: lenses whose focal length was adjusted.
-        principal_point: whether principal points were.
         lag: seconds that fixes are behind the photographs; 0 where nobody knows.
         undone: by name the fixes without the lag, (3,) world metres; empty without one.
     """
@@ -45,7 +46,6 @@ class Adjusted:
     model: SparseMap
     placed: Georegistration
     focal: Collection[str]
-    principal_point: bool
     lag: float
     undone: Mapping[str, Array]
 
@@ -93,19 +93,26 @@ def adjust(
         sigma[2] = _NO_ALTITUDE
     tell = _relief(raw) > _RELIEF
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
-    principal_point = _turn_about(raw, taken)
-    with folder_written_whole(work / "adjusted") as folder:
-        model = adjust_to_positions(
-            model_path,
-            taken,
-            placed.world_from_model,
-            positions,
-            sigma,
-            focal,
-            folder,
-            principal_point=principal_point,
-        )
-    return Adjusted(model, placed, focal, principal_point, lag, {} if used is fixes else used)
+
+    def adjusted(principal_point: bool) -> SparseMap:
+        with folder_written_whole(work / "adjusted") as folder:
+            return adjust_to_positions(
+                model_path,
+                taken,
+                placed.world_from_model,
+                positions,
+                sigma,
+                focal,
+                folder,
+                principal_point=principal_point,
+            )
+
+    model = adjusted(principal_point=False)
+    if _turn_about(raw, taken):
+        off_middle = adjusted(principal_point=True)
+        if off_middle.reprojection_error() < _BETTER * model.reprojection_error():
+            model = off_middle
+    return Adjusted(model, placed, focal, lag, {} if used is fixes else used)
 
 
 def _relief(model: SparseMap) -> float:
