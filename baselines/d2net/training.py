@@ -64,13 +64,13 @@ class D2NetTraining:
             features = self.network(images)
         features = features.float()
         a, b = features.chunk(2)
-        contrast = contrastive(a, b, batch.xy_a / STRIDE, batch.xy_b / STRIDE, batch.valid)
+        inside = _inside(batch.xy_a, batch.image_a) & _inside(batch.xy_b, batch.image_b)
+        valid = batch.valid & inside
+        contrast = contrastive(a, b, batch.xy_a / STRIDE, batch.xy_b / STRIDE, valid)
         figures = {"contrastive": float(contrast.detach())}
         if progress < self._warm_up:
             return contrast, figures
         scores = soft_scores(features)
-        inside = _inside(batch.xy_a, batch.image_a) & _inside(batch.xy_b, batch.image_b)
-        valid = batch.valid & inside
         found = [
             triplet_loss(
                 features[i],

@@ -43,6 +43,8 @@ def contrastive(
         cells_b: (B, N, 2) likewise in b.
         valid: (B, N) bool.
     """
+    # Places of points that do not count may be anything, and lookups at NaN end the process.
+    cells_a, cells_b = (torch.where(valid[..., None], c, 0.5) for c in (cells_a, cells_b))
     points = functional.normalize(sample(features_a, cells_a), dim=-1)
     batch, channels, height, width = features_b.shape
     count = min(_ELSEWHERE, height * width)

@@ -33,7 +33,7 @@ def test_points_that_are_not_valid_do_not_count() -> None:
     torch.manual_seed(0)
     a, b = torch.randn(2, 1, 16, 24, 24).unbind()
     xy, valid = cells(50), torch.arange(50)[None] < 30
-    spoiled = torch.where(valid[..., None], xy, 12.0)
+    spoiled = torch.where(valid[..., None], xy, torch.nan)
     torch.manual_seed(1)
     first = contrastive(a, b, xy, spoiled, valid)
     torch.manual_seed(1)
