@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from baselines.upright import north, upright
 from scene.features import Features, read_features, unit_descriptors, write_features
 from scene.files import sha256_of
 from scene.images import check_photographs, read_rgb
@@ -29,7 +30,8 @@ class Extractor(ABC):
         name: of the kind of feature; also that of its cache.
         options: everything else that decides what is found, in words.
         weights_sha256: digest of learned weights, or None.
-        turned: whether features are found again in a picture turned by any angle.
+        turned: whether features are found again in a picture turned by any angle. If not, those of
+            pictures turned north up are compared.
     """
 
     name: str
@@ -79,16 +81,25 @@ def map_features(
         InputError: a photograph is missing, broken, or not of its camera's size.
     """
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
+    angles = {}
+    if not extractor.turned:
+        angles = {n: north(sparse_map.images[n].cam_from_world[:3, :3]) for n in sparse_map.names}
     path = None
     if cache is not None:
         photographs = [(name, sha256_of(images / name)) for name in sparse_map.names]
-        parts = f"{photographs} {extractor.options} {extractor.weights_sha256}"
+        parts = f"{photographs} {extractor.options} {extractor.weights_sha256} {angles or ''}"
         key = hashlib.sha256(parts.encode()).hexdigest()
         path = cache / f"{extractor.name}-{key[:16]}.h5"
         if path.is_file():
             return read_features(path)
     with progress_bar(f"{extractor.name} map features", len(sparse_map.names)) as advance:
-        features = extractor.of_photographs(images, sparse_map.names, advance)
+        if extractor.turned:
+            features = extractor.of_photographs(images, sparse_map.names, advance)
+        else:
+            features = {}
+            for name, angle in angles.items():
+                features[name] = upright(extractor, read_rgb(images / name), angle)
+                advance(len(features))
     if path is not None:
         write_features(path, features)
     return features

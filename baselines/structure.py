@@ -15,9 +15,11 @@ from pydantic import Field
 from baselines.features import Extractor, map_features
 from baselines.lifting import interpolated_points, observed_points
 from baselines.retrieval import References
+from baselines.upright import north, upright
 from scene.colmap import estimate_absolute_pose
 from scene.config import Config
 from scene.errors import InputError
+from scene.features import Features
 from scene.localizer import Estimate, Query, Status, Stopwatch, fault
 from scene.sparse_map import SparseMap
 
@@ -106,12 +108,10 @@ class StructureLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         with clock.stage("features"):
-            features = self._extractor(query.image)
+            features = self._features(query)
             descriptors = self._extractor.unit(features)
         with clock.stage("retrieval"):
-            references = self._references.choose(
-                query, self.config.references, descriptors.numpy, self._extractor.turned
-            )
+            references = self._references.choose(query, self.config.references, descriptors.numpy)
         with clock.stage("matching"):
             keypoints, rows = self._correspondences(descriptors, references)
         if len(rows) < _MIN_MATCHES:
@@ -139,6 +139,13 @@ class StructureLocalizer:
             inliers=inliers,
             seconds=clock.seconds,
         )
+
+    def _features(self, query: Query) -> Features:
+        """Those of the query, as those of the photographs were taken."""
+        attitude = query.prior.cam_from_world_rotation if query.prior else None
+        if self._extractor.turned or attitude is None:
+            return self._extractor(query.image)
+        return upright(self._extractor, query.image, north(attitude))
 
     def _correspondences(
         self, descriptors: torch.Tensor, references: NDArray[np.int64]
