@@ -7,6 +7,7 @@ from ``prepare`` on, steps that make the cost larger are not taken, and the pose
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -28,11 +29,16 @@ from scene.config import Config
 from scene.errors import InputError
 from scene.localizer import Estimate, Query, Status, Stopwatch, fault
 from scene.pose import Pose
+from scene.projection import Intrinsics
 from scene.sparse_map import SparseMap
 
 # The coarsest level has a cell for so many pixels; an image must have one at least.
 _LEAST_SIDE: Final = 16
 _MEGABYTE: Final = 2**20
+# Poses of pictures of nothing cost 0.98 of chance and more, those of right ones 0.7 to 0.9.
+_BETTER: Final = 0.95
+
+_Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
 
 
 class PixlocConfig(Config):
@@ -135,15 +141,18 @@ class PixlocLocalizer:
             )
             many = self.config.multistart
             found = align_from_many(*problem, Reach()) if many else align(*problem)
+            reason = found.reason(0)
+            if not reason and self._by_chance(problem, found.pose):
+                reason = "the image fits the map's points hardly better than it would by chance"
         seen, iterations = int(found.seen), int(found.iterations)
-        if found.failed:
+        if reason:
             return Estimate(
                 Status.FALLBACK,
                 start,
                 inliers=seen,
                 iterations=iterations,
                 seconds=clock.seconds,
-                reason=found.reason(0),
+                reason=reason,
             )
         covariance = found.covariance[0].numpy()
         return Estimate(
@@ -154,6 +163,20 @@ class PixlocLocalizer:
             iterations=iterations,
             seconds=clock.seconds,
         )
+
+    def _by_chance(self, problem: _Problem, pose: Pose) -> bool:
+        """Whether other points would look as much like the query where these are seen."""
+        levels, points, intrinsics, _, damping, options = problem
+        still = replace(options, iterations=0)
+        judge = len(levels) // 2
+        level, held_back = levels[judge], damping[judge]
+        # Neighbours in the list are of different parts of the picture, and may still look alike.
+        others = torch.roll(level.reference, level.reference.shape[1] // 2, 1)
+        ours, theirs = (
+            align([each], points, intrinsics, pose, [held_back], still).cost
+            for each in (level, replace(level, reference=others))
+        )
+        return not float(ours) < _BETTER * float(theirs)
 
     def _start(self, query: Query, reference: int) -> Pose:
         """The prior; what it does not say is that of the best reference."""

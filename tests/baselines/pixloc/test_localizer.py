@@ -8,13 +8,13 @@ import pytest
 
 from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
 from baselines.registry import create
+from baselines.weights import SHIPPED
 from scene.camera import Camera
 from scene.errors import InputError
 from scene.localizer import Estimate, Prior, Query, Status
 from scene.pose import Pose
 from scene.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
-from tests.baselines.pixloc.made_map import write_network as network_at
 
 TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
 START = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
@@ -22,8 +22,9 @@ STAGES = {"features", "retrieval", "points", "alignment"}
 
 
 @pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return network_at(tmp_path_factory.mktemp("weights") / "pixloc.safetensors")
+def weights() -> Path:
+    """Those shipped: features of an untrained network say more of the picture's edge than of it."""
+    return SHIPPED / "pixloc.safetensors"
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,9 @@ def test_references_of_the_query(localizer: PixlocLocalizer) -> None:
     estimate = localizer.localize(replace(QUERY, references=("1.png", "2.png")))
     assert errors(estimate)[0] < 0.1
     # The other end of the map shows little of what the query shows.
-    assert errors(localizer.localize(replace(QUERY, references=("4.png",))))[0] > 1
+    other = localizer.localize(replace(QUERY, references=("4.png",)))
+    assert errors(other)[0] > 2 * errors(estimate)[0]
+    assert other.inliers < estimate.inliers / 2
     with pytest.raises(InputError, match="no photograph 9.png"):
         localizer.localize(replace(QUERY, references=("9.png",)))
 

@@ -9,6 +9,7 @@ import torch
 from baselines.align.aligner import align
 from baselines.align.descent import Options
 from baselines.align.residuals import Level
+from baselines.align.sampling import sample
 from baselines.pixloc.loss import pose_loss, reprojection_error
 from baselines.pixloc.maps import FeatureMap
 from baselines.pixloc.network import PixlocNet
@@ -34,10 +35,12 @@ def test_pose_between_two_pictures(network: PixlocNet) -> None:
         projected = official.CAMERA.project(pair.points)
         levels = []
         for ours, theirs in zip(query, reference, strict=True):
-            features, confidence, inside = theirs.sample(projected.xy.float(), border=3)
+            xy = projected.xy.float()
+            features, confidence = theirs.sample(xy)
+            _, inside = sample(theirs.confidence, xy[None], theirs.stride, border=3)
             unit = torch.nn.functional.normalize(ours.features, dim=1)
             level = Level(unit, ours.stride, features[None], ours.confidence, confidence[None])
-            levels.append((level, inside))
+            levels.append((level, inside[0]))
         # Each level of theirs uses the points that it sees in the reference.
         start = Pose(torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3).double())
         found = []
