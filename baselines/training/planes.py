@@ -72,7 +72,8 @@ class PlanePairs:
         points = rays * depth[:, None]
         xy_b = camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
         on_ground = (directions * depth[:, None] + ground_from_a[:3, 3])[:, :2] / ground
-        good = ((xy_b > _BORDER) & (xy_b < size - _BORDER)).all(1)
+        both = np.concatenate([xy_a, xy_b], 1)
+        good = ((both > _BORDER) & (both < size - _BORDER)).all(1)
         good &= ((on_ground > 1) & (on_ground < [width - 1, height - 1])).all(1)
         if good.sum() < _SMALLEST:
             return None

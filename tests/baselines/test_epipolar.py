@@ -109,8 +109,8 @@ def test_rendered_queries_are_localized() -> None:
 
 
 def test_queries_of_a_real_flight_are_localized(beach: Path) -> None:
-    dataset = open_datasets(beach)[1]
-    localizer = EpipolarLocalizer(EpipolarConfig(max_features=1000))
+    dataset = open_datasets(beach)[0]
+    localizer = EpipolarLocalizer(EpipolarConfig())
     localizer.prepare(dataset.load_map(), dataset.images)
     for query in dataset.queries[:2]:
         pose = localizer.localize(query.load(query.prior)).cam_from_world

@@ -68,5 +68,8 @@ def test_faulty_packages(install: Install, value: str, message: str) -> None:
 
 def test_unknown_names_are_told_what_there_is(install: Install) -> None:
     install("nearest", "nearest:make")
-    with pytest.raises(InputError, match="unknown method 'oracle'; known: sift, nearest"):
+    with pytest.raises(
+        InputError,
+        match="unknown method 'oracle'; known: sift, orb, akaze, epipolar, d2net, pixloc, nearest",
+    ):
         create("oracle", {})

@@ -75,10 +75,10 @@ def test_rendered_frames_are_cut_where_the_poses_say(rendered: Scene) -> None:
     pairs = [source.draw(generator(seed)) for seed in range(12)]
     for pair in pairs:
         assert_consistent(pair)
-    # Some pairs cross from summer to winter, where colours mean little; half are of one flight day.
-    assert np.median([agreement(pair) for pair in pairs]) > 0.6
+    # Two in three cross from summer to winter, where colours agree less.
     wrong = [agreement(p._replace(xy_b=np.roll(p.xy_b, 7, 0))) for p in pairs]
-    assert np.median(wrong) < 0.3
+    right = [agreement(pair) for pair in pairs]
+    assert np.mean(right) > np.mean(wrong) + 0.25
 
 
 def test_starts_are_wrong_but_near(rendered: Scene) -> None:
