@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from typing import Final, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from baselines.pixloc.network import check_levels
 from scene.config import Config
-
-STRIDES: Final = (16, 8, 4, 2, 1)
 
 
 class ObjConnectNetConfig(Config):
@@ -43,12 +41,7 @@ class ObjConnectNetConfig(Config):
 
     @model_validator(mode="after")
     def _levels(self) -> Self:
-        if any(stride not in STRIDES for stride in self.strides):
-            raise ValueError(f"strides must be of {STRIDES}")
-        if any(fine >= coarse for coarse, fine in pairwise(self.strides)):
-            raise ValueError("strides must become finer")
-        if len(self.dims) != len(self.strides) or min(self.dims) < 1:
-            raise ValueError("dims must give one number of channels per stride")
+        check_levels(self.strides, self.dims)
         blocks = self.attention or self.object_graph or self.scene_graph
         if self.segmentation == "none" and blocks:
             raise ValueError(

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from torch import Tensor, nn
 from torch.nn import functional
 
+from baselines.pixloc.network import STRIDES
 from baselines.vgg import channels
-from objconnect.config import STRIDES
 
 
 class FeaturePyramid(nn.Module):

@@ -7,7 +7,7 @@ their weights.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, Self
@@ -23,7 +23,17 @@ from baselines.weights import load_into, read_weights
 from scene.config import Config, describe
 from scene.errors import InputError
 
-_STRIDES: Final = (16, 8, 4, 2, 1)
+STRIDES: Final = (16, 8, 4, 2, 1)
+
+
+def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
+    """ValueError: no network on VGG16 has such levels. For validators of configurations."""
+    if any(stride not in STRIDES for stride in strides):
+        raise ValueError(f"strides must be of {STRIDES}")
+    if any(fine >= coarse for coarse, fine in pairwise(strides)):
+        raise ValueError("strides must become finer")
+    if len(dims) != len(strides) or min(dims) < 1:
+        raise ValueError("dims must give one number of channels per stride")
 
 
 class PixlocNetConfig(Config):
@@ -45,12 +55,7 @@ class PixlocNetConfig(Config):
 
     @model_validator(mode="after")
     def _levels(self) -> Self:
-        if any(stride not in _STRIDES for stride in self.strides):
-            raise ValueError(f"strides must be of {_STRIDES}")
-        if any(fine >= coarse for coarse, fine in pairwise(self.strides)):
-            raise ValueError("strides must become finer")
-        if len(self.dims) != len(self.strides) or min(self.dims) < 1:
-            raise ValueError("dims must give one number of channels per stride")
+        check_levels(self.strides, self.dims)
         return self
 
 
@@ -67,7 +72,7 @@ class PixlocNet(nn.Module):
         self.config = config
         self.encoder = vgg16_encoder(config.width, config.extra_convolutions)
         skips = channels(config.width)[::-1]
-        steps = _STRIDES.index(config.strides[-1])
+        steps = STRIDES.index(config.strides[-1])
         sizes = [skips[0], *config.decoder[:steps]]
         self.decoder = nn.ModuleList(
             nn.Sequential(
@@ -77,7 +82,7 @@ class PixlocNet(nn.Module):
             )
             for (before, after), skip in zip(pairwise(sizes), skips[1:], strict=False)
         )
-        self._steps = [_STRIDES.index(stride) for stride in config.strides]
+        self._steps = [STRIDES.index(stride) for stride in config.strides]
         inputs = [sizes[step] for step in self._steps]
         self.features = nn.ModuleList(
             nn.Conv2d(size, dim, 1) for size, dim in zip(inputs, config.dims, strict=True)
