@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.retrieval import VladIndex, nearest_by_position
+from baselines.retrieval import VladIndex, nearest_by_position, nearest_by_view
+from scene.camera import Camera
+from scene.sparse_map import MapImage, SparseMap
 
 
 def unit(x: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -82,3 +84,29 @@ def test_nearest_by_position_ignores_altitude() -> None:
 
 def test_nearest_by_position_of_a_small_map() -> None:
     assert nearest_by_position(np.zeros((2, 3)), np.ones(3), 5).tolist() == [0, 1]
+
+
+def test_photographs_turned_and_aimed_like_the_query_come_first() -> None:
+    """Cameras 80 m over level ground: beside, turned by half a turn, and aimed ahead."""
+
+    def looking(east: float, heading: float, tilt: float = 0.0) -> NDArray[np.float64]:
+        c, s = np.cos(heading), np.sin(heading)
+        turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        c, s = np.cos(tilt), np.sin(tilt)
+        lean = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+        pose = np.eye(4)
+        pose[:3, :3] = lean @ np.diag([1.0, -1.0, -1.0]) @ turn
+        pose[:3, 3] = -pose[:3, :3] @ [east, 0, 80]
+        return pose
+
+    camera = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
+    nothing, none = np.zeros((0, 2)), np.zeros(0, np.int64)
+    poses = {"a": looking(0, np.pi), "b": looking(25, 0.1), "c": looking(90, 0), "d": looking(2, 2)}
+    images = {n: MapImage(n, camera, pose, nothing, none) for n, pose in poses.items()}
+    ground = np.random.default_rng(0).uniform(-200, 200, (300, 3)) * [1, 1, 0]
+    count = len(ground)
+    sparse_map = SparseMap(
+        images, ground, np.zeros((count, 3), np.uint8), np.zeros(count), np.full(count, 3)
+    )
+    found = nearest_by_view(sparse_map, np.array([0.0, 0, 80]), looking(0, 0)[:3, :3], 4)
+    assert [sparse_map.names[row] for row in found] == ["b", "c", "d", "a"]
