@@ -17,14 +17,19 @@ from scene.features import Features
 
 # Keypoints this near (px) to the edge of the picture see what is not there.
 _MARGIN: Final = 8.0
+# Sine of the steepest view, downwards, that still counts as one along the ground.
+_LEVEL: Final = -0.5
 
 
 def north(cam_from_world: NDArray[np.float64]) -> float:
     """Clockwise angle (rad) from the picture's up to the ground's north, of a rotation (3, 3).
 
-    Of a view straight along north it is that of the sky, which is up as well.
+    Of a view straight along north it is that of the sky, which is up as well. Of views within 30
+    degrees of the horizon, as from a street, it is the sky's wherever they look.
     """
-    east_axis, north_axis = cam_from_world[:, 0], cam_from_world[:, 1]
+    east_axis, north_axis, up_axis = cam_from_world.T
+    if up_axis[2] > _LEVEL:
+        return float(np.arctan2(up_axis[0], -up_axis[1]))
     # The picture plane turned about its axis so that east comes right and north up, as well as can.
     return float(np.arctan2(north_axis[0] + east_axis[1], east_axis[0] - north_axis[1]))
 
