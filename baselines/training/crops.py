@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.training.pairs import Pinhole
+from baselines.views import resampled, turned_by
 
 
 class Crop(NamedTuple):
@@ -48,23 +48,11 @@ def crop(
         size: S.
         angle: counter-clockwise, radians.
     """
-    height, width = image.shape[:2]
-    resized = np.maximum(np.round(np.array([width, height]) * scale), 1).astype(int)
-    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    small = cv2.resize(image, resized.tolist(), interpolation=how)
-    exact = resized / [width, height]
-    turn = turned_by(angle)[:2, :2]
-    shift = size / 2 - turn @ (centre * exact)
-    # Pixels counted from the edge, as ours; OpenCV counts from the first centre.
-    affine = np.column_stack([turn, shift + turn @ [0.5, 0.5] - 0.5])
-    cut = cv2.warpAffine(small, affine, (size, size), flags=cv2.INTER_LINEAR)
-    seen_by = Pinhole(camera.focal * scale, turn @ (camera.principal * exact) + shift)
+    turn = turned_by(angle)
+    linear = scale * turn[:2, :2]
+    affine = np.column_stack([linear, size / 2 - linear @ centre])
+    cut = resampled(image, affine, np.array([size, size]))
+    seen_by = Pinhole(camera.focal * scale, linear @ camera.principal + affine[:, 2])
     crop_from_camera = np.eye(4)
-    crop_from_camera[:3, :3] = turned_by(angle)
-    return Crop(np.asarray(cut, np.uint8), seen_by, crop_from_camera)
-
-
-def turned_by(angle: float) -> NDArray[np.float64]:
-    """Rotation (3, 3) of camera coordinates when the picture turns counter-clockwise (rad)."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+    crop_from_camera[:3, :3] = turn
+    return Crop(cut, seen_by, crop_from_camera)

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.training.augment import photometric
-from baselines.training.crops import crop, turned_by
+from baselines.training.crops import crop
 from baselines.training.keypoints import keypoints
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
-from baselines.upright import north
+from baselines.views import north, turned_by
 from scene.bundle import Scene
 from scene.camera import Camera
 from scene.errors import InputError

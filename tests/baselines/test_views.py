@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from baselines.upright import north, upright
 from numpy.typing import NDArray
 
-from baselines.upright import north, upright
 from scene.features import Features
 from scene.pose import so3_exp
 
