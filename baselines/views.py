@@ -46,6 +46,11 @@ def turned_by(angle: float) -> NDArray[np.float64]:
     return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
 
 
+def upright(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rotation (3, 3) of a camera turned about its axis so that north is up."""
+    return np.asarray(turned_by(north(cam_from_world)) @ cam_from_world)
+
+
 @dataclass(frozen=True)
 class View:
     """A photograph turned and resized.

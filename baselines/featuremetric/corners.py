@@ -45,7 +45,8 @@ _AGREE: Final = 0.75
 _BETTER: Final = 0.05
 _APART_STEPS: Final = 2
 _HELD: Final = 12
-_AT_ONCE: Final = 1024
+# Small enough that windows stay in the processor's cache.
+_AT_ONCE: Final = 128
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ class CornerFinder:
         depths = self._depths(image, neighbours)
         others = [(self._map.images[each], self._read(each)) for each in neighbours]
         parts = [
-            _swept(image, grey, part, others, depths)
+            _swept(image, grey, part, others, depths.float())
             for part in torch.split(torch.from_numpy(xy), _AT_ONCE)
         ]
         xyz = torch.cat([points for points, _ in parts]).numpy()
@@ -183,10 +184,13 @@ def _swept(
     # Rays through the corner and one pixel beside and below it: windows move with these.
     three = xy[:, None] + xy.new_tensor([[0, 0], [1, 0], [0, 1]])
     rays, usable = image.camera.unproject(three.flatten(0, 1))
-    rays = rays.view(*three.shape[:2], 3)
+    rays = rays.view(*three.shape[:2], 3).float()
     own = _normalised(_looked_up(grey, xy[:, None] + window))
     agreement = torch.stack(
-        [_agreement(image, rays, own, window, depths, other, pixels) for other, pixels in others],
+        [
+            _agreement(image, rays, own, window.float(), depths, other, pixels)
+            for other, pixels in others
+        ],
         -1,
     )
     # The better half: the others may not see it.
@@ -203,7 +207,8 @@ def _swept(
     sure = (second > _AGREE) & (top > rival + _BETTER) & (index == inner)
     sure &= usable.view(three.shape[:2]).all(1)
     inverse = depths[inner] + offset * (depths[1] - depths[0])
-    return image.pose.inverse().transform(rays[:, 0] / inverse[:, None]), sure
+    in_camera = rays[:, 0].double() / inverse[:, None].double()
+    return image.pose.inverse().transform(in_camera), sure
 
 
 def _agreement(
@@ -216,7 +221,7 @@ def _agreement(
     grey: Tensor,
 ) -> Tensor:
     """Correlation of windows (N, P) with what another photograph shows there, (N, D)."""
-    relative = other.pose @ image.pose.inverse()
+    relative = (other.pose @ image.pose.inverse()).to(dtype=rays.dtype)
     in_camera = rays[:, None] / depths[:, None, None] @ relative.rotation.T + relative.translation
     shape = in_camera.shape[:3]
     projected = other.camera.project(in_camera.flatten(0, 2))

@@ -49,7 +49,8 @@ class FeaturemetricConfig(Config):
     Attributes:
         weights: file of the network; None is the one that comes with the project.
         references: photographs of the map the query is aligned to, together.
-        points: of the map, shared by the references.
+        points: shared by the references.
+        corners: of each photograph of the map that become points beside the map's own; 0 for none.
         longest: larger images are resized to this side (px).
         iterations: at most, per level.
         multistart: look around the start too, for priors beyond the reach of the features.
@@ -60,6 +61,7 @@ class FeaturemetricConfig(Config):
     weights: Path | None = None
     references: int = Field(5, ge=1)
     points: int = Field(1024, ge=10)
+    corners: int = Field(2500, ge=0)
     longest: int = Field(1024, ge=64)
     iterations: int = Field(100, ge=1)
     multistart: bool = False
@@ -99,6 +101,7 @@ class FeaturemetricLocalizer:
             images,
             self._extract,
             config.points,
+            config.corners,
             self.name,
             f"{self.weights_sha256} {config.longest} {config.precision}",
             cache,
@@ -120,7 +123,7 @@ class FeaturemetricLocalizer:
         clock = Stopwatch()
         with clock.stage("retrieval"):
             chosen = self._retrieval.choose(
-                query, self.config.references, lambda: self._described(query), turned=False
+                query, self.config.references, lambda: self._described(query), tilted=False
             )
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
@@ -129,11 +132,11 @@ class FeaturemetricLocalizer:
             view, maps = self._look(query, chosen, start)
         with clock.stage("points"):
             from_world = view.pose(start)
-            rows, levels = self._levels(view, maps, chosen, from_world)
+            points, levels = self._levels(view, maps, chosen, from_world)
         with clock.stage("alignment"):
             problem = (
                 levels,
-                torch.from_numpy(self._map.xyz[rows])[None],
+                torch.from_numpy(points)[None],
                 view.camera.intrinsics(),
                 Pose(from_world.rotation[None], from_world.translation[None]),
                 self._damping,
@@ -194,9 +197,9 @@ class FeaturemetricLocalizer:
         self, query: Query, chosen: NDArray[np.int64], start: Pose
     ) -> tuple[View, list[FeatureMap]]:
         """The image as the photographs of the map were seen, if the start is right."""
-        rows = np.unique(np.concatenate([self._observations[int(row)].rows for row in chosen]))
+        points = np.concatenate([self._observations[int(row)].xyz for row in chosen])
         camera = query.camera
-        own = metres_per_pixel(start, camera, self._map.xyz[rows])
+        own = metres_per_pixel(start, camera, points)
         largest = self._extract.largest_scale(camera)
         # The view must not fall below what the network needs.
         least = _LEAST_SIDE / min(camera.width, camera.height)
@@ -216,15 +219,15 @@ class FeaturemetricLocalizer:
 
     def _levels(
         self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose
-    ) -> tuple[NDArray[np.int64], list[Level]]:
-        """Rows of the points to align, those first that the start sees, and what they look like.
+    ) -> tuple[NDArray[np.float64], list[Level]]:
+        """The points to align (N, 3), those first that the start sees, and what they look like.
 
         A point seen by several references counts once for each of them, as in the authors' code.
         """
         observed = [self._observations[int(row)] for row in chosen]
-        rows = np.concatenate([seen.rows for seen in observed])
-        turn = np.concatenate([np.arange(len(seen.rows)) for seen in observed])
-        in_camera = start.transform(torch.from_numpy(self._map.xyz[rows]))
+        xyz = np.concatenate([seen.xyz for seen in observed])
+        turn = np.concatenate([np.arange(len(seen.xyz)) for seen in observed])
+        in_camera = start.transform(torch.from_numpy(xyz))
         projected = view.camera.project(in_camera)
         inside = projected.valid & view.camera.contains(projected.xy)
         visible = inside.numpy() & view.shows(projected.xy.numpy())
@@ -242,4 +245,4 @@ class FeaturemetricLocalizer:
                     torch.from_numpy(confidence[:, number]).float()[None],
                 )
             )
-        return rows[kept], levels
+        return xyz[kept], levels

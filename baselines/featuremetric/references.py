@@ -18,12 +18,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from baselines.featuremetric.corners import CornerFinder
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.featuremetric.resolution import metres_per_pixel, scale_to
 from baselines.views import View, north
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import sha256_of, written_whole
 from scene.images import check_photographs, read_rgb
+from scene.pose import Pose
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
 
@@ -43,19 +45,19 @@ class Observations:
     They stand in the order in which to take fewer of them: spread over the photograph.
 
     Attributes:
-        rows: (N,) of ``SparseMap.xyz``.
+        xyz: (N, 3) world metres.
         features: per level, coarse to fine, (N, C) float16 of unit length.
         confidence: (N, L) float16 in 0..1.
     """
 
-    rows: NDArray[np.int64]
+    xyz: NDArray[np.float64]
     features: tuple[NDArray[np.float16], ...]
     confidence: NDArray[np.float16]
 
     @property
     def nbytes(self) -> int:
         """Memory taken."""
-        return self.rows.nbytes + self.confidence.nbytes + sum(f.nbytes for f in self.features)
+        return self.xyz.nbytes + self.confidence.nbytes + sum(f.nbytes for f in self.features)
 
 
 class ReferenceFeatures:
@@ -107,7 +109,7 @@ class ReferenceFeatures:
         try:
             with h5py.File(self._path) as file:
                 return Observations(
-                    file["rows"][part],
+                    file["xyz"][part],
                     tuple(file[f"features/{level}"][part] for level in range(self._levels)),
                     file["confidence"][part],
                 )
@@ -120,6 +122,7 @@ def references(
     images: Path,
     extract: MapExtractor,
     points: int,
+    corners: int,
     name: str,
     key: str,
     cache: Path,
@@ -132,6 +135,7 @@ def references(
         images: folder of the photographs.
         extract: of feature maps.
         points: most to keep per photograph.
+        corners: of a photograph to place beside the points of the map; 0 for none.
         name: of the method, to call files and progress by.
         key: of everything else that decides the features: weights and options.
         cache: folder of files named by a digest of all of it.
@@ -142,11 +146,11 @@ def references(
     """
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     photographs = [sha256_of(images / name) for name in sparse_map.names]
-    parts = [_FORMAT, sparse_map.sha256, photographs, points, key]
+    parts = [_FORMAT, sparse_map.sha256, photographs, points, corners, key]
     digest = hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()
     path = cache / f"{name}-{digest[:16]}.h5"
     if not path.is_file():
-        write_references(path, sparse_map, images, extract, points, name)
+        write_references(path, sparse_map, images, extract, points, corners, name)
     return ReferenceFeatures(path, memory)
 
 
@@ -156,13 +160,15 @@ def write_references(
     images: Path,
     extract: MapExtractor,
     points: int,
+    corners: int,
     name: str,
 ) -> None:
     """Run the network on every photograph of a map and keep what its points look like."""
     config = extract.network.config
+    find = CornerFinder(sparse_map, images, corners) if corners else None
     posed = [sparse_map.images[each] for each in sparse_map.names]
     own = [
-        metres_per_pixel(image.pose, image.camera, _points_of(image, sparse_map)) for image in posed
+        metres_per_pixel(image.pose, image.camera, _observed(image, sparse_map)) for image in posed
     ]
     shrunk = [min(1.0, extract.largest_scale(image.camera)) for image in posed]
     known = np.array(own) / shrunk
@@ -170,7 +176,7 @@ def write_references(
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
         file.attrs["levels"] = len(config.strides)
         file.attrs["metres_per_pixel"] = wanted
-        rows = file.create_dataset("rows", (0,), np.int64, maxshape=(None,))
+        xyz = file.create_dataset("xyz", (0, 3), np.float64, maxshape=(None, 3))
         shape = (0, len(config.strides))
         confidence = file.create_dataset("confidence", shape, np.float16, maxshape=(None, shape[1]))
         features = [
@@ -183,12 +189,15 @@ def write_references(
                 rgb = read_rgb(images / image.name, image.camera)
                 scale = scale_to(wanted, resolution, extract.largest_scale(image.camera))
                 looked = extract(rgb, image.camera, north(image.cam_from_world[:3, :3]), scale)
-                seen = observe(*looked, image, sparse_map, points)
-                _append(rows, seen.rows)
+                placed = _observed(image, sparse_map)
+                if find is not None:
+                    placed = np.concatenate([placed, find(image.name).xyz])
+                seen = observe(*looked, image.pose, placed, points)
+                _append(xyz, seen.xyz)
                 _append(confidence, seen.confidence)
                 for dataset, values in zip(features, seen.features, strict=True):
                     _append(dataset, values)
-                ends.append(len(rows))
+                ends.append(len(xyz))
                 advance(done)
         file["ends"] = np.array(ends, np.int64)
 
@@ -200,19 +209,21 @@ def _append(dataset: h5py.Dataset, values: NDArray[Any]) -> None:
 
 
 def observe(
-    view: View, maps: list[FeatureMap], image: MapImage, sparse_map: SparseMap, points: int
+    view: View, maps: list[FeatureMap], pose: Pose, xyz: NDArray[np.float64], points: int
 ) -> Observations:
-    """What the points seen by a photograph look like in a view of it, at most ``points`` of them.
+    """What points look like in a view of a photograph, at most ``points`` of those it shows.
 
     Features are taken where the points project, as PixLoc's authors do, not where they were
     observed. Of neighbours the one comes first of which the network is surest.
+
+    Args:
+        view: of the photograph.
+        maps: its levels.
+        pose: ``cam_from_world`` of the photograph.
+        xyz: (M, 3) the points.
+        points: most to keep.
     """
-    rows = np.unique(image.point_rows[image.point_rows >= 0])
-    sure = rows[sparse_map.track_length[rows] >= _LEAST_TRACK]
-    rows = sure if len(sure) >= _LEAST_POINTS else rows
-    projected = view.camera.project(
-        view.pose(image.pose).transform(torch.from_numpy(sparse_map.xyz[rows]))
-    )
+    projected = view.camera.project(view.pose(pose).transform(torch.from_numpy(xyz)))
     inside = (projected.valid & view.camera.contains(projected.xy)).numpy()
     levels = [level.sample(projected.xy.float()) for level in maps]
     confidence = torch.stack([c for _, c in levels], -1)
@@ -221,16 +232,17 @@ def observe(
     worth = confidence.log().sum(-1).numpy()[seen]
     kept = seen[spread(projected.xy.numpy()[seen] / size, worth)[:points]]
     return Observations(
-        rows[kept],
+        xyz[kept],
         tuple(features[kept].to(torch.float16).numpy() for features, _ in levels),
         confidence[kept].to(torch.float16).numpy(),
     )
 
 
-def _points_of(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
-    """The points a photograph observes, (N, 3)."""
+def _observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
+    """Points of the map that a photograph observes, (N, 3); the sure ones where they suffice."""
     rows = np.unique(image.point_rows[image.point_rows >= 0])
-    return np.asarray(sparse_map.xyz[rows])
+    sure = rows[sparse_map.track_length[rows] >= _LEAST_TRACK]
+    return np.asarray(sparse_map.xyz[sure if len(sure) >= _LEAST_POINTS else rows])
 
 
 def spread(xy: NDArray[np.float64], worth: NDArray[Any]) -> NDArray[np.int64]:

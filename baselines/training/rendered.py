@@ -14,7 +14,7 @@ from baselines.training.augment import photometric
 from baselines.training.crops import crop
 from baselines.training.keypoints import keypoints
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
-from baselines.views import north, turned_by
+from baselines.views import north, upright
 from scene.bundle import Scene
 from scene.camera import Camera
 from scene.errors import InputError
@@ -172,15 +172,11 @@ def _pairs(scene: Scene, frames: Sequence[_Frame]) -> list[tuple[int, int]]:
     """Index pairs (a < b) of frames that see enough of the same ground about the same way up."""
     names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
     overlap = scene.covisibility.of(names).mutual
-    rotations = np.stack([_upright(frame.cam_from_world[:3, :3]) for frame in frames])
+    rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     angle = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
     rows, columns = np.nonzero(np.triu((overlap >= _OVERLAP) & (angle <= _LARGEST_TURN_DEG), 1))
     return list(zip(rows.tolist(), columns.tolist(), strict=True))
-
-
-def _upright(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    return turned_by(north(rotation)) @ rotation
 
 
 def _at(depth: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float64]:
