@@ -15,7 +15,10 @@ class ObjConnectNetConfig(Config):
 
     Attributes:
         width: channels of the encoder in parts of VGG16's.
+        decoder: how coarse features come to finer levels: ``fpn``, the paper's feature pyramid, or
+            ``unet``, PixLoc's.
         pyramid: channels of the feature pyramid.
+        steps: channels of the U-Net, from stride 8 to stride 1.
         strides: of the levels, pixels of the image per cell.
         dims: channels of the features of each level.
         segmentation: what objects are made by. ``slic`` and ``felzenszwalb`` follow the picture,
@@ -29,7 +32,9 @@ class ObjConnectNetConfig(Config):
     """
 
     width: float = Field(1.0, gt=0, le=2)
+    decoder: Literal["fpn", "unet"] = "unet"
     pyramid: int = Field(64, ge=8)
+    steps: tuple[int, int, int, int] = (64, 64, 64, 32)
     strides: tuple[int, ...] = Field((16, 4, 2), min_length=1)
     dims: tuple[int, ...] = Field((128, 128, 32), min_length=1)
     segmentation: Literal["slic", "felzenszwalb", "grid", "given", "none"] = "slic"

@@ -16,11 +16,15 @@ class FeaturePyramid(nn.Module):
 
     Lateral 1x1 convolutions bring the encoder's blocks to one number of channels, coarser steps are
     added to finer ones bilinearly, and what is used is smoothed by a 3x3 convolution.
+
+    Attributes:
+        sizes: channels of each level, coarse to fine.
     """
 
     def __init__(self, width: float, size: int, strides: tuple[int, ...]) -> None:
         """For an encoder of ``width``; ``strides`` coarse to fine, of ``size`` channels each."""
         super().__init__()
+        self.sizes = [size] * len(strides)
         self._wanted = [STRIDES.index(stride) for stride in strides]
         depths = channels(width)[::-1][: self._wanted[-1] + 1]
         self.lateral = nn.ModuleList(nn.Conv2d(depth, size, 1) for depth in depths)

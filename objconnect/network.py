@@ -35,9 +35,8 @@ Level = tuple[Tensor, Tensor]
 class ObjectBlocks(nn.Module):
     """The blocks of one level that are switched on, each adding to the features."""
 
-    def __init__(self, config: ObjConnectNetConfig) -> None:
+    def __init__(self, config: ObjConnectNetConfig, size: int) -> None:
         super().__init__()
-        size = config.pyramid
         switches = (
             (config.attention, Attention),
             (config.object_graph, ObjectGraph),
@@ -69,13 +68,19 @@ class ObjConnectNet(nn.Module):
         self.config = config
         # Named as PixLoc's, which can be taken over.
         self.encoder = vgg16_encoder(config.width)
-        self.pyramid = FeaturePyramid(config.width, config.pyramid, config.strides)
+        self.decoder = (
+            FeaturePyramid(config.width, config.pyramid, config.strides)
+            if config.decoder == "fpn"
+            else pixloc.Decoder(config.width, config.steps, config.strides)
+        )
+        sizes = self.decoder.sizes
         levels = [stride for stride in config.strides if stride >= _FINEST_STRIDE]
         self._with_objects = 0 if config.segmentation == "none" else len(levels)
-        self.objects_of = nn.ModuleList(ObjectBlocks(config) for _ in range(self._with_objects))
-        self.features = nn.ModuleList(nn.Conv2d(config.pyramid, dim, 1) for dim in config.dims)
-        self.confidence = nn.ModuleList(nn.Conv2d(config.pyramid, 1, 1) for _ in config.dims)
-        self.trust = nn.Linear(config.pyramid, 1) if self._with_objects else None
+        with_objects = sizes[: self._with_objects]
+        self.objects_of = nn.ModuleList(ObjectBlocks(config, size) for size in with_objects)
+        self.features = nn.ModuleList(map(_head, sizes, config.dims))
+        self.confidence = nn.ModuleList(_head(size, 1) for size in sizes)
+        self.trust = nn.Linear(with_objects[-1], 1) if with_objects else None
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
         keep_variance(self)
 
@@ -120,7 +125,7 @@ class ObjConnectNet(nn.Module):
         elif labels is None:
             labels = segment(image, self.config)
         levels, objects = [], None
-        for number, maps in enumerate(self.pyramid(encode(self.encoder, image))):
+        for number, maps in enumerate(self.decoder(encode(self.encoder, image))):
             if labels is not None and number < self._with_objects:
                 stride = self.config.strides[number]
                 here = at_level(labels, image, maps, stride)
@@ -128,7 +133,8 @@ class ObjConnectNet(nn.Module):
                 maps = self.objects_of[number](maps, found)
                 if number == self._with_objects - 1:
                     objects = self._as_points(maps, found, stride)
-            trust = torch.sigmoid(self.confidence[number](maps))
+            # The sign is PixLoc's.
+            trust = torch.sigmoid(-self.confidence[number](maps))
             levels.append((self.features[number](maps), trust))
         return levels, objects
 
@@ -140,6 +146,10 @@ class ObjConnectNet(nn.Module):
         # The head judges the features; it must not bend them.
         confidence = torch.sigmoid(self.trust(vectors.detach()).float())[..., 0]
         return Objects(cells * stride, vectors, confidence, found.present)
+
+
+def _head(size: int, dims: int) -> nn.Conv2d:
+    return nn.Conv2d(size, dims, 1)
 
 
 def read_network(path: Path) -> tuple[ObjConnectNet, str]:
@@ -162,8 +172,8 @@ def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
     """A network that goes on from weights, to be trained.
 
     Args:
-        path: weights of this network, of which everything is taken that the settings leave, or of
-            PixLoc's, of which the encoder is.
+        path: weights of this network or of PixLoc's, of which everything is taken that the settings
+            leave; with another decoder, the encoder alone.
         settings: of ``ObjConnectNetConfig``; they win over those of the file.
 
     Raises:
@@ -175,8 +185,11 @@ def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
         peer, _ = pixloc.read_network(path)
         if peer.config.extra_convolutions:
             raise InputError(f"{path} is of a VGG19: the encoder here is a VGG16")
-        tensors = {k: v for k, v in peer.state_dict().items() if k.startswith(_ENCODER)}
-        config = {"width": peer.config.width}
+        tensors, made = peer.state_dict(), peer.config
+        config = {"width": made.width, "decoder": "unet", "steps": made.decoder}
+        config |= {"strides": made.strides, "dims": made.dims}
+    if settings.get("decoder", config.get("decoder")) != config.get("decoder"):
+        tensors = {name: each for name, each in tensors.items() if name.startswith(_ENCODER)}
     network = ObjConnectNet(load_config(ObjConnectNetConfig, None, {**config, **settings}))
     own = network.state_dict()
     taken = {name: tensor for name, tensor in tensors.items() if name in own}

@@ -59,6 +59,44 @@ class PixlocNetConfig(Config):
         return self
 
 
+class Decoder(nn.ModuleList):
+    """Steps from stride 16 to finer ones, each of which sees what the encoder made there.
+
+    Attributes:
+        sizes: channels of each level, coarse to fine.
+    """
+
+    def __init__(self, width: float, steps: Sequence[int], strides: Sequence[int]) -> None:
+        """For an encoder of ``width``; ``steps`` are channels from stride 8 to stride 1."""
+        skips = channels(width)[::-1]
+        sizes = [skips[0], *steps[: STRIDES.index(strides[-1])]]
+        super().__init__(
+            nn.Sequential(
+                nn.Conv2d(before + skip, after, 3, padding=1, bias=False),
+                nn.BatchNorm2d(after),
+                nn.ReLU(inplace=True),
+            )
+            for (before, after), skip in zip(pairwise(sizes), skips[1:], strict=False)
+        )
+        self._wanted = [STRIDES.index(stride) for stride in strides]
+        self.sizes = [sizes[step] for step in self._wanted]
+
+    def forward(self, blocks: Sequence[Tensor]) -> list[Tensor]:
+        """What the encoder's blocks made, fine to coarse -> per level (B, C, h, w), coarse to fine.
+
+        Cells are ``stride`` pixels from the top left corner on; what an image has beyond a multiple
+        of 16 pixels is cut off.
+        """
+        skips = list(blocks)
+        decoded = [skips.pop()]
+        for step in self:
+            skip = skips.pop()
+            up = functional.interpolate(decoded[-1], scale_factor=2.0, mode="bilinear")
+            height, width = up.shape[-2:]
+            decoded.append(step(torch.cat([up, skip[..., :height, :width]], 1)))
+        return [decoded[step] for step in self._wanted]
+
+
 class PixlocNet(nn.Module):
     """See the module. Also holds the damping that was learned with the features.
 
@@ -71,19 +109,8 @@ class PixlocNet(nn.Module):
         super().__init__()
         self.config = config
         self.encoder = vgg16_encoder(config.width, config.extra_convolutions)
-        skips = channels(config.width)[::-1]
-        steps = STRIDES.index(config.strides[-1])
-        sizes = [skips[0], *config.decoder[:steps]]
-        self.decoder = nn.ModuleList(
-            nn.Sequential(
-                nn.Conv2d(before + skip, after, 3, padding=1, bias=False),
-                nn.BatchNorm2d(after),
-                nn.ReLU(inplace=True),
-            )
-            for (before, after), skip in zip(pairwise(sizes), skips[1:], strict=False)
-        )
-        self._steps = [STRIDES.index(stride) for stride in config.strides]
-        inputs = [sizes[step] for step in self._steps]
+        self.decoder = Decoder(config.width, config.decoder, config.strides)
+        inputs = self.decoder.sizes
         self.features = nn.ModuleList(
             nn.Conv2d(size, dim, 1) for size, dim in zip(inputs, config.dims, strict=True)
         )
@@ -101,17 +128,11 @@ class PixlocNet(nn.Module):
             Per level (B, C, h, w) and (B, 1, h, w). Cells are ``stride`` pixels from the top left
             corner on; what an image has beyond a multiple of 16 pixels is cut off.
         """
-        skips = encode(self.encoder, image)
-        decoded = [skips.pop()]
-        for step in self.decoder:
-            skip = skips.pop()
-            up = functional.interpolate(decoded[-1], scale_factor=2.0, mode="bilinear")
-            height, width = up.shape[-2:]
-            decoded.append(step(torch.cat([up, skip[..., :height, :width]], 1)))
+        maps = self.decoder(encode(self.encoder, image))
         return [
-            (features(decoded[step]), torch.sigmoid(-confidence(decoded[step])))
-            for step, features, confidence in zip(
-                self._steps, self.features, self.confidence, strict=True
+            (features(level), torch.sigmoid(-confidence(level)))
+            for level, features, confidence in zip(
+                maps, self.features, self.confidence, strict=True
             )
         ]
 

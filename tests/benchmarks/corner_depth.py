@@ -37,8 +37,9 @@ def main(path: Path) -> None:
         z = image.pose.transform(torch.from_numpy(found.xyz))[:, 2].numpy()
         off = np.abs(z - depth[rows, columns])
         print(
-            f"{name}: {len(off)} of {_MOST} corners placed, off by {np.median(off):.3f} m (median), "
-            f"{np.mean(off < 0.5):.0%} within 0.5 m, {seconds:.1f} s"
+            f"{name}: {len(off)} of {_MOST} corners placed, "
+            f"off by {np.median(off):.3f} m (median), {np.mean(off < 0.5):.0%} within 0.5 m, "
+            f"{seconds:.1f} s"
         )
 
 
