@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from baselines.featuremetric.localizer import FeaturemetricConfig, FeaturemetricLocalizer
 from baselines.pixloc.network import read_network
 from baselines.weights import shipped
 
 
 class PixlocConfig(FeaturemetricConfig):
-    """Options of the pixloc localizer; ``weights`` may be a checkpoint of the authors'."""
+    """Options of the pixloc localizer: aligned once, to the map's own points, as by its authors.
+
+    ``weights`` may be a checkpoint of the authors'.
+    """
+
+    corners: int = Field(0, ge=0)
 
 
 class PixlocLocalizer(FeaturemetricLocalizer):
