@@ -786,7 +786,7 @@ def _settings(overrides: list[str]) -> dict[str, Any]:
             raise InputError(f"--set takes KEY=VALUE, got {word!r}")
         try:
             settings[key] = yaml.safe_load(value)
-        except yaml.YAMLError:
+        except (yaml.YAMLError, ValueError, RecursionError):
             raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
     return settings
 

@@ -15,6 +15,8 @@ from scene.errors import InputError, WriteError
 
 # What mkstemp makes of the prefix ".NAME.".
 _PARTIAL = ".*.????????"
+# Bytes of a name, in every usual file system.
+_LONGEST = 255
 # A disk with less left is full.
 _FULL = 1 << 20
 
@@ -26,8 +28,11 @@ def sha256_of(path: Path) -> str:
 
 
 def inside(name: str) -> bool:
-    """Whether a path in a list of files, which says where in their folder they are, stays there."""
-    return "\0" not in name and not name.startswith("/") and ".." not in name.split("/")
+    """Whether a path in a list of files, which says where in their folder they are, stays there,
+    and a file can have it."""
+    parts = name.split("/")
+    short = all(len(part.encode("utf-8", "surrogatepass")) <= _LONGEST for part in parts)
+    return short and "\0" not in name and not name.startswith("/") and ".." not in parts
 
 
 @contextmanager

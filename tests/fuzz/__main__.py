@@ -60,7 +60,8 @@ def fuzz(names: list[str], inputs: int, seed: int, keep: Path, only: int | None)
     torch.set_num_threads(1)
     findings: Counter[str] = Counter()
     done, began = 0, time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="fuzz-") as scratch:
+    memory = "/dev/shm" if Path("/dev/shm").is_dir() else None  # a disk waits at every file
+    with tempfile.TemporaryDirectory(prefix="fuzz-", dir=memory) as scratch:
         folder = Path(scratch).resolve()
         for name in names:
             READERS[name].make(_made(folder / f"{name}-whole"))
@@ -212,7 +213,7 @@ def _where(error: BaseException) -> str:
         for frame in traceback.extract_tb(innermost.__traceback__)
         if frame.filename.startswith(f"{ROOT}/") and "/tests/" not in frame.filename
     ]
-    return f"at {lines[-1]}: {str(error)[:150]!r}" if lines else f"{str(error)[:200]!r}"
+    return f"at {lines[-1]}" if lines else repr(str(error)[:200])
 
 
 def _guard(folder: Path) -> None:

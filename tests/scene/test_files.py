@@ -178,6 +178,7 @@ def test_a_folder_nobody_wrote_into_goes_again(tmp_path: Path) -> None:
         ("a/../../b.jpg", False),
         ("..", False),
         ("a\0.jpg", False),
+        ("a" * 300, False),
     ],
 )
 def test_names_that_lead_out_of_their_folder(name: str, stays: bool) -> None:
