@@ -10,8 +10,8 @@ from baselines.align.aligner import align
 from baselines.align.descent import Options
 from baselines.align.residuals import Level
 from baselines.align.sampling import sample
+from baselines.featuremetric.maps import FeatureMap
 from baselines.pixloc.loss import pose_loss, reprojection_error
-from baselines.pixloc.maps import FeatureMap
 from baselines.pixloc.network import PixlocNet
 from scene.pose import Pose
 from tests.baselines.pixloc import official
@@ -27,7 +27,7 @@ def test_pose_between_two_pictures(network: PixlocNet) -> None:
     with torch.no_grad():
         reference, query = (
             [
-                FeatureMap(features, confidence, (float(stride), float(stride)))
+                FeatureMap(features, confidence, stride)
                 for stride, (features, confidence) in zip((16, 4, 1), network(image), strict=True)
             ]
             for image in pair.images
