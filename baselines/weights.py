@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 import re
 from argparse import Namespace
 from collections.abc import Mapping
@@ -90,10 +89,11 @@ def read_weights(path: Path) -> Weights:
     try:
         with torch.serialization.safe_globals(_PLAIN):
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+    except Exception as error:  # of a damaged file, whatever its first wrong step raises
         # torch goes on to say how to run the code all the same.
         code = re.search(r"GLOBAL (\S+)", str(error))
-        reason = f"it asks for {code[1]}" if code else str(error).splitlines()[0]
+        first = next(iter(str(error).splitlines()), type(error).__name__)
+        reason = f"it asks for {code[1]}" if code else first
         raise InputError(f"{path} cannot be read as tensors and plain values: {reason}") from error
     model = content.get("model", content) if isinstance(content, Mapping) else None
     if not isinstance(model, Mapping) or not any(isinstance(v, Tensor) for v in model.values()):

@@ -25,6 +25,7 @@ from benchmark.pictures import project_points, spread
 from scene.camera import Camera
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
+from scene.hdf5 import array, groups
 from scene.images import read_rgb
 from scene.pose import Pose
 from scene.progress import progress_bar
@@ -198,20 +199,20 @@ def read_album(path: Path, sha256: str) -> Album | None:
                 str(group.attrs["name"]): Neighbour(
                     int(group.attrs["size"][0]),
                     int(group.attrs["size"][1]),
-                    group["photograph"][:].tobytes(),
+                    array(group, "photograph").tobytes(),
                 )
-                for group in file.get("map", {}).values()
+                for _, group in (groups(file["map"]) if "map" in file else ())
             }
             entries = {
                 str(group.attrs["name"]): Entry(
                     camera=Camera.parse(str(group.attrs["camera"]).split()),
-                    photograph=group["photograph"][:].tobytes(),
+                    photograph=array(group, "photograph").tobytes(),
                     neighbour=group.attrs.get("neighbour"),
-                    world=group["world"][:].reshape(-1, 3),
-                    truth=group["truth"][:].reshape(-1, 2),
-                    seen=group["seen"][:].reshape(-1, 2),
+                    world=array(group, "world").reshape(-1, 3),
+                    truth=array(group, "truth").reshape(-1, 2),
+                    seen=array(group, "seen").reshape(-1, 2),
                 )
-                for group in file["queries"].values()
+                for _, group in groups(file["queries"])
             }
     except HDF5_DAMAGE as error:
         raise InputError(

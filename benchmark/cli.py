@@ -759,6 +759,24 @@ def validate(
         raise typer.Exit(_INPUT_AT_FAULT)
 
 
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Say what is installed, what is missing, and the line that mends it; exit 2 if anything needed
+    is missing.
+
+    Where this command itself cannot start, python -m benchmark.doctor can.
+    """
+    from benchmark.doctor import doctor as run
+
+    diagnosis = run()
+    if as_json:
+        _print_json(diagnosis.as_dict())
+    else:
+        print(diagnosis.text())
+    if not diagnosis.ok:
+        raise typer.Exit(_INPUT_AT_FAULT)
+
+
 def _settings(overrides: list[str]) -> dict[str, Any]:
     """``key=value`` words as a dictionary; values are read as YAML, so 0.7 is a number."""
     settings: dict[str, Any] = {}
@@ -768,7 +786,7 @@ def _settings(overrides: list[str]) -> dict[str, Any]:
             raise InputError(f"--set takes KEY=VALUE, got {word!r}")
         try:
             settings[key] = yaml.safe_load(value)
-        except yaml.YAMLError:
+        except (yaml.YAMLError, ValueError, RecursionError):
             raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
     return settings
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
+import os
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -11,7 +13,7 @@ from types import TracebackType
 from pydantic import ValidationError
 
 from benchmark.results import QueryResult
-from scene.errors import InputError
+from scene.errors import InputError, WriteError
 
 
 class Journal:
@@ -41,7 +43,8 @@ class Journal:
         self._made = [folder for folder in above if not folder.exists()]
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("a+")
+            # A damaged byte ends what is good, as any damage does.
+            self._file = self.path.open("a+", encoding="utf-8", errors="surrogateescape")
         except OSError as error:
             raise InputError(f"cannot write {self.path}: {error.strerror}") from None
         try:
@@ -54,7 +57,9 @@ class Journal:
         good = 0
         if lines and _key(lines[0]) == self._key:
             self.done = _finished(lines[1:])
-            good = sum(len(line.encode()) for line in lines[: 1 + len(self.done)])
+            good = sum(
+                len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(self.done)]
+            )
         # What follows was cut short, or belongs to another run.
         self._file.truncate(good)
         if not good:
@@ -79,17 +84,19 @@ class Journal:
         """Note a finished query.
 
         Raises:
-            InputError: the disk is full.
+            WriteError: the disk is full.
         """
         self.done[result.name] = result
         self._put(result.model_dump_json())
 
     def _put(self, line: str) -> None:
+        data = (line + "\n").encode()
         try:
-            self._file.write(line + "\n")
-            self._file.flush()
+            # Past the buffer, which would try again when the file is closed.
+            if os.write(self._file.fileno(), data) < len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
-            raise InputError(f"cannot write {self.path}: {error.strerror}") from None
+            raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
 
 
 def _key(line: str) -> object:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -197,6 +198,9 @@ def _origin(path: Path) -> Geodetic | None:
         return None
     try:
         values = json.loads(read_text(file, "origin"))
-        return Geodetic(float(values["lat"]), float(values["lon"]), float(values["alt"]))
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{file} must hold numbers lat, lon and alt") from None
+        origin = Geodetic(float(values["lat"]), float(values["lon"]), float(values["alt"]))
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        origin = Geodetic(math.nan, math.nan, math.nan)
+    if not all(map(math.isfinite, origin)):
+        raise InputError(f"{file} must hold numbers lat, lon and alt")
+    return origin

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scene.camera import Camera
 from scene.colmap_files import check_pose
 from scene.errors import InputError
-from scene.files import read_text
+from scene.files import inside, read_text
 from scene.localizer import Prior
 from scene.pose import Pose
 
@@ -143,6 +143,8 @@ def _numbers(where: str, words: Sequence[str]) -> NDArray[np.float64]:
 
 
 def _add(table: dict[str, T], name: str, value: T, where: str) -> None:
+    if not inside(name):
+        raise InputError(f"{where}: {name!r} does not lie in the folder of photographs")
     if name in table:
         raise InputError(f"{where}: {name} is listed twice")
     table[name] = value

@@ -33,7 +33,7 @@ from scene.colmap import (
     triangulate_matched,
 )
 from scene.covisibility import Covisibility, visible_share, write_covisibility
-from scene.errors import InputError
+from scene.errors import InputError, WriteError
 from scene.features import write_features
 from scene.files import folder_written_whole, remove_partial, sha256_of, sole_writer
 from scene.frames import Frames, write_frames
@@ -133,6 +133,8 @@ def _ingest(
     remove_partial(out)
     try:
         report = _build(out, photographs, roll, taken, fixes, queries, plan)
+    except WriteError:
+        raise  # the same command goes on when there is room
     except InputError:
         # These photographs make no scene: nothing is left to go on with.
         shutil.rmtree(out, ignore_errors=True)

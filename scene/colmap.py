@@ -23,7 +23,7 @@ from scene.camera import Camera
 from scene.colmap_files import read_model
 from scene.errors import InputError
 from scene.features import Features, unit_descriptors
-from scene.files import write_text, written_whole
+from scene.files import require_room, write_text, written_whole
 from scene.images import check_photographs
 from scene.matching import match
 from scene.pose import Pose, transform_jacobian
@@ -45,6 +45,8 @@ _ALIGN_M = 1.0
 
 # Pairs matched between two progress reports; what is done by then survives an interruption.
 _PAIR_CHUNK = 32
+# COLMAP ends the process when the disk is full: a chunk of pairs with its journal takes less (B).
+_ROOM = 64 << 20
 # Matches within this distance of the epipolar line agree with it (px).
 _VERIFIED_PX = 2.0
 # The same before the lens is calibrated; COLMAP's own.
@@ -416,7 +418,7 @@ def _triangulate(
             f"no point could be triangulated from the {posed.num_images()} images of {root}: "
             "they need overlap and texture"
         )
-    result.write(out)
+    _write_model(result, out)
     return read_map(out)
 
 
@@ -484,7 +486,7 @@ def reconstruct(
     if similarity is None:
         raise InputError(f"the model of {root} does not fit the known camera centres")
     model.transform(similarity)
-    model.write(out)
+    _write_model(model, out)
     return read_map(out), features
 
 
@@ -631,7 +633,7 @@ def map_photographs(
     folders = [out / str(k) for k in range(len(ordered))]
     for model, folder in zip(ordered, folders, strict=True):
         folder.mkdir()
-        model.write(folder)
+        _write_model(model, folder)
     return folders
 
 
@@ -727,7 +729,7 @@ def adjust_to_positions(
     ]
     pycolmap.create_pose_prior_bundle_adjuster(options, with_priors, config, priors, native).solve()
     native.update_point_3d_errors()
-    native.write(out)
+    _write_model(native, out)
     return read_map(out)
 
 
@@ -788,7 +790,7 @@ def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out:
             track = pycolmap.Track(elements)
             model.add_point3D(sparse_map.xyz[row], track, sparse_map.rgb[row])
         model.update_point_3d_errors()
-    model.write(out)
+    _write_model(model, out)
 
 
 def _lens_ids(photographs: Sequence[Photograph]) -> dict[str, int]:
@@ -845,6 +847,8 @@ def _fill_database(
             chunk = list(ids)[start : start + _CHUNK]
             left = [name for name in chunk if not db.exists_keypoints(ids[name])]
             features = extract_sift(root, left, options)
+            size = sum(item.descriptors.nbytes + 24 * len(item.xy) for item in features.values())
+            require_room(database, _ROOM + 2 * size)
             with pycolmap.DatabaseTransaction(db):
                 for name, item in features.items():
                     sift = pycolmap.FeatureExtractorType.SIFT
@@ -867,10 +871,12 @@ def _fill_database(
                 (a, b) for a, b in chunk_of_pairs if not db.exists_two_view_geometry(ids[a], ids[b])
             ]
             for a, b in left_pairs:
+                require_room(database, _ROOM)
                 if not db.exists_matches(ids[a], ids[b]):
                     matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
                     db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
         if left_pairs:
+            require_room(database, _ROOM)
             write_text(pair_list, "".join(f"{a} {b}\n" for a, b in left_pairs))
             pycolmap.verify_matches(database, pair_list, verification)
         report(len(ids) + start + len(chunk_of_pairs))
@@ -882,6 +888,7 @@ def _require_database(database: Path, model: pycolmap.Reconstruction) -> None:
     if not _is_sound(database):
         for journal in ("-journal", "-wal", "-shm"):
             database.with_name(database.name + journal).unlink(missing_ok=True)
+        require_room(database, _ROOM)
         _write_database(database, model)
 
 
@@ -894,6 +901,13 @@ def _is_sound(database: Path) -> bool:
             return connection.execute("PRAGMA quick_check").fetchall() == [("ok",)]
     except sqlite3.DatabaseError:
         return False
+
+
+def _write_model(model: pycolmap.Reconstruction, out: Path) -> None:
+    """Write a model's files; COLMAP says nothing when they end up shorter than they should be."""
+    keypoints = sum(image.num_points2D() for image in model.images.values())
+    require_room(out, (1 << 20) + 40 * keypoints + 100 * model.num_points3D())
+    model.write(out)
 
 
 def _posed_model(

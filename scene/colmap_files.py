@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from scene.camera import MODELS, Camera
 from scene.errors import InputError
+from scene.files import inside
 from scene.pose import Pose
 from scene.sparse_map import MapImage, SparseMap
 
@@ -140,6 +141,8 @@ def _read_images(
         check_pose(quaternion, translation, f"{path}: image {name}")
         if record[8] not in cameras:
             raise InputError(f"{path}: image {name} has camera {record[8]:.0f}, which is not there")
+        if not inside(name):
+            raise InputError(f"{path}: image {name!r} does not lie in the folder of images")
         if name in images:
             raise InputError(f"{path}: image {name} is listed twice")
         images[name] = MapImage(

@@ -41,7 +41,8 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         text = read_text(path, "configuration")
         try:
             loaded = yaml.safe_load(text)
-        except (yaml.YAMLError, ValueError) as error:  # ValueError: a date that does not exist
+        # ValueError: a date that does not exist; RecursionError: lists in lists in lists.
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
             raise InputError(f"{path} is not valid YAML: {_one_line(error)}") from None
         if loaded is not None and not isinstance(loaded, dict):
             raise InputError(f"{path} must hold 'key: value' lines, not a {type(loaded).__name__}")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scene.camera import Camera
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
+from scene.hdf5 import array
 
 COVISIBLE = 0.1
 """Two frames are covisible when each sees at least this share of the other's surface."""
@@ -64,7 +65,7 @@ def write_covisibility(path: Path, covisibility: Covisibility) -> None:
     mutual = covisibility.mutual
     pairs = np.argwhere(np.triu(mutual) >= COVISIBLE)
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
-        file["names"] = [name.encode() for name in covisibility.names]
+        file["names"] = np.array([name.encode() for name in covisibility.names], "S")
         file.create_dataset("overlap", data=covisibility.overlap, compression="gzip", shuffle=True)
         file["pairs"] = pairs.astype(np.uint32)
         file["share"] = mutual[pairs[:, 0], pairs[:, 1]]
@@ -80,8 +81,8 @@ def read_covisibility(path: Path) -> Covisibility:
         raise InputError(f"{path} does not exist: simulate writes it with the scene")
     try:
         with h5py.File(path, "r") as file:
-            names = tuple(name.decode() for name in file["names"][:])
-            overlap = np.asarray(file["overlap"], np.float64)
+            names = tuple(name.decode() for name in array(file, "names"))
+            overlap = array(file, "overlap").astype(np.float64)
     except HDF5_DAMAGE:
         raise InputError(f"{path} is damaged or incomplete") from None
     if overlap.shape != (len(names), len(names)):

@@ -10,6 +10,10 @@ class InputError(ValueError):
     """
 
 
+class WriteError(InputError):
+    """A place that cannot be written, or has no room left; what is finished there stays of use."""
+
+
 # What reading a damaged HDF5 file may raise: h5py has no exception of its own.
 HDF5_DAMAGE: Final = (
     AttributeError,

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
+from scene.hdf5 import array, groups
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,9 @@ def read_features(path: Path) -> dict[str, Features]:
         with h5py.File(path, "r") as file:
             return {
                 name.replace("\\", "/"): Features(
-                    group["xy"][:], group["scale"][:], group["descriptors"][:]
+                    *(array(group, part) for part in ("xy", "scale", "descriptors"))
                 )
-                for name, group in file.items()
+                for name, group in groups(file)
             }
     except HDF5_DAMAGE as error:
         raise InputError(f"feature file {path} is missing or damaged: {error}") from None

@@ -11,10 +11,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from scene.errors import InputError
+from scene.errors import InputError, WriteError
 
 # What mkstemp makes of the prefix ".NAME.".
 _PARTIAL = ".*.????????"
+# Bytes of a name, in every usual file system.
+_LONGEST = 255
+# A disk with less left is full.
+_FULL = 1 << 20
 
 
 def sha256_of(path: Path) -> str:
@@ -23,12 +27,20 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def inside(name: str) -> bool:
+    """Whether a path in a list of files, which says where in their folder they are, stays there,
+    and a file can have it."""
+    parts = name.split("/")
+    short = all(len(part.encode("utf-8", "surrogatepass")) <= _LONGEST for part in parts)
+    return short and "\0" not in name and not name.startswith("/") and ".." not in parts
+
+
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place only when the block succeeds.
 
     Raises:
-        InputError: the folder cannot be written, or the disk is full.
+        WriteError: the folder cannot be written, or the disk is full.
     """
     partial: Path | None = None
     try:
@@ -41,7 +53,12 @@ def written_whole(path: Path) -> Iterator[Path]:
         yield partial
         partial.replace(path)
     except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+        raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
+    except RuntimeError as error:
+        # Libraries that write by themselves have many words for it.
+        if shutil.disk_usage(path.parent).free >= _FULL:
+            raise
+        raise WriteError(f"cannot write {path}: the disk is full") from error
     finally:
         if partial is not None:
             partial.unlink(missing_ok=True)
@@ -78,7 +95,7 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
         else:
             partial.replace(path)
     except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+        raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         if partial is not None:
             shutil.rmtree(partial, ignore_errors=True)
@@ -86,8 +103,9 @@ def folder_written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def kept_while_working(folder: Path, name: str) -> Iterator[Path]:
-    """The path of a file that outlives an interruption of the block, but neither its success nor
-    its failure; whatever else an interrupted block left in ``folder`` is removed.
+    """The path of a file that outlives an interruption of the block and a place that could not be
+    written, but neither its success nor its failure; whatever else an interrupted block left in
+    ``folder`` is removed.
 
     Args:
         folder: of this file alone, made here and removed at the end.
@@ -103,9 +121,11 @@ def kept_while_working(folder: Path, name: str) -> Iterator[Path]:
             if not other.name.startswith(name):
                 other.unlink()
     except OSError as error:
-        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+        raise WriteError(f"cannot write {folder}: {error.strerror or error}") from error
     try:
         yield folder / name
+    except WriteError:
+        raise
     except Exception:
         shutil.rmtree(folder, ignore_errors=True)
         raise
@@ -139,6 +159,24 @@ def sole_writer(folder: Path) -> Iterator[None]:
         with suppress(OSError):  # not empty, which is as it should be
             for path in made:
                 path.rmdir()
+
+
+def require_room(path: Path, needed: int) -> None:
+    """Refuse to write what the disk cannot hold, for those who end badly on a full one.
+
+    Args:
+        path: of a file or folder that need not exist yet, in a folder that does.
+        needed: bytes.
+
+    Raises:
+        WriteError: there is less room.
+    """
+    free = shutil.disk_usage(path.parent).free
+    if free < needed:
+        raise WriteError(
+            f"cannot write {path}: the disk has {free / 1e6:.0f} MB left and {needed / 1e6:.0f} MB "
+            "are needed: free some and run again"
+        )
 
 
 def write_text(path: Path, text: str) -> None:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from scene.camera import Camera
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.files import written_whole
+from scene.files import inside, written_whole
+from scene.hdf5 import array, dataset
 from scene.pose import Pose
 
 Layer = Literal["depth", "instance", "semantic", "normal"]
@@ -113,7 +114,7 @@ class DenseLayers:
         """
         try:
             if self.has(layer):
-                return np.asarray(self._file[layer][index])
+                return np.asarray(dataset(self._file, layer)[index])
         except HDF5_DAMAGE as error:
             raise InputError(
                 f"{self._path}: frame {index} of {layer} is damaged: {error}"
@@ -196,28 +197,31 @@ def read_frames(path: Path) -> Frames:
     """
     with _opened(path) as file:
         try:
-            names = tuple(name.decode() for name in file["names"][:])
-            table = [Camera.parse(text.decode().split()) for text in file["cameras"][:]]
-            rows = file["camera_index"][:]
+            names = tuple(name.decode() for name in array(file, "names"))
+            table = [Camera.parse(text.decode().split()) for text in array(file, "cameras")]
+            rows = array(file, "camera_index")
             if (rows < 0).any():
                 raise IndexError("a camera index is negative")
             cameras = tuple(table[int(k)] for k in rows)
-            arrays = {key: np.asarray(file[key], np.float64) for key in _VECTORS}
+            arrays = {key: array(file, key).astype(np.float64) for key in _VECTORS}
         except HDF5_DAMAGE as error:
             raise InputError(f"{path} is damaged or incomplete: {error}") from None
-    for key, array in arrays.items():
-        if array.shape != (len(names), *_SHAPES[key]):
+    for key, values in arrays.items():
+        if values.shape != (len(names), *_SHAPES[key]):
             raise InputError(
-                f"{path}: {key} has shape {array.shape}, expected {(len(names), *_SHAPES[key])}"
+                f"{path}: {key} has shape {values.shape}, expected {(len(names), *_SHAPES[key])}"
             )
     absent = {key: np.zeros(len(names), bool) for key in _VECTORS}
     for group in _MEASURED:
         nowhere = [np.isnan(arrays[k]).all(tuple(range(1, arrays[k].ndim))) for k in group]
         absent |= dict.fromkeys(group, np.logical_and.reduce(nowhere))
-    for key, array in arrays.items():
-        finite = np.isfinite(array).all(tuple(range(1, array.ndim))) | absent[key]
+    for key, values in arrays.items():
+        finite = np.isfinite(values).all(tuple(range(1, values.ndim))) | absent[key]
         if not finite.all():
             raise InputError(f"{path}: {key} of frame {names[int(finite.argmin())]} is not finite")
+    for name in names:
+        if not inside(name):
+            raise InputError(f"{path}: frame {name!r} does not lie in the scene")
     if len(cameras) != len(names):
         raise InputError(f"{path}: {len(names)} frames but {len(cameras)} cameras")
     return Frames(names, cameras, **arrays)

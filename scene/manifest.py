@@ -4,19 +4,35 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from scene.config import describe
 from scene.errors import InputError
-from scene.files import read_text, write_text
+from scene.files import inside, read_text, write_text
 from scene.geodesy import Geodetic
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 SizeClass = Literal["small", "medium", "large"]
+
+
+def _name(value: str) -> str:
+    if not inside(value):
+        raise ValueError("it does not lie in the scene")
+    return value
+
+
+def _folder(value: str) -> str:
+    if value in ("", ".") or "/" in value:
+        raise ValueError("a session is named like a folder")
+    return _name(value)
+
+
+Name = Annotated[str, AfterValidator(_name)]
+FolderName = Annotated[str, AfterValidator(_folder)]
 
 
 class _File(BaseModel):
@@ -87,7 +103,7 @@ class Manifest(_File):
     config: dict[str, Any]
     origin: Geodetic
     reference: Literal["exact", "sfm"] = "exact"
-    sessions: dict[str, Session]
+    sessions: dict[FolderName, Session]
     sha256: dict[str, str]
     pixels_sha256: dict[str, dict[str, str]] = {}
 
@@ -157,8 +173,8 @@ class Splits(_File):
         queries: image names by session.
     """
 
-    map: tuple[str, ...]
-    queries: dict[str, tuple[str, ...]]
+    map: tuple[Name, ...]
+    queries: dict[FolderName, tuple[Name, ...]]
 
 
 def size_class(size: tuple[float, float, float]) -> SizeClass:

@@ -154,3 +154,17 @@ def test_blender_is_loaded_by_nobody_who_does_not_render() -> None:
 def test_scene_loads_no_other_package() -> None:
     loaded = loaded_by([name for name in ALL if name.startswith("scene")])
     assert not (set(ALLOWED) - {"scene"}) & loaded
+
+
+def test_nobody_asks_what_time_it_is() -> None:
+    """What is done and what is left follows from files that are there, never from a clock, which
+    may be set back: durations alone are measured, by a counter that only rises."""
+    clocks = {"time.time", "datetime.now", "datetime.utcnow", "datetime.today", "date.today"}
+    asked = {
+        (name, ast.unparse(node))
+        for name, tree in ALL.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and (ast.unparse(node) in clocks or node.attr in ("st_mtime", "st_mtime_ns", "st_ctime"))
+    }
+    assert not asked

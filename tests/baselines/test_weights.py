@@ -51,3 +51,15 @@ def test_code_is_refused(tmp_path: Path) -> None:
     assert not made.exists()
     torch.load(path, weights_only=False)
     assert made.exists(), "the file does nothing that could be refused"
+
+
+@pytest.mark.parametrize("step", [b"a", b"t", b"R", b"0", b"h\x07", b"Q", b"\x8a\xff"])
+def test_a_checkpoint_whose_program_makes_no_sense(tmp_path: Path, step: bytes) -> None:
+    """Torch's reader of pickles raises whatever the first wrong step does: it is one error here."""
+    path = tmp_path / "w.pth"
+    torch.save({"model": {"w": torch.ones(2)}}, path, _use_new_zipfile_serialization=False)
+    data = path.read_bytes()
+    at = data.index(b"model")
+    path.write_bytes(data[: at + 6] + step + data[at + 6 :])
+    with pytest.raises(InputError, match="cannot be read as tensors|holds no tensors"):
+        read_weights(path)

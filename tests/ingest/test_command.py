@@ -23,7 +23,7 @@ from ingest.command import ingest as run
 from ingest.report import IngestReport
 from scene.bundle import Scene
 from scene.camera import Camera
-from scene.errors import InputError
+from scene.errors import InputError, WriteError
 from scene.exports import export
 from scene.files import sole_writer
 from scene.images import read_rgb
@@ -252,6 +252,29 @@ def test_an_interrupted_run_goes_on(
     assert first.sha256.keys() == second.sha256.keys()
     assert first.sha256["map/points3D.bin"] == second.sha256["map/points3D.bin"]
     assert not list(out.glob(".*"))
+
+
+def test_a_full_disk_loses_nothing(
+    photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is finished waits for room; photographs that make no scene leave nothing."""
+    folder = few(photographs, tmp_path / "photos", 3)
+    out = tmp_path / "scene"
+
+    def ends(error: InputError) -> None:
+        def build(out: Path, *_: Any) -> Any:
+            (out / "finished").touch()
+            raise error
+
+        monkeypatch.setattr(ingest.command, "_build", build)
+        with pytest.raises(type(error)):
+            run(folder, out)
+
+    ends(WriteError("no room"))
+    assert (out / "finished").is_file()
+    ends(WriteError("still no room"))  # it is the same run that goes on
+    ends(InputError("they do not overlap"))
+    assert not out.exists()
 
 
 def test_the_global_mapper_and_lines_and_a_calibration(photographs: Path, tmp_path: Path) -> None:

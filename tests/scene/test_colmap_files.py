@@ -229,3 +229,17 @@ def test_text_instead_of_a_binary_file_is_refused(damaged: Path, name: str) -> N
     (damaged / name).write_text("# Camera list with one line of data per camera:\n" * 20)
     with pytest.raises(InputError, match=f"{name}.*truncated or damaged"):
         read_model(damaged)
+
+
+@pytest.mark.parametrize("name", [b"/", b"../"])
+def test_images_lie_in_their_folder(damaged: Path, name: bytes) -> None:
+    patch(damaged / "images.bin", NAME, name)
+    with pytest.raises(InputError, match="does not lie in the folder of images"):
+        read_model(damaged)
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_a_file_that_claims_2_to_the_60(damaged: Path, file: str) -> None:
+    patch(damaged / file, 0, struct.pack("<Q", 2**60))
+    with pytest.raises(InputError, match="truncated or damaged: it claims 1152921504606846976"):
+        read_model(damaged)

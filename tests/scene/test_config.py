@@ -55,6 +55,7 @@ def test_a_configuration_cannot_change() -> None:
         ("7: seven", "'7' in .*config.yaml"),
         ("ratio: [1, 2", "config.yaml is not valid YAML"),
         ("ratio: 2001-99-99", "config.yaml is not valid YAML"),
+        ("ratio: " + "[" * 3000, "config.yaml is not valid YAML"),
         ("- ratio\n- name", "must hold 'key: value' lines, not a list"),
         ("ratio", "must hold 'key: value' lines, not a str"),
     ],

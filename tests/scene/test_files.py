@@ -11,6 +11,7 @@ import pytest
 from scene.errors import InputError
 from scene.files import (
     folder_written_whole,
+    inside,
     read_text,
     sha256_of,
     sole_writer,
@@ -165,3 +166,20 @@ def test_a_folder_nobody_wrote_into_goes_again(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot write .*file"), sole_writer(tmp_path / "file"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("name", "stays"),
+    [
+        ("a.jpg", True),
+        ("session/images/..a..jpg", True),
+        ("/etc/passwd", False),
+        ("../a.jpg", False),
+        ("a/../../b.jpg", False),
+        ("..", False),
+        ("a\0.jpg", False),
+        ("a" * 300, False),
+    ],
+)
+def test_names_that_lead_out_of_their_folder(name: str, stays: bool) -> None:
+    assert inside(name) is stays

@@ -130,3 +130,26 @@ def test_missing_file(tmp_path: Path) -> None:
 )
 def test_size_classes(size: tuple[float, float, float], expected: str) -> None:
     assert size_class(size) == expected
+
+
+@pytest.mark.parametrize("name", ["../elsewhere", "/etc", "..", "a/b", "", "."])
+def test_sessions_are_folders_of_the_scene(name: str, tmp_path: Path) -> None:
+    values = json.loads(MANIFEST.model_dump_json())
+    values["sessions"] = {name: values["sessions"].popitem()[1]}
+    (tmp_path / "scene.json").write_text(json.dumps(values))
+    with pytest.raises(InputError, match=r"sessions.*(folder|lie in the scene)"):
+        read_json(tmp_path / "scene.json", Manifest, "manifest")
+
+
+@pytest.mark.parametrize(
+    "splits",
+    [
+        {"map": ["../../x.jpg"], "queries": {}},
+        {"map": [], "queries": {"s": ["/etc/passwd"]}},
+        {"map": [], "queries": {"../s": []}},
+    ],
+)
+def test_split_frames_lie_in_the_scene(splits: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "splits.json").write_text(json.dumps(splits))
+    with pytest.raises(InputError, match=r"splits\.json: (it does not lie|a session is named)"):
+        read_json(tmp_path / "splits.json", Splits, "split list")
