@@ -673,6 +673,38 @@ def build_map(
         print(report.text())
 
 
+@app.command()
+def diagnose(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene with its map.")],
+    masks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MASKS",
+            help="Objects of the map's photographs, where the scene does not know them: a folder "
+            "of label pictures, NAME.png for NAME.jpg, or a JSON of COCO annotations with "
+            "run-length masks.",
+        ),
+    ] = None,
+    cell: Annotated[
+        float, typer.Option(help="Side of a cell of ground to count points in, metres.", min=0.1)
+    ] = 5.0,
+    as_json: Json = False,
+) -> None:
+    """Say what a map has of the objects in its photographs: which have points, how many, how far
+    these lie from the true surface, and how evenly they cover the ground.
+
+    Draws SCENE/pictures/diagnosis.png. Where points were added to the map, also says and shows what
+    it was before.
+    """
+    from objconnect.diagnosis.command import diagnose as run
+
+    diagnosis = run(scene, masks, cell)
+    if as_json:
+        _print_json(diagnosis.as_dict())
+    else:
+        print(diagnosis.text())
+
+
 class Stereo(StrEnum):
     """Who matches the photographs."""
 
