@@ -14,6 +14,8 @@ from scene.errors import InputError
 from scene.manifest import read_json
 
 SUPPLEMENT = "supplement.json"
+ADDED_FEATURES = "supplement.h5"
+"""Descriptors of the added keypoints, in the order these have in each photograph."""
 
 
 class AddedPoint(BaseModel):

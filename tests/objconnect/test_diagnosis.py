@@ -61,7 +61,7 @@ def test_points_lie_near_the_surface_and_moved_ones_do_not(
     assert drift["ground"].median_m is not None
     assert drift["ground"].median_m < 0.1
     sparse_map = rendered.sparse_map()
-    lifted = replace(sparse_map, xyz=sparse_map.xyz + [0, 0, 2.0])
+    lifted = replace(sparse_map, xyz=sparse_map.xyz + np.array([0, 0, 2.0]))
     truth, moved = read_truth(rendered, sparse_map), read_truth(rendered, lifted)
     assert truth is not None
     assert moved is not None
