@@ -791,6 +791,44 @@ def validate(
         raise typer.Exit(_INPUT_AT_FAULT)
 
 
+@app.command()
+def view(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene with its map.")],
+    results: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RESULTS",
+            help="Results file, or folder that evaluate wrote, whose poses of the scene's queries "
+            "to show; repeat for several.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="HTML", help="File for the page; else SCENE/pictures/view.html."),
+    ] = None,
+    show: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a scene as one page to move about in, and as a picture beside it.
+
+    Cameras with their photographs, points of the map, those added to it, the dense cloud, objects
+    with and without a point, and queries where methods found them. The page holds all it shows: it
+    opens as a file, without a server or a network.
+    """
+    import webbrowser
+
+    from benchmark.view import view as run
+
+    written = run(scene, results or (), out)
+    if show and not webbrowser.open(written.page.resolve().as_uri()):
+        raise InputError(f"no browser was found: open {written.page} in one")
+    if as_json:
+        summary = {"page": str(written.page), "picture": str(written.picture)}
+        _print_json({**summary, "points": written.points})
+    else:
+        print(written.page)
+
+
 def _settings(overrides: list[str]) -> dict[str, Any]:
     """``key=value`` words as a dictionary; values are read as YAML, so 0.7 is a number."""
     settings: dict[str, Any] = {}

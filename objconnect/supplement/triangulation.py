@@ -147,7 +147,8 @@ def _looks(
             here = pairs.views[:, side] == view
             if here.any():
                 total[here] += detections[name].descriptors[pairs.rows[here, side]]
-    return total / np.linalg.norm(total, axis=1, keepdims=True).clip(1e-12)
+    length = np.linalg.norm(total, axis=1, keepdims=True).clip(1e-12)
+    return np.asarray(total / length, np.float32)
 
 
 def _solve(

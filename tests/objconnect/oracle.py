@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
 from objconnect.supplement.association import Detections
 from scene.bundle import Scene
-from scene.manifest import SizeClass
+from scene.manifest import SceneObject
 
 DIMENSIONS = 32
 
 
 def detections(
     scene: Scene,
-    sizes: tuple[SizeClass, ...] = ("small",),
+    wanted: Callable[[SceneObject], bool] = lambda item: item.size_class == "small",
     noise_px: float = 0.0,
     blur: float = 0.0,
     outliers: int = 0,
@@ -24,14 +26,14 @@ def detections(
 
     Args:
         scene: rendered, with its map.
-        sizes: of the objects.
+        wanted: objects to find.
         noise_px: standard deviation of the pixels.
         blur: length of what is added to descriptors of length one.
         outliers: detections of nothing per photograph.
         seed: of all that.
     """
     rng = np.random.default_rng(seed)
-    items = [item for item in scene.objects.objects if item.size_class in sizes]
+    items = [item for item in scene.objects.objects if wanted(item)]
     # What looks alike has the same descriptor, but for a little.
     kinds = sorted({item.class_name for item in items})
     looks = dict(zip(kinds, rng.normal(size=(len(kinds), DIMENSIONS)), strict=True))
