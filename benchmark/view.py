@@ -71,17 +71,15 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Thing:
-    """An object, and whether a point of the map lies on it.
+    """An object in the map's photographs, and whether a point of the map lies on it.
 
     Attributes:
         item: of ``objects.json``.
-        seen: in a photograph of the map.
         before: has a point that was not added.
         after: has any point.
     """
 
     item: SceneObject
-    seen: bool
     before: bool
     after: bool
 
@@ -204,8 +202,9 @@ def _things(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> li
     owners = objects_of_points(len(added), instances())
     before, after = set(owners[~added].tolist()), set(owners.tolist())
     return [
-        Thing(item, item.id in seen, item.id in before, item.id in after)
+        Thing(item, item.id in before, item.id in after)
         for item in scene.objects.objects
+        if item.id in seen
     ]
 
 
@@ -231,7 +230,6 @@ def _data(
                 "corners": thing.corners.tolist(),
                 "low": thing.item.centre[2] - thing.item.size[2] / 2,
                 "high": thing.item.centre[2] + thing.item.size[2] / 2,
-                "seen": thing.seen,
                 "before": thing.before,
                 "after": thing.after,
             }

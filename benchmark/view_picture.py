@@ -50,7 +50,7 @@ def draw(
     figure = Figure(figsize=(_SIDE * len(states), _SIDE), layout="constrained")
     axes = figure.subplots(1, len(states), squeeze=False, sharex=True, sharey=True)[0]
     for ax, (state, after) in zip(axes, states, strict=True):
-        small = [thing for thing in things if thing.item.size_class == "small" and thing.seen]
+        small = [thing for thing in things if thing.item.size_class == "small"]
         having = sum(thing.after if after else thing.before for thing in small)
         for cloud in clouds:
             if cloud.layer == "sparse":

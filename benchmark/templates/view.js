@@ -12,18 +12,23 @@ const FOCAL = 1.1; // of the screen's shorter side
 const NEAR = 0.2;
 const TURN = 0.006;
 const CLICK = 14;
+const SPARSE = 150000; // numbers, three a point
+
+
+const scale = Math.min(2, window.devicePixelRatio || 1);
 
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 const clouds = data.clouds.map(cloud => {
   const whole = new Uint16Array(bytes(cloud.xyz).buffer), xyz = new Float32Array(whole.length);
   for (let k = 0; k < whole.length; k++) xyz[k] = cloud.low[k % 3] + whole[k] * cloud.step[k % 3];
-  return { ...cloud, xyz, rgb: bytes(cloud.rgb) };
+  const least = Math.round((xyz.length < SPARSE ? 2 : 1) * scale); // few points need larger dots
+  return { ...cloud, xyz, rgb: bytes(cloud.rgb), least };
 });
 
 const shown = {}; // by layer, whether it is drawn
 let after = true, method = null, chosen = null;
 const eye = { target: data.target.slice(), distance: data.distance, yaw: 0.6, pitch: 0.85 };
-let picture = null, depths = null, scale = 1, asked = false;
+let picture = null, depths = null, asked = false;
 
 /* --- geometry ------------------------------------------------------------------------------- */
 
@@ -101,7 +106,7 @@ function splat(v, cloud) {
     const inverse = v.focal / away;
     const column = Math.round(v.cx + inverse * (x * rx + y * ry));
     const row = Math.round(v.cy - inverse * (x * ux + y * uy + z * uz));
-    const reach = added ? Math.round(3 * scale) : Math.min(3, Math.max(1, Math.round(0.12 * inverse)));
+    const reach = added ? Math.round(3 * scale) : Math.min(4, Math.max(cloud.least, Math.round(0.12 * inverse)));
     if (column < reach || row < reach || column >= wide - reach || row >= high - reach) continue;
     const [red, green, blue] = added ? ADDED : [rgb[3 * k], rgb[3 * k + 1], rgb[3 * k + 2]];
     const low = added ? -reach : 0;
@@ -230,7 +235,7 @@ function panel() {
 
 function figures() {
   const lines = [];
-  const small = data.objects.filter(object => object.size === "small" && object.seen);
+  const small = data.objects.filter(object => object.size === "small");
   if (small.length) lines.push(`${small.filter(hasPoint).length} of ${small.length} small objects in the photographs have a point`);
   if (method !== null) {
     const errors = method.queries.filter(q => q.error !== null).map(q => q.error).sort((a, b) => a - b);
@@ -338,6 +343,5 @@ document.getElementById("close").addEventListener("click", () => choose(null));
 document.getElementById("through").addEventListener("click", () => stand(chosen));
 window.addEventListener("resize", ask);
 
-scale = Math.min(2, window.devicePixelRatio || 1);
 panel();
 ask();
