@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from baselines.upright import north, upright
+from baselines.views import north, view
+from scene.camera import Camera
 from scene.features import Features, read_features, unit_descriptors, write_features
 from scene.files import sha256_of
 from scene.images import check_photographs, read_rgb
@@ -42,6 +43,18 @@ class Extractor(ABC):
     @abstractmethod
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         """Features of an (H, W, 3) uint8 image."""
+
+    def seen(self, rgb: NDArray[np.uint8], camera: Camera, angle: float) -> Features:
+        """Features of a photograph turned counter-clockwise by ``angle`` (rad), in its own pixels.
+
+        The corners that come in are black, and nothing at or beyond the photograph's edge is kept.
+        """
+        looked = view(rgb, camera, angle)
+        found = self(looked.picture)
+        xy = found.xy.astype(np.float64)
+        kept = looked.shows(xy)
+        xy = looked.in_photograph(xy[kept]).astype(found.xy.dtype)
+        return Features(np.asarray(xy), found.scale[kept], found.descriptors[kept])
 
     def of_photographs(
         self, root: Path, names: Sequence[str], on_progress: Callable[[int], None]
@@ -98,7 +111,8 @@ def map_features(
         else:
             features = {}
             for name, angle in angles.items():
-                features[name] = upright(extractor, read_rgb(images / name), angle)
+                camera = sparse_map.images[name].camera
+                features[name] = extractor.seen(read_rgb(images / name, camera), camera, angle)
                 advance(len(features))
     if path is not None:
         write_features(path, features)

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.views import upright
 from scene.errors import InputError
 from scene.localizer import Query
 from scene.sparse_map import SparseMap
@@ -105,11 +106,11 @@ def nearest_by_position(
 
 
 def nearest_by_view(sparse_map: SparseMap, position: Vector, rotation: Matrix, k: int) -> Rows:
-    """Rows of the ``k`` cameras whose picture is most like that of a pose, best first.
+    """Rows of the ``k`` cameras whose picture, north up, is most like that of a pose, best first.
 
     What the middles of two pictures lie apart counts in heights above the ground, and what the
-    cameras are turned against each other in radians: a picture is about as wide as its camera is
-    high, and as strange as one beside it when it is turned by 60 degrees.
+    cameras are still turned against each other in radians: a picture is about as wide as its camera
+    is high, and as strange as one beside it when it is tilted by 60 degrees.
 
     Args:
         sparse_map: whose photographs.
@@ -118,7 +119,8 @@ def nearest_by_view(sparse_map: SparseMap, position: Vector, rotation: Matrix, k
         k: how many.
     """
     images = [sparse_map.images[name] for name in sparse_map.names]
-    rotations = np.stack([image.cam_from_world[:3, :3] for image in images])
+    rotations = np.stack([upright(image.cam_from_world[:3, :3]) for image in images])
+    rotation = upright(rotation)
     height = max(sparse_map.height_above(position), _LEAST_HEIGHT)
     ground = position[2] - height
     middles = _middle(sparse_map.centres, rotations, ground)
@@ -160,7 +162,7 @@ class References:
         query: Query,
         k: int,
         describe: Callable[[], NDArray[np.float32]],
-        turned: bool = True,
+        tilted: bool = True,
     ) -> NDArray[np.int64]:
         """Rows of ``sparse_map.names``, best first.
 
@@ -171,8 +173,8 @@ class References:
             query: what to choose for.
             k: how many.
             describe: descriptors of the query, (n, D) of unit length; called only when needed.
-            turned: whether what is compared is found again in a picture turned by any angle. If
-                not, those near the prior that are turned like it come first.
+            tilted: whether what is compared is found again from any side. If not, those near the
+                prior that are tilted like it come first.
 
         Raises:
             InputError: the query names a photograph that the map does not have.
@@ -185,7 +187,7 @@ class References:
             return np.array([row[name] for name in query.references], np.int64)
         if query.prior is not None:
             rotation = query.prior.cam_from_world_rotation
-            if rotation is not None and not turned:
+            if rotation is not None and not tilted:
                 return nearest_by_view(self.sparse_map, query.prior.position, rotation, k)
             return nearest_by_position(self.sparse_map.centres, query.prior.position, k)
         return self.index.rank(describe(), k)

@@ -15,7 +15,7 @@ from pydantic import Field
 from baselines.features import Extractor, map_features
 from baselines.lifting import interpolated_points, observed_points
 from baselines.retrieval import References
-from baselines.upright import north, upright
+from baselines.views import north
 from scene.colmap import estimate_absolute_pose
 from scene.config import Config
 from scene.errors import InputError
@@ -145,7 +145,7 @@ class StructureLocalizer:
         attitude = query.prior.cam_from_world_rotation if query.prior else None
         if self._extractor.turned or attitude is None:
             return self._extractor(query.image)
-        return upright(self._extractor, query.image, north(attitude))
+        return self._extractor.seen(query.image, query.camera, north(attitude))
 
     def _correspondences(
         self, descriptors: torch.Tensor, references: NDArray[np.int64]

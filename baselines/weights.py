@@ -23,6 +23,22 @@ from scene.files import sha256_of, written_whole
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "weights"
 """Where the weights lie that come with the project."""
 
+
+def shipped(method: str) -> Path:
+    """The weights of a method that come with the project.
+
+    Raises:
+        InputError: there are none.
+    """
+    path = SHIPPED / f"{method}.safetensors"
+    if not path.is_file():
+        raise InputError(
+            f"no weights at {path}: train them (objconnect train {method}), or name a file of "
+            "yours or of the authors with weights=FILE"
+        )
+    return path
+
+
 # Training scripts keep their arguments and scores beside the tensors. A score is NumPy's number: a
 # function that makes it of bytes, under the names it has had, and the types of the number.
 _PLAIN: Final[list[Any]] = [

@@ -132,11 +132,11 @@ def evaluate(
     again, an interrupted evaluation goes on where it was. An older file of the same name is
     replaced.
     """
-    from baselines.registry import create
     from benchmark.datasets import open_datasets
     from benchmark.evaluate import evaluate as run
     from benchmark.evaluate import results_path
     from benchmark.markdown import markdown
+    from benchmark.registry import create
     from benchmark.starts import parse_start
     from benchmark.tables import tables
 
@@ -173,7 +173,7 @@ def submit(
 
     Run again, it goes on after the last finished slice.
     """
-    from baselines.registry import create
+    from benchmark.registry import create
     from benchmark.submission import SUBMISSION
     from benchmark.submission import submit as run
 
@@ -280,10 +280,10 @@ def basin(
     that much, the same way for every method. Refiners start there; sift looks at the map
     photographs nearest to it.
     """
-    from baselines.registry import create
     from benchmark.basin import DEFAULT_SIZES, basin_path, parse_sizes
     from benchmark.basin import basin as run
     from benchmark.datasets import open_datasets
+    from benchmark.registry import create
 
     sizes = DEFAULT_SIZES if errors is None else parse_sizes(errors)
     settings = _settings(overrides or [])
@@ -334,9 +334,9 @@ def localize(
     Writes POSES (name qw qx qy qz tx ty tz, world to camera) and a CSV beside it with latitude,
     longitude, altitude, sigma and, for photographs not found, the reason.
     """
-    from baselines.registry import create
     from benchmark.localize import localize as run
     from benchmark.localize import open_place
+    from benchmark.registry import create
     from scene.camera import Camera
 
     located = run(
@@ -382,7 +382,7 @@ def train(
     """Train a method on rendered scenes, or resume its training. Under torchrun, in processes."""
     from baselines.training.command import train as run
     from baselines.training.config import TrainConfig
-    from objconnect.registry import trainable
+    from benchmark.registry import trainable
     from scene.config import load_config
 
     settings = load_config(TrainConfig, config, _settings(overrides or []))

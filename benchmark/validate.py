@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.registry import create
 from benchmark.datasets import Dataset, open_datasets
+from benchmark.registry import create
 from benchmark.simulated import is_scene
 from scene.conventions import OURS, POSE_READINGS, Reading
 from scene.map_check import check_map, check_principal_points

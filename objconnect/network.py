@@ -153,7 +153,9 @@ def read_network(path: Path) -> tuple[ObjConnectNet, str]:
         raise InputError(f"{path} holds no weights of objconnect")
     network = ObjConnectNet(load_config(ObjConnectNetConfig, None, weights.config))
     load_into(network, weights.tensors, path)
-    return network.eval(), weights.sha256
+    # torch's annotations do not know this argument.
+    fast = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return fast, weights.sha256
 
 
 def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:

@@ -169,6 +169,7 @@ class Problem:
             trust = trust * (self.trust.gather(index)[..., 0] * weights[..., 0, :]).sum(-1)
         if self.target_trust is not None:
             trust = trust * self.target_trust
+        seen = seen & (trust > 0)
 
         jacobian = projected.jacobian / self.stride[:, None]
         turn = torch.linalg.cross(in_camera[..., None, :].expand_as(jacobian), jacobian)

@@ -19,11 +19,9 @@ from baselines.d2net.detection import detect
 from baselines.d2net.network import D2Net, read_network
 from baselines.features import Extractor
 from baselines.structure import StructureConfig, StructureLocalizer
-from baselines.weights import SHIPPED
-from scene.errors import InputError
+from baselines.weights import shipped
 from scene.features import Features
 
-WEIGHTS: Final = SHIPPED / "d2net.safetensors"
 # A picture is plain where grey levels have a smaller standard deviation over so many pixels.
 _PLAIN: Final = 1.0
 _AROUND: Final = 33
@@ -108,10 +106,5 @@ class D2NetLocalizer(StructureLocalizer):
         Raises:
             InputError: there are no weights, or they are not of this network.
         """
-        if config.weights is None and not WEIGHTS.is_file():
-            raise InputError(
-                f"no weights of d2net at {WEIGHTS}: give a file as 'weights', or train them with "
-                "'objconnect train d2net'"
-            )
-        network, digest = read_network(config.weights or WEIGHTS)
+        network, digest = read_network(config.weights or shipped("d2net"))
         super().__init__(config, D2NetExtractor(network, digest, config), interpolate=True)

@@ -12,7 +12,7 @@ import baselines.pixloc.network as pixloc
 from baselines.d2net.loss import TripletLoss, triplet_loss
 from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, read_network, soft_scores
 from baselines.training.config import TrainConfig
-from baselines.training.contrastive import contrastive
+from baselines.training.contrastive import contrastive, mean_over
 from baselines.training.pairs import PairBatch
 from baselines.vgg import IMAGENET_STD
 from baselines.weights import read_weights
@@ -66,7 +66,8 @@ class D2NetTraining:
         a, b = features.chunk(2)
         inside = _inside(batch.xy_a, batch.image_a) & _inside(batch.xy_b, batch.image_b)
         valid = batch.valid & inside
-        contrast = contrastive(a, b, batch.xy_a / STRIDE, batch.xy_b / STRIDE, valid)
+        lost = contrastive(a, b, batch.xy_a / STRIDE, batch.xy_b / STRIDE, valid)
+        contrast = mean_over(valid, lost)
         figures = {"contrastive": float(contrast.detach())}
         if progress < self._warm_up:
             return contrast, figures

@@ -1,225 +1,23 @@
-"""PixLoc: the pose at which the image looks like the map's points do in the nearest photographs.
-
-After Sarlin et al. (CVPR 2021). Differently from their code, features of the photographs are kept
-from ``prepare`` on, steps that make the cost larger are not taken, and the pose has a covariance.
-"""
+"""PixLoc as a localizer: its network, aligned to the nearest photographs of the map."""
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import replace
-from pathlib import Path
-from typing import Final
-
-import numpy as np
-import torch
-from numpy.typing import NDArray
-from pydantic import Field
-
-from baselines.align.aligner import align
-from baselines.align.descent import Options
-from baselines.align.hypotheses import Reach, align_from_many
-from baselines.align.residuals import Level
-from baselines.pixloc.maps import FeatureMap, MapExtractor, Precision
+from baselines.featuremetric.localizer import FeaturemetricConfig, FeaturemetricLocalizer
 from baselines.pixloc.network import read_network
-from baselines.pixloc.references import references
-from baselines.retrieval import References
-from baselines.weights import SHIPPED
-from scene.config import Config
-from scene.errors import InputError
-from scene.localizer import Estimate, Query, Status, Stopwatch, fault
-from scene.pose import Pose
-from scene.projection import Intrinsics
-from scene.sparse_map import SparseMap
-
-# The coarsest level has a cell for so many pixels; an image must have one at least.
-_LEAST_SIDE: Final = 16
-_MEGABYTE: Final = 2**20
-# Poses of pictures of nothing cost 0.98 of chance and more, those of right ones 0.7 to 0.9.
-_BETTER: Final = 0.95
-
-_Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
+from baselines.weights import shipped
 
 
-class PixlocConfig(Config):
-    """Options of the pixloc localizer.
-
-    Attributes:
-        weights: file of the network: ours, or a checkpoint of the authors'; None is the one that
-            comes with the project.
-        references: photographs of the map the query is aligned to, together.
-        points: of the map, shared by the references.
-        longest: larger images are resized to this side (px).
-        iterations: at most, per level.
-        multistart: look around the start too, for priors beyond the reach of the features; the
-            authors' code does not.
-        precision: of the convolutions.
-        memory_mb: that features of the map may take in memory; what is beyond stays on disk.
-    """
-
-    weights: Path | None = None
-    references: int = Field(5, ge=1)
-    points: int = Field(1024, ge=10)
-    longest: int = Field(1024, ge=64)
-    iterations: int = Field(100, ge=1)
-    multistart: bool = False
-    precision: Precision = "float32"
-    memory_mb: int = Field(1024, ge=1)
+class PixlocConfig(FeaturemetricConfig):
+    """Options of the pixloc localizer; ``weights`` may be a checkpoint of the authors'."""
 
 
-class PixlocLocalizer:
-    """See the module. Implements ``scene.localizer.Localizer``.
+class PixlocLocalizer(FeaturemetricLocalizer):
+    """See the module.
 
     Raises:
         InputError: the weights are missing or not of this network.
     """
 
-    name = "pixloc"
-
     def __init__(self, config: PixlocConfig) -> None:
-        self.config = config
-        path = config.weights or SHIPPED / "pixloc.safetensors"
-        if config.weights is None and not path.is_file():
-            raise InputError(
-                f"no weights at {path}: train them (objconnect train pixloc), or name a file with "
-                "weights=FILE, for instance the authors' checkpoint_best.tar"
-            )
-        network, self.weights_sha256 = read_network(path)
-        self._extract = MapExtractor(network, config.longest, config.precision)
-        self._damping = [damping().detach() for damping in network.damping]
-        self._options = Options(iterations=config.iterations)
-
-    def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
-        """Keep what the points of the map look like in its photographs."""
-        if cache is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="pixloc-")
-            cache = Path(self._folder.name)
-        config = self.config
-        self._map = sparse_map
-        self._observations = references(
-            sparse_map,
-            images,
-            self._extract,
-            config.points,
-            f"{self.weights_sha256} {config.longest} {config.precision}",
-            cache,
-            config.memory_mb * _MEGABYTE,
-        )
-        # The coarsest features tell places apart: nothing else need be extracted to find similar
-        # photographs.
-        coarse = [self._observations[row].features[0] for row in range(len(self._observations))]
-        self._retrieval = References.build(sparse_map, [c.astype(np.float32) for c in coarse])
-
-    @torch.inference_mode()
-    def localize(self, query: Query) -> Estimate:
-        """Feature maps, references, starting pose, points, alignment."""
-        if reason := fault(query):
-            return Estimate(Status.FAILED, reason=reason)
-        if (side := self._extract.shorter_side(query.image)) < _LEAST_SIDE:
-            reason = f"the image is {side} pixels wide or high, {_LEAST_SIDE} are needed"
-            return Estimate(Status.FAILED, reason=reason)
-        clock = Stopwatch()
-        with clock.stage("features"):
-            maps = self._extract(query.image)
-        with clock.stage("retrieval"):
-            chosen = self._retrieval.choose(
-                query, self.config.references, lambda: _descriptors(maps[0]), turned=False
-            )
-            if not len(chosen):
-                return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            start = self._start(query, int(chosen[0]))
-        with clock.stage("points"):
-            rows, levels = self._levels(query, maps, chosen, start)
-        with clock.stage("alignment"):
-            problem = (
-                levels,
-                torch.from_numpy(self._map.xyz[rows])[None],
-                query.camera.intrinsics(),
-                Pose(start.rotation[None], start.translation[None]),
-                self._damping,
-                self._options,
-            )
-            many = self.config.multistart
-            found = align_from_many(*problem, Reach()) if many else align(*problem)
-            reason = found.reason(0)
-            if not reason and self._by_chance(problem, found.pose):
-                reason = "the image fits the map's points hardly better than it would by chance"
-        seen, iterations = int(found.seen), int(found.iterations)
-        if reason:
-            return Estimate(
-                Status.FALLBACK,
-                start,
-                inliers=seen,
-                iterations=iterations,
-                seconds=clock.seconds,
-                reason=reason,
-            )
-        covariance = found.covariance[0].numpy()
-        return Estimate(
-            Status.OK,
-            Pose(found.pose.rotation[0], found.pose.translation[0]),
-            covariance if np.isfinite(covariance).all() else None,
-            inliers=seen,
-            iterations=iterations,
-            seconds=clock.seconds,
-        )
-
-    def _by_chance(self, problem: _Problem, pose: Pose) -> bool:
-        """Whether other points would look as much like the query where these are seen."""
-        levels, points, intrinsics, _, damping, options = problem
-        still = replace(options, iterations=0)
-        judge = len(levels) // 2
-        level, held_back = levels[judge], damping[judge]
-        # Neighbours in the list are of different parts of the picture, and may still look alike.
-        others = torch.roll(level.reference, level.reference.shape[1] // 2, 1)
-        ours, theirs = (
-            align([each], points, intrinsics, pose, [held_back], still).cost
-            for each in (level, replace(level, reference=others))
-        )
-        return not float(ours) < _BETTER * float(theirs)
-
-    def _start(self, query: Query, reference: int) -> Pose:
-        """The prior; what it does not say is that of the best reference."""
-        nearest = self._map.images[self._map.names[reference]].pose
-        if query.prior is None:
-            return nearest
-        rotation = nearest.rotation
-        if query.prior.cam_from_world_rotation is not None:
-            rotation = torch.from_numpy(np.array(query.prior.cam_from_world_rotation, np.float64))
-        position = torch.from_numpy(np.array(query.prior.position, np.float64))
-        return Pose(rotation, -rotation @ position)
-
-    def _levels(
-        self, query: Query, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose
-    ) -> tuple[NDArray[np.int64], list[Level]]:
-        """Rows of the points to align, those first that the start sees, and what they look like.
-
-        A point seen by several references counts once for each of them, as in the authors' code.
-        """
-        observed = [self._observations[int(row)] for row in chosen]
-        rows = np.concatenate([seen.rows for seen in observed])
-        turn = np.concatenate([np.arange(len(seen.rows)) for seen in observed])
-        in_camera = start.transform(torch.from_numpy(self._map.xyz[rows]))
-        projected = query.camera.project(in_camera)
-        visible = (projected.valid & query.camera.contains(projected.xy)).numpy()
-        kept = np.lexsort((turn, ~visible))[: self.config.points]
-        confidence = np.concatenate([seen.confidence for seen in observed])[kept]
-        levels = []
-        for number, level in enumerate(maps):
-            reference = np.concatenate([seen.features[number] for seen in observed])[kept]
-            levels.append(
-                Level(
-                    torch.nn.functional.normalize(level.features, dim=1),
-                    level.stride,
-                    torch.from_numpy(reference).float()[None],
-                    level.confidence,
-                    torch.from_numpy(confidence[:, number]).float()[None],
-                )
-            )
-        return rows[kept], levels
-
-
-def _descriptors(level: FeatureMap) -> NDArray[np.float32]:
-    """Unit features of all cells, (h w, C)."""
-    cells = level.features[0].flatten(1).T.float()
-    return torch.nn.functional.normalize(cells, dim=1).numpy()
+        network, digest = read_network(config.weights or shipped("pixloc"))
+        super().__init__("pixloc", network, digest, config)

@@ -19,7 +19,7 @@ from baselines.align.residuals import Level
 from baselines.pixloc.loss import pose_loss, reprojection_error
 from baselines.pixloc.network import PixlocNet, PixlocNetConfig, read_network
 from baselines.training.config import TrainConfig
-from baselines.training.contrastive import contrastive, sample
+from baselines.training.contrastive import contrastive, mean_over, sample
 from baselines.training.pairs import PairBatch
 from scene.config import load_config
 from scene.errors import InputError
@@ -31,6 +31,8 @@ _STRIDES: Final = (16, 4, 2)
 _UNROLLED: Final = Options(iterations=8, careful=False)
 # Pixels against nats: at the end both are about one.
 POSE_SHARE: Final = 0.3
+TRUST_SHARE: Final = 0.3
+_LEAST_TRUST: Final = 1e-3
 # Damping is one number for all pixels: it needs larger steps than the filters.
 _DAMPING_RATE: Final = 30.0
 
@@ -84,22 +86,35 @@ def both(batch: PairBatch) -> Tensor:
 def contrast_of(
     maps: Sequence[tuple[Tensor, Tensor]], strides: Sequence[int], batch: PairBatch
 ) -> tuple[Tensor, dict[str, float]]:
-    """The mean over the levels of the contrastive loss, and figures.
+    """The mean over the levels of the contrastive loss and of that of the confidence, and figures.
+
+    Confidence is taught to say how likely a place is found again, from one look at it: what snow or
+    another hour hides should count for little. By the pose alone, as the authors teach it, it stays
+    the same everywhere for long.
 
     Args:
         maps: features and confidences of ``both`` halves of the batch, level by level.
         strides: of the levels.
         batch: what is known of the pairs.
     """
-    losses = []
-    for stride, (features, _) in zip(strides, maps, strict=True):
+    losses, doubts = [], []
+    for stride, (features, confidence) in zip(strides, maps, strict=True):
         a, b = features.float().chunk(2)
-        losses.append(contrastive(a, b, batch.xy_a / stride, batch.xy_b / stride, batch.valid))
+        cells = batch.xy_a / stride, batch.xy_b / stride
+        lost = contrastive(a, b, *cells, batch.valid)
+        losses.append(mean_over(batch.valid, lost))
+        found = torch.exp(-lost.detach())
+        for half, places in zip(confidence.chunk(2), cells, strict=True):
+            said = sample(half, places)[..., 0].clamp(_LEAST_TRUST, 1 - _LEAST_TRUST)
+            doubt = functional.binary_cross_entropy(said, found, reduction="none")
+            doubts.append(mean_over(batch.valid, doubt))
     figures = {
         f"contrastive/{stride}": float(loss.detach())
         for stride, loss in zip(strides, losses, strict=True)
     }
-    return torch.stack(losses).mean(), figures
+    doubt = torch.stack(doubts).mean()
+    figures["confidence"] = float(doubt.detach())
+    return torch.stack(losses).mean() + TRUST_SHARE * doubt, figures
 
 
 def levels_of(

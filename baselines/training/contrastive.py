@@ -34,14 +34,14 @@ def sample(maps: Tensor, cells: Tensor) -> Tensor:
 def contrastive(
     features_a: Tensor, features_b: Tensor, cells_a: Tensor, cells_b: Tensor, valid: Tensor
 ) -> Tensor:
-    """Mean over points of the negative logarithm of how likely a point is found at its own place.
+    """The negative logarithm of how likely each point is found at its own place, (B, N).
 
     Args:
         features_a: (B, C, h, w), of any length: they are normalised here.
         features_b: likewise.
         cells_a: (B, N, 2) where the points lie in a, cells.
         cells_b: (B, N, 2) likewise in b.
-        valid: (B, N) bool.
+        valid: (B, N) bool; what is said of other points means nothing.
     """
     # Places of points that do not count may be anything, and lookups at NaN end the process.
     cells_a, cells_b = (torch.where(valid[..., None], c, 0.5) for c in (cells_a, cells_b))
@@ -61,5 +61,9 @@ def contrastive(
     too_close = torch.cdist(cells_b, centres) < _SAME_PLACE
     to_far = (points @ far).masked_fill(too_close, -torch.inf)
     logits = torch.cat([to_near, to_far], -1) / _TEMPERATURE
-    loss = logits.logsumexp(-1) - logits[..., 0]
-    return (loss * valid).sum() / valid.sum().clamp(min=1)
+    return torch.as_tensor(logits.logsumexp(-1) - logits[..., 0])
+
+
+def mean_over(valid: Tensor, values: Tensor) -> Tensor:
+    """Mean of values (B, N) over the valid points, a number."""
+    return torch.where(valid, values, 0).sum() / valid.sum().clamp(min=1)

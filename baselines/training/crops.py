@@ -1,30 +1,28 @@
-"""Square crops of photographs, resized and turned by quarter turns, with their cameras."""
+"""Square crops of photographs, resized and turned about the camera's axis, with their cameras."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.training.pairs import Pinhole
+from baselines.views import resampled, turned_by
 
 
 class Crop(NamedTuple):
     """A square cut of a photograph.
 
     Attributes:
-        image: (S, S, 3) uint8.
+        image: (S, S, 3) uint8; black where the photograph has ended.
         camera: that sees it.
-        corner: (2,) pixel of the photograph where it begins.
-        scale: pixels of the crop per pixel of the photograph.
+        crop_from_camera: (4, 4) the turn from the photograph's camera frame to this camera's.
     """
 
     image: NDArray[np.uint8]
     camera: Pinhole
-    corner: NDArray[np.float64]
-    scale: float
+    crop_from_camera: NDArray[np.float64]
 
     def contains(self, xy: NDArray[np.float64], border: float) -> NDArray[np.bool_]:
         """Whether pixels of the crop (N, 2) lie inside it, ``border`` pixels from its edge."""
@@ -38,30 +36,23 @@ def crop(
     centre: NDArray[np.float64],
     scale: float,
     size: int,
+    angle: float = 0.0,
 ) -> Crop:
-    """Cut ``size / scale`` pixels around ``centre``, moved to lie inside, resized to ``size``."""
-    height, width = image.shape[:2]
-    side = min(round(size / scale), height, width)
-    scale = size / side
-    corner = np.clip(np.round(centre - side / 2), 0, [width - side, height - side])
-    x, y = corner.astype(int)
-    cut = image[y : y + side, x : x + side]
-    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    resized = cv2.resize(cut, (size, size), interpolation=how).astype(np.uint8)
-    seen_by = Pinhole(camera.focal * scale, (camera.principal - corner) * scale)
-    return Crop(resized, seen_by, corner, scale)
+    """What lies around a pixel, resized and turned.
 
-
-def quarter_turns(
-    image: NDArray[np.uint8], camera: Pinhole, turns: int
-) -> tuple[NDArray[np.uint8], Pinhole, NDArray[np.float64]]:
-    """A square image turned counter-clockwise, its camera, and ``turned_from_camera`` (4, 4)."""
-    size = float(len(image))
-    (fx, fy), (cx, cy) = camera.focal, camera.principal
-    turned = np.eye(4)
-    for _ in range(turns % 4):
-        # The pixel (x, y) goes to (y, size - x).
-        fx, fy, cx, cy = fy, fx, cy, size - cx
-        turned = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]) @ turned
-    picture = np.ascontiguousarray(np.rot90(image, turns))
-    return picture, Pinhole(np.array([fx, fy]), np.array([cx, cy])), turned
+    Args:
+        image: (H, W, 3) the photograph.
+        camera: that took it, with square pixels.
+        centre: (2,) pixel of the photograph that comes to the middle.
+        scale: pixels of the crop per pixel of the photograph.
+        size: S.
+        angle: counter-clockwise, radians.
+    """
+    turn = turned_by(angle)
+    linear = scale * turn[:2, :2]
+    affine = np.column_stack([linear, size / 2 - linear @ centre])
+    cut = resampled(image, affine, np.array([size, size]))
+    seen_by = Pinhole(camera.focal * scale, linear @ camera.principal + affine[:, 2])
+    crop_from_camera = np.eye(4)
+    crop_from_camera[:3, :3] = turn
+    return Crop(cut, seen_by, crop_from_camera)

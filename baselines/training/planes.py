@@ -24,7 +24,8 @@ from scene.pose import so3_exp
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 _HEIGHT_M = 80.0
 _TILT_DEG = 15.0
-_HEADING_DEG = 35.0
+# Pictures are turned north up before a network sees them, as well as their headings are known.
+_HEADING_DEG = 8.0
 _BORDER = 4.0
 _SMALLEST = 64
 

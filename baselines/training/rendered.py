@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.training.augment import photometric
-from baselines.training.crops import crop, quarter_turns
+from baselines.training.crops import crop
 from baselines.training.keypoints import keypoints
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
+from baselines.views import north, upright
 from scene.bundle import Scene
 from scene.camera import Camera
 from scene.errors import InputError
@@ -21,13 +22,15 @@ from scene.frames import DenseLayers
 from scene.images import read_rgb
 
 _OVERLAP = 0.3
-# Frames whose pictures are turned against each other by more show each other nothing a slim network
-# could learn: references are chosen by heading too.
-_LARGEST_TURN_DEG = 60.0
+# Pictures are turned north up before a network sees them; frames that are then still turned against
+# each other by more show each other nothing a slim network could learn.
+_LARGEST_TURN_DEG = 45.0
+# What an aircraft's belief about its heading may be off by.
+_HEADING_DEG = 8.0
 _CROSS_SHARE = 0.65
-_ZOOM = (0.4, 1.1)
+_ZOOM = (0.5, 1.2)
 # So often frames flown at different heights are brought to the same metres per pixel.
-_LEVEL_SHARE = 0.7
+_LEVEL_SHARE = 0.85
 _BORDER = 4.0
 _SMALLEST = 64
 # Two depths of one place agree within this share.
@@ -115,25 +118,28 @@ class RenderedPairs:
         if rng.uniform() < _LEVEL_SHARE:
             distance = float(in_b[good][anchor, 2] / points[anchor, 2])
             match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
-        cut_a = crop(photo_a, a.camera, xy_a[anchor] + jitter[0], zoom, self._size)
-        cut_b = crop(photo_b, b.camera, xy_b[anchor] + jitter[1], zoom * match_scale, self._size)
-        turns = int(rng.integers(4))
-        image_a, camera_a, turn = quarter_turns(cut_a.image, cut_a.camera, turns)
-        image_b, camera_b, _ = quarter_turns(cut_b.image, cut_b.camera, turns)
-        b_from_a = turn @ b_from_a @ turn.T
-        points = points @ turn[:3, :3].T
-        xy_a = camera_a.project(points)
-        xy_b = camera_b.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
+        # Light falls from the north in half of the world.
+        joint = np.pi / 2 * rng.integers(4)
+        angle_a = joint + north(a.cam_from_world[:3, :3])
+        angle_b = joint + north(b.cam_from_world[:3, :3])
+        angle_b += np.radians(rng.uniform(-_HEADING_DEG, _HEADING_DEG))
+        zoom_b = zoom * match_scale
+        cut_a = crop(photo_a, a.camera, xy_a[anchor] + jitter[0], zoom, self._size, angle_a)
+        cut_b = crop(photo_b, b.camera, xy_b[anchor] + jitter[1], zoom_b, self._size, angle_b)
+        b_from_a = cut_b.crop_from_camera @ b_from_a @ cut_a.crop_from_camera.T
+        points = points @ cut_a.crop_from_camera[:3, :3].T
+        xy_a = cut_a.camera.project(points)
+        xy_b = cut_b.camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
         good = cut_a.contains(xy_a, _BORDER) & cut_b.contains(xy_b, _BORDER)
         if good.sum() < _SMALLEST:
             return None
         depth = float(np.median(points[good, 2]))
         valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
         return Pair(
-            photometric(image_a, rng, self._strength),
-            photometric(image_b, rng, self._strength),
-            camera_a,
-            camera_b,
+            photometric(cut_a.image, rng, self._strength),
+            photometric(cut_b.image, rng, self._strength),
+            cut_a.camera,
+            cut_b.camera,
             b_from_a,
             wrong_start(b_from_a, depth, rng),
             points,
@@ -166,8 +172,7 @@ def _pairs(scene: Scene, frames: Sequence[_Frame]) -> list[tuple[int, int]]:
     """Index pairs (a < b) of frames that see enough of the same ground about the same way up."""
     names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
     overlap = scene.covisibility.of(names).mutual
-    rotations = np.stack([frame.cam_from_world[:3, :3] for frame in frames])
-    # Of the whole relative rotation: of two pictures of the ground mostly their headings'.
+    rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     angle = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
     rows, columns = np.nonzero(np.triu((overlap >= _OVERLAP) & (angle <= _LARGEST_TURN_DEG), 1))

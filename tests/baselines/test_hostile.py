@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.registry import METHODS, create
 from benchmark.datasets import open_datasets
+from benchmark.registry import METHODS, create
 from scene.errors import InputError
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
 from scene.pose import Pose

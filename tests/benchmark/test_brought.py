@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from baselines.registry import create, known
 from benchmark.datasets import open_datasets
 from benchmark.evaluate import evaluate
+from benchmark.registry import create, known
 from scene.errors import InputError
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "nearest"

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-import baselines.registry
+import benchmark.registry
 from benchmark.cli import app
 from scene.localizer import Estimate, Status
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
@@ -45,7 +45,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeLocalizer:
             "d.jpg": Estimate(Status.OK, moved(pose_at(3), 0.1)),
         }
     )
-    monkeypatch.setattr(baselines.registry, "create", lambda name, overrides: localizer)
+    monkeypatch.setattr(benchmark.registry, "create", lambda name, overrides: localizer)
     return localizer
 
 

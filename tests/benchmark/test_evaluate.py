@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.registry import create
 from benchmark.datasets import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.journal import Journal
+from benchmark.registry import create
 from benchmark.results import Results, load
 from benchmark.starts import NONE, PRIOR, Start
 from scene.bundle import Scene

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-import baselines.registry
+import benchmark.registry
 from benchmark.cli import app
 from benchmark.textfiles import read_poses
 from scene.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
@@ -40,7 +40,7 @@ def method(monkeypatch: pytest.MonkeyPatch) -> Remembering:
             "f.jpg": Estimate(Status.FAILED, reason="3 matches, 4 are needed"),
         }
     )
-    monkeypatch.setattr(baselines.registry, "create", lambda name, overrides: localizer)
+    monkeypatch.setattr(benchmark.registry, "create", lambda name, overrides: localizer)
     return localizer
 
 

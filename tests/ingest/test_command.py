@@ -13,10 +13,10 @@ from PIL import ExifTags, Image
 from typer.testing import CliRunner
 
 import ingest.command
-from baselines.registry import create
 from benchmark.cli import app
 from benchmark.datasets import open_datasets
 from benchmark.flight import TRACK
+from benchmark.registry import create
 from benchmark.textfiles import read_poses
 from ingest.attitude import gimbal_pose
 from ingest.command import ingest as run

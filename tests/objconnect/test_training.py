@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from baselines.pixloc.training import both, contrast_of, levels_of
-from baselines.registry import trainable as baselines_trainable
 from baselines.training.config import TrainConfig
+from benchmark.registry import TRAINABLE, trainable
 from objconnect.loss import (
     FEATURE_SHARE,
     POSE_SHARE,
@@ -20,7 +20,6 @@ from objconnect.loss import (
     total,
     trust_loss,
 )
-from objconnect.registry import TRAINABLE, trainable
 from objconnect.training import ObjConnectTraining
 from scene.errors import InputError
 from scene.pose import Pose
@@ -117,7 +116,6 @@ def test_some_steps_lower_the_loss(segmentation: str) -> None:
 def test_registry_and_settings(tmp_path: Path) -> None:
     assert trainable("objconnect") is ObjConnectTraining
     assert TRAINABLE[-1] == "objconnect"
-    assert trainable("pixloc") is baselines_trainable("pixloc")
     with pytest.raises(InputError, match="those that can: .*objconnect"):
         trainable("sift")
     assert made(attention=False).network_config.attention is False

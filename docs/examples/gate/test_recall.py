@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from baselines.registry import create
 from benchmark.datasets import open_datasets
 from benchmark.evaluate import evaluate
+from benchmark.registry import create
 
 
 def test_recall(tmp_path, no_recall_drop):

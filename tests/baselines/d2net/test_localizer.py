@@ -13,7 +13,7 @@ import pytest
 from baselines.d2net import localizer as module
 from baselines.d2net.localizer import D2NetConfig, D2NetExtractor, D2NetLocalizer
 from baselines.d2net.network import read_network
-from baselines.registry import create
+from benchmark.registry import create
 from scene.colmap import read_map
 from scene.errors import InputError
 from scene.images import read_rgb

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
-from baselines.registry import create
 from baselines.weights import SHIPPED
+from benchmark.registry import create
 from scene.camera import Camera
 from scene.errors import InputError
 from scene.localizer import Estimate, Prior, Query, Status

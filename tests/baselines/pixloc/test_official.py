@@ -10,8 +10,8 @@ from baselines.align.aligner import align
 from baselines.align.descent import Options
 from baselines.align.residuals import Level
 from baselines.align.sampling import sample
+from baselines.featuremetric.maps import FeatureMap
 from baselines.pixloc.loss import pose_loss, reprojection_error
-from baselines.pixloc.maps import FeatureMap
 from baselines.pixloc.network import PixlocNet
 from scene.pose import Pose
 from tests.baselines.pixloc import official

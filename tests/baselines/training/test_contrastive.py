@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.training.contrastive import contrastive, sample
+from baselines.training.contrastive import contrastive, mean_over, sample
 
 
 def cells(count: int) -> Tensor:
@@ -23,9 +23,10 @@ def test_features_that_tell_places_apart_cost_less() -> None:
     torch.manual_seed(0)
     smooth = functional.interpolate(torch.randn(1, 32, 8, 8), size=24, mode="bicubic")
     xy, valid = cells(50), torch.ones(1, 50, dtype=torch.bool)
-    right = contrastive(smooth, smooth, xy, xy, valid)
-    wrong = contrastive(smooth, smooth, xy, xy.flip(1), valid)
-    plain = contrastive(torch.ones(1, 32, 24, 24), torch.ones(1, 32, 24, 24), xy, xy, valid)
+    right = mean_over(valid, contrastive(smooth, smooth, xy, xy, valid))
+    wrong = mean_over(valid, contrastive(smooth, smooth, xy, xy.flip(1), valid))
+    flat = torch.ones(1, 32, 24, 24)
+    plain = mean_over(valid, contrastive(flat, flat, xy, xy, valid))
     assert right < plain < wrong
 
 
@@ -35,7 +36,8 @@ def test_points_that_are_not_valid_do_not_count() -> None:
     xy, valid = cells(50), torch.arange(50)[None] < 30
     spoiled = torch.where(valid[..., None], xy, torch.nan)
     torch.manual_seed(1)
-    first = contrastive(a, b, xy, spoiled, valid)
+    first = mean_over(valid, contrastive(a, b, xy, spoiled, valid))
     torch.manual_seed(1)
-    second = contrastive(a, b, xy, torch.where(valid[..., None], xy, 5.0), valid)
+    moved = torch.where(valid[..., None], xy, 5.0)
+    second = mean_over(valid, contrastive(a, b, xy, moved, valid))
     assert torch.allclose(first, second, rtol=1e-3)

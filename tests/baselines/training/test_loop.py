@@ -17,7 +17,7 @@ from baselines.training.config import TrainConfig
 from baselines.training.loop import LOG, WEIGHTS
 from baselines.training.pairs import PairBatch
 from baselines.weights import read_weights
-from objconnect.registry import TRAINABLE, trainable
+from benchmark.registry import TRAINABLE, trainable
 from scene.bundle import Scene
 from scene.errors import InputError
 

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from baselines.upright import north, upright
 from numpy.typing import NDArray
 
-from baselines.upright import north, upright
 from scene.features import Features
 from scene.pose import so3_exp
 
@@ -26,8 +26,14 @@ def test_north_is_where_the_ground_s_north_projects(heading: float) -> None:
 
 
 def test_an_oblique_view_along_north_is_upright_already() -> None:
-    tilt = so3_exp(torch.tensor([np.radians(50.0), 0.0, 0.0], dtype=torch.float64)).numpy()
+    tilt = so3_exp(torch.tensor([np.radians(-50.0), 0.0, 0.0], dtype=torch.float64)).numpy()
     assert north(tilt @ DOWN) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("heading", [0.0, 90.0, 200.0])
+def test_views_from_a_street_keep_the_sky_up(heading: float) -> None:
+    level = so3_exp(torch.tensor([np.radians(-80.0), 0.0, 0.0], dtype=torch.float64)).numpy()
+    assert north(level @ turned(heading)) == pytest.approx(0, abs=1e-9)
 
 
 def _brightest(rgb: NDArray[np.uint8]) -> Features:

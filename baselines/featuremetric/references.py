@@ -1,12 +1,12 @@
 """What the points of a map look like in its photographs: computed once, kept on disk.
 
-The authors run the network on the reference photographs again for every query. Only features at
-points are needed of them, and these are few.
+Only features at points are needed of the photographs, and these are few.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,20 +18,24 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.pixloc.maps import FeatureMap, MapExtractor
+from baselines.featuremetric.corners import CornerFinder
+from baselines.featuremetric.maps import FeatureMap, MapExtractor
+from baselines.featuremetric.resolution import metres_per_pixel, scale_to
+from baselines.views import View, north
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import sha256_of, written_whole
 from scene.images import check_photographs, read_rgb
+from scene.pose import Pose
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
 
-# Points seen by fewer photographs are less sure; the authors leave them out.
+# Points seen by fewer photographs are less sure; PixLoc's authors leave them out.
 _LEAST_TRACK: Final = 3
 # Unless a photograph has fewer of the others than this.
 _LEAST_POINTS: Final = 64
 # Points are taken in turns from the cells of a grid of so many by so many over the photograph.
 _GRID: Final = 16
-_FORMAT: Final = 2
+_FORMAT: Final = 3
 
 
 @dataclass(frozen=True)
@@ -41,19 +45,19 @@ class Observations:
     They stand in the order in which to take fewer of them: spread over the photograph.
 
     Attributes:
-        rows: (N,) of ``SparseMap.xyz``.
+        xyz: (N, 3) world metres.
         features: per level, coarse to fine, (N, C) float16 of unit length.
         confidence: (N, L) float16 in 0..1.
     """
 
-    rows: NDArray[np.int64]
+    xyz: NDArray[np.float64]
     features: tuple[NDArray[np.float16], ...]
     confidence: NDArray[np.float16]
 
     @property
     def nbytes(self) -> int:
         """Memory taken."""
-        return self.rows.nbytes + self.confidence.nbytes + sum(f.nbytes for f in self.features)
+        return self.xyz.nbytes + self.confidence.nbytes + sum(f.nbytes for f in self.features)
 
 
 class ReferenceFeatures:
@@ -64,6 +68,9 @@ class ReferenceFeatures:
     Args:
         path: written by ``write_references``.
         memory: bytes that observations in memory may take.
+
+    Attributes:
+        metres_per_pixel: at which the photographs were seen, NaN if not known.
     """
 
     def __init__(self, path: Path, memory: int) -> None:
@@ -76,6 +83,7 @@ class ReferenceFeatures:
             with h5py.File(path) as file:
                 self._ends = file["ends"][:]
                 self._levels = int(file.attrs["levels"])
+                self.metres_per_pixel = float(file.attrs["metres_per_pixel"])
         except HDF5_DAMAGE as error:
             raise InputError(f"{path} is damaged ({error}): delete it") from None
 
@@ -101,7 +109,7 @@ class ReferenceFeatures:
         try:
             with h5py.File(self._path) as file:
                 return Observations(
-                    file["rows"][part],
+                    file["xyz"][part],
                     tuple(file[f"features/{level}"][part] for level in range(self._levels)),
                     file["confidence"][part],
                 )
@@ -114,6 +122,8 @@ def references(
     images: Path,
     extract: MapExtractor,
     points: int,
+    corners: int,
+    name: str,
     key: str,
     cache: Path,
     memory: int,
@@ -125,6 +135,8 @@ def references(
         images: folder of the photographs.
         extract: of feature maps.
         points: most to keep per photograph.
+        corners: of a photograph to place beside the points of the map; 0 for none.
+        name: of the method, to call files and progress by.
         key: of everything else that decides the features: weights and options.
         cache: folder of files named by a digest of all of it.
         memory: bytes that observations in memory may take.
@@ -134,11 +146,11 @@ def references(
     """
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     photographs = [sha256_of(images / name) for name in sparse_map.names]
-    parts = [_FORMAT, sparse_map.sha256, photographs, points, key]
+    parts = [_FORMAT, sparse_map.sha256, photographs, points, corners, key]
     digest = hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()
-    path = cache / f"pixloc-{digest[:16]}.h5"
+    path = cache / f"{name}-{digest[:16]}.h5"
     if not path.is_file():
-        write_references(path, sparse_map, images, extract, points)
+        write_references(path, sparse_map, images, extract, points, corners, name)
     return ReferenceFeatures(path, memory)
 
 
@@ -148,13 +160,23 @@ def write_references(
     images: Path,
     extract: MapExtractor,
     points: int,
+    corners: int,
+    name: str,
 ) -> None:
     """Run the network on every photograph of a map and keep what its points look like."""
     config = extract.network.config
-    names = sparse_map.names
+    find = CornerFinder(sparse_map, images, corners) if corners else None
+    posed = [sparse_map.images[each] for each in sparse_map.names]
+    own = [
+        metres_per_pixel(image.pose, image.camera, _observed(image, sparse_map)) for image in posed
+    ]
+    shrunk = [min(1.0, extract.largest_scale(image.camera)) for image in posed]
+    known = np.array(own) / shrunk
+    wanted = float(np.median(known[np.isfinite(known)])) if np.isfinite(known).any() else math.nan
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
         file.attrs["levels"] = len(config.strides)
-        rows = file.create_dataset("rows", (0,), np.int64, maxshape=(None,))
+        file.attrs["metres_per_pixel"] = wanted
+        xyz = file.create_dataset("xyz", (0, 3), np.float64, maxshape=(None, 3))
         shape = (0, len(config.strides))
         confidence = file.create_dataset("confidence", shape, np.float16, maxshape=(None, shape[1]))
         features = [
@@ -162,16 +184,20 @@ def write_references(
             for level, dim in enumerate(config.dims)
         ]
         ends = []
-        with progress_bar("pixloc map features", len(names)) as advance:
-            for done, name in enumerate(names, 1):
-                image = sparse_map.images[name]
-                maps = extract(read_rgb(images / name, image.camera))
-                seen = observe(maps, image, sparse_map, points)
-                _append(rows, seen.rows)
+        with progress_bar(f"{name} map features", len(posed)) as advance:
+            for done, (image, resolution) in enumerate(zip(posed, own, strict=True), 1):
+                rgb = read_rgb(images / image.name, image.camera)
+                scale = scale_to(wanted, resolution, extract.largest_scale(image.camera))
+                looked = extract(rgb, image.camera, north(image.cam_from_world[:3, :3]), scale)
+                placed = _observed(image, sparse_map)
+                if find is not None:
+                    placed = np.concatenate([placed, find(image.name).xyz])
+                seen = observe(*looked, image.pose, placed, points)
+                _append(xyz, seen.xyz)
                 _append(confidence, seen.confidence)
                 for dataset, values in zip(features, seen.features, strict=True):
                     _append(dataset, values)
-                ends.append(len(rows))
+                ends.append(len(xyz))
                 advance(done)
         file["ends"] = np.array(ends, np.int64)
 
@@ -183,31 +209,43 @@ def _append(dataset: h5py.Dataset, values: NDArray[Any]) -> None:
 
 
 def observe(
-    maps: list[FeatureMap], image: MapImage, sparse_map: SparseMap, points: int
+    view: View, maps: list[FeatureMap], pose: Pose, xyz: NDArray[np.float64], points: int
 ) -> Observations:
-    """What the points seen by a photograph look like there, at most ``points`` of them.
+    """What points look like in a view of a photograph, at most ``points`` of those it shows.
 
-    Features are taken where the points project, as the authors do, not where they were observed.
+    Features are taken where the points project, as PixLoc's authors do, not where they were
+    observed. Of neighbours the one comes first of which the network is surest.
+
+    Args:
+        view: of the photograph.
+        maps: its levels.
+        pose: ``cam_from_world`` of the photograph.
+        xyz: (M, 3) the points.
+        points: most to keep.
     """
-    rows = np.unique(image.point_rows[image.point_rows >= 0])
-    sure = rows[sparse_map.track_length[rows] >= _LEAST_TRACK]
-    rows = sure if len(sure) >= _LEAST_POINTS else rows
-    in_camera = image.pose.transform(torch.from_numpy(sparse_map.xyz[rows]))
-    projected = image.camera.project(in_camera)
-    seen = (projected.valid & image.camera.contains(projected.xy)).numpy()
+    projected = view.camera.project(view.pose(pose).transform(torch.from_numpy(xyz)))
+    inside = (projected.valid & view.camera.contains(projected.xy)).numpy()
     levels = [level.sample(projected.xy.float()) for level in maps]
-    xy = projected.xy.numpy()[seen]
-    size = np.array([image.camera.width, image.camera.height])
-    order = spread(xy / size, sparse_map.track_length[rows[seen]])[:points]
-    kept = np.flatnonzero(seen)[order]
+    confidence = torch.stack([c for _, c in levels], -1)
+    seen = np.flatnonzero(inside & (confidence > 0).all(-1).numpy())
+    size = np.array([view.camera.width, view.camera.height])
+    worth = confidence.log().sum(-1).numpy()[seen]
+    kept = seen[spread(projected.xy.numpy()[seen] / size, worth)[:points]]
     return Observations(
-        rows[kept],
+        xyz[kept],
         tuple(features[kept].to(torch.float16).numpy() for features, _ in levels),
-        torch.stack([c[kept] for _, c in levels], -1).to(torch.float16).numpy(),
+        confidence[kept].to(torch.float16).numpy(),
     )
 
 
-def spread(xy: NDArray[np.float64], worth: NDArray[np.int64]) -> NDArray[np.int64]:
+def _observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
+    """Points of the map that a photograph observes, (N, 3); the sure ones where they suffice."""
+    rows = np.unique(image.point_rows[image.point_rows >= 0])
+    sure = rows[sparse_map.track_length[rows] >= _LEAST_TRACK]
+    return np.asarray(sparse_map.xyz[sure if len(sure) >= _LEAST_POINTS else rows])
+
+
+def spread(xy: NDArray[np.float64], worth: NDArray[Any]) -> NDArray[np.int64]:
     """An order of points of which every beginning covers the picture: the worthiest of every cell
     of a grid, then the second of every cell, and so on.
 

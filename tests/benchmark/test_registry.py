@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from baselines.registry import METHODS, create
+from benchmark.registry import METHODS, create
 from scene.errors import InputError
 from tests.baselines.d2net.untrained import untrained
 

@@ -23,12 +23,14 @@ _MADE_OF: Final = {
     "epipolar": ("baselines.epipolar", "EpipolarConfig", "EpipolarLocalizer"),
     "d2net": ("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
     "pixloc": ("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
+    "objconnect": ("objconnect.localizer", "ObjConnectConfig", "ObjConnectLocalizer"),
 }
 METHODS: Final = tuple(_MADE_OF)
 # Module and class of what those learn that can.
 _TAUGHT_BY: Final = {
     "d2net": ("baselines.d2net.training", "D2NetTraining"),
     "pixloc": ("baselines.pixloc.training", "PixlocTraining"),
+    "objconnect": ("objconnect.training", "ObjConnectTraining"),
 }
 TRAINABLE: Final = tuple(_TAUGHT_BY)
 _PROTOCOL: Final = ("name", "config", "weights_sha256", "prepare", "localize")

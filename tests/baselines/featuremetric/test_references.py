@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.pixloc.maps import MapExtractor
+from baselines.featuremetric.maps import MapExtractor
+from baselines.featuremetric.references import ReferenceFeatures, observe, references, spread
 from baselines.pixloc.network import read_network
-from baselines.pixloc.references import ReferenceFeatures, observe, references, spread
 from scene.errors import InputError
 from scene.images import read_rgb
 from scene.sparse_map import SparseMap

@@ -1,0 +1,1 @@
+"""Poses by direct alignment: what any network needs to become a localizer of that kind."""

@@ -1,0 +1,122 @@
+"""Feature maps of an image: turned north up, resized, through the network, level by level."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from baselines.align.sampling import sample
+from baselines.views import View, view
+from scene.camera import Camera
+
+Precision = Literal["float32", "bfloat16"]
+
+
+class Levels(Protocol):
+    """What is known of a network before it sees a picture: its levels, coarse to fine."""
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """Pixels per cell."""
+        ...
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        """Channels."""
+        ...
+
+
+class Network(Protocol):
+    """A network whose features are aligned."""
+
+    @property
+    def config(self) -> Levels:
+        """Its levels."""
+        ...
+
+    @property
+    def damping(self) -> nn.ModuleList:
+        """A ``Damping`` of every level, learned with the features."""
+        ...
+
+    def __call__(self, image: Tensor) -> Iterable[tuple[Tensor, Tensor]]:
+        """Images (B, 3, H, W) of RGB in 0..1 -> features (B, C, h, w), not normalised, and
+        confidences (B, 1, h, w) in 0..1, level by level."""
+        ...
+
+
+@dataclass(frozen=True)
+class FeatureMap:
+    """One level of one view.
+
+    Attributes:
+        features: (1, C, h, w), not normalised.
+        confidence: (1, 1, h, w) in 0..1; 0 where the view does not show the photograph.
+        stride: pixels of the view per cell.
+    """
+
+    features: Tensor
+    confidence: Tensor
+    stride: int
+
+    def sample(self, xy: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit features (N, C) and confidence (N,) at pixels of the view (N, 2); those less than
+        half a cell from the edge of the map take the value there."""
+        height, width = self.features.shape[-2:]
+        half = self.stride / 2
+        most = xy.new_tensor([width, height]) * self.stride - half
+        within = torch.minimum(xy.clamp(min=half), most)
+        features, _ = sample(self.features, within[None], self.stride)
+        confidence, _ = sample(self.confidence, within[None], self.stride)
+        return torch.nn.functional.normalize(features[0], dim=-1), confidence[0, :, 0]
+
+
+class MapExtractor:
+    """Runs a network on photographs of any size.
+
+    Args:
+        network: trained, ready for use.
+        longest: photographs with a longer side (px) are made smaller.
+        precision: of the convolutions. bfloat16 is fast where the processor has units for it.
+    """
+
+    def __init__(self, network: Network, longest: int, precision: Precision) -> None:
+        self.network = network
+        self._longest = longest
+        self._bfloat16 = precision == "bfloat16"
+
+    @torch.inference_mode()
+    def __call__(
+        self, rgb: NDArray[np.uint8], camera: Camera, angle: float = 0.0, scale: float = 1.0
+    ) -> tuple[View, list[FeatureMap]]:
+        """The view of a photograph (H, W, 3), turned by ``angle`` (rad) and resized, and its
+        levels, coarse to fine. ``least_side`` of it must be at least 16 pixels."""
+        seen = view(rgb, camera, angle, min(scale, self.largest_scale(camera)))
+        # Rows of pixels of RGB are channels-last as they are.
+        image = torch.from_numpy(seen.picture).permute(2, 0, 1)[None].float() / 255
+        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
+            levels = self.network(image)
+        maps = []
+        for stride, (features, confidence) in zip(self.network.config.strides, levels, strict=True):
+            shown = torch.from_numpy(_shown(seen, confidence.shape[-2:], stride))
+            maps.append(FeatureMap(features, confidence * shown, stride))
+        return seen, maps
+
+    def largest_scale(self, camera: Camera) -> float:
+        """At which photographs of a camera may be seen."""
+        return min(1.0, self._longest / max(camera.width, camera.height))
+
+
+def _shown(seen: View, size: torch.Size, stride: int) -> NDArray[np.bool_]:
+    """Which cells (h, w) of a level show the photograph."""
+    if seen.whole:
+        return np.ones(tuple(size), bool)
+    height, width = size
+    x, y = np.meshgrid((np.arange(width) + 0.5) * stride, (np.arange(height) + 0.5) * stride)
+    return seen.shows(np.stack([x, y], -1))

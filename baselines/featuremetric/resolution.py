@@ -1,0 +1,49 @@
+"""Metres of ground per pixel: features know a place again at about the size they first saw it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from scene.camera import Camera
+from scene.pose import Pose
+
+# Views whose resolutions differ by less are compared as they are: networks bear that, and streets
+# have no one resolution.
+_ALIKE: Final = 1.25
+_LEAST_POINTS: Final = 10
+
+
+def metres_per_pixel(pose: Pose, camera: Camera, xyz: NDArray[np.float64]) -> float:
+    """Of a photograph, in the middle of the points it shows; NaN where these are too few.
+
+    Args:
+        pose: ``cam_from_world``.
+        camera: of the photograph.
+        xyz: (N, 3) points that may be in view.
+    """
+    in_camera = pose.transform(torch.from_numpy(xyz))
+    projected = camera.project(in_camera)
+    shown = projected.valid & camera.contains(projected.xy)
+    if int(shown.sum()) < _LEAST_POINTS:
+        return math.nan
+    return float(in_camera[shown, 2].median()) / float(np.mean(camera.focal))
+
+
+def scale_to(wanted: float, own: float, largest: float) -> float:
+    """At which scale to look at a photograph.
+
+    Args:
+        wanted: metres per pixel of the view.
+        own: of the photograph; either may be NaN, not known.
+        largest: scale; beyond 1 it is used only to reach ``wanted``.
+    """
+    plain = min(1.0, largest)
+    matching = own / wanted
+    if math.isfinite(matching) and not 1 / _ALIKE < matching / plain < _ALIKE:
+        return min(matching, largest)
+    return plain

@@ -1,0 +1,156 @@
+"""Photographs as networks know places again: north up, and of one scale.
+
+Photographs of a survey are turned every way, every second line by half a turn, and flown at any
+height. The map's poses say how, the query's prior to a few degrees and metres. A photograph turned
+and resized is that of another camera, with the same lens turned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from scene.camera import Camera
+from scene.pose import Pose
+
+# What is this near (px of the view) to where the photograph ends sees what is not there.
+MARGIN: Final = 8.0
+# Sine of the steepest view, downwards, that still counts as one along the ground.
+_LEVEL: Final = -0.5
+# Radians and share below which a photograph is left as it is.
+_SAME_ANGLE, _SAME_SCALE = 1e-3, 1e-3
+
+
+def north(cam_from_world: NDArray[np.float64]) -> float:
+    """Clockwise angle (rad) from the picture's up to the ground's north, of a rotation (3, 3).
+
+    Of a view straight along north it is that of the sky, which is up as well. Of views within 30
+    degrees of the horizon, as from a street, it is the sky's wherever they look.
+    """
+    east_axis, north_axis, up_axis = cam_from_world.T
+    if up_axis[2] > _LEVEL:
+        return float(np.arctan2(up_axis[0], -up_axis[1]))
+    # The picture plane turned about its axis so that east comes right and north up, as well as can.
+    return float(np.arctan2(north_axis[0] + east_axis[1], east_axis[0] - north_axis[1]))
+
+
+def turned_by(angle: float) -> NDArray[np.float64]:
+    """Rotation (3, 3) of camera coordinates when the picture turns counter-clockwise (rad)."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+
+
+def upright(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rotation (3, 3) of a camera turned about its axis so that north is up."""
+    return np.asarray(turned_by(north(cam_from_world)) @ cam_from_world)
+
+
+@dataclass(frozen=True)
+class View:
+    """A photograph turned and resized.
+
+    Attributes:
+        picture: (h, w, 3) uint8; black where the photograph has ended.
+        camera: that would have taken it.
+        view_from_camera: (3, 3) the turn from the photograph's camera frame.
+        affine: (2, 3) pixels of the view from pixels of the photograph.
+        size: (2,) of the photograph, width and height.
+    """
+
+    picture: NDArray[np.uint8]
+    camera: Camera
+    view_from_camera: NDArray[np.float64]
+    affine: NDArray[np.float64]
+    size: NDArray[np.int64]
+
+    def in_photograph(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels of the view (N, 2) as pixels of the photograph."""
+        back = np.linalg.inv(self.affine[:, :2])
+        return np.asarray((xy - self.affine[:, 2]) @ back.T)
+
+    def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether pixels of the view (..., 2) show the photograph, 8 px from where it ends."""
+        scale = np.linalg.norm(self.affine[:, 0])
+        there = self.in_photograph(xy.reshape(-1, 2))
+        inside = (there >= MARGIN / scale) & (there <= self.size - MARGIN / scale)
+        return np.asarray(inside.all(1).reshape(xy.shape[:-1]))
+
+    @cached_property
+    def whole(self) -> bool:
+        """Whether the photograph fills the view."""
+        return bool(np.allclose(self.view_from_camera, np.eye(3)))
+
+    def pose(self, cam_from_world: Pose) -> Pose:
+        """The view's pose from the photograph's."""
+        return _turned(torch.from_numpy(self.view_from_camera), cam_from_world)
+
+    def photograph_pose(self, view_from_world: Pose) -> Pose:
+        """The photograph's pose from the view's."""
+        return _turned(torch.from_numpy(self.view_from_camera.T.copy()), view_from_world)
+
+    def photograph_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of the photograph's pose (6, 6), from that of the view's; of left tangents."""
+        back = np.kron(np.eye(2), self.view_from_camera.T)
+        return np.asarray(back @ covariance @ back.T)
+
+
+def _turned(by: torch.Tensor, pose: Pose) -> Pose:
+    return Pose(by @ pose.rotation, pose.translation @ by.T)
+
+
+def view(rgb: NDArray[np.uint8], camera: Camera, angle: float = 0.0, scale: float = 1.0) -> View:
+    """A photograph turned counter-clockwise and resized; all of it is in the view.
+
+    Args:
+        rgb: (H, W, 3) the photograph.
+        camera: that took it.
+        angle: radians, for instance of ``north``.
+        scale: pixels of the view per pixel of the photograph.
+    """
+    size = np.array([camera.width, camera.height])
+    if abs(angle) < _SAME_ANGLE and abs(scale - 1) < _SAME_SCALE:
+        return View(rgb, camera, np.eye(3), np.eye(2, 3), size)
+    # Pixels that are no squares become squares, so that the turned lens is one of the same kind.
+    focal = np.array(camera.focal)
+    per_axis = scale * focal.mean() / focal
+    turn = turned_by(angle)
+    extent = np.abs(turn[:2, :2]) @ (size * per_axis)
+    wide = np.ceil(extent - 1e-6).astype(int)
+    linear = turn[:2, :2] * per_axis
+    affine = np.column_stack([linear, wide / 2 - linear @ (size / 2)])
+    params = (*(focal * per_axis), *(linear @ camera.principal + affine[:, 2]))
+    if camera.is_fisheye:
+        model, lens = "OPENCV_FISHEYE", camera.distortion
+    else:
+        k1, k2, p1, p2 = camera.distortion
+        # Radial distortion does not know directions; the tangential is one.
+        p2, p1 = (turn[:2, :2] @ [p2, p1]).tolist()
+        model, lens = "OPENCV", (k1, k2, p1, p2)
+    turned = Camera(model, int(wide[0]), int(wide[1]), (*(float(p) for p in params), *lens))
+    return View(resampled(rgb, affine, wide), turned, turn, affine, size)
+
+
+def resampled(
+    rgb: NDArray[np.uint8], affine: NDArray[np.float64], size: NDArray[np.int64]
+) -> NDArray[np.uint8]:
+    """A picture moved by ``affine`` (2, 3), pixels counted from the edge, into width and height.
+
+    Pictures that become smaller are averaged over areas first: nothing is skipped.
+    """
+    height, width = rgb.shape[:2]
+    scale = np.linalg.norm(affine[:, :2], axis=0)
+    if (scale < 1).any():
+        small = np.maximum(np.round(np.array([width, height]) * np.minimum(scale, 1)), 1)
+        small = small.astype(int)
+        rgb = np.asarray(cv2.resize(rgb, small.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
+        affine = np.column_stack([affine[:, :2] * ([width, height] / small), affine[:, 2]])
+    # OpenCV counts from the first pixel's centre.
+    shift = affine[:, 2] + affine[:, :2] @ [0.5, 0.5] - 0.5
+    moved = np.column_stack([affine[:, :2], shift])
+    return np.asarray(cv2.warpAffine(rgb, moved, size.tolist(), flags=cv2.INTER_LINEAR), np.uint8)
