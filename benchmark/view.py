@@ -218,11 +218,13 @@ def _data(
     methods: Sequence[Method],
 ) -> dict[str, Any]:
     """Everything of the page, for ``templates/view.js``."""
-    low, high = np.percentile(sparse_map.xyz, [2, 98], axis=0)
+    # A few points far away, as on the horizon, would make everything small.
+    around = np.concatenate([np.percentile(sparse_map.xyz, [2, 98], axis=0), sparse_map.centres])
+    low, high = around.min(0), around.max(0)
     return {
         "name": scene.name,
         "target": (0.5 * (low + high)).tolist(),
-        "distance": float(np.linalg.norm(high - low)),
+        "distance": 1.3 * float(np.linalg.norm(high - low)),
         "clouds": [_packed(cloud) for cloud in clouds],
         "objects": [
             {

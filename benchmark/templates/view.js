@@ -164,7 +164,7 @@ function drawQueries(v) {
     const [x, y, z] = project(v, query.centre ?? query.truth);
     if (z < NEAR) continue;
     context.fillStyle = colour;
-    context.fillRect(x - 3 * scale, y - 3 * scale, 6 * scale, 6 * scale);
+    context.fillRect(Math.round(x - 3 * scale), Math.round(y - 3 * scale), 6 * scale, 6 * scale);
   }
 }
 

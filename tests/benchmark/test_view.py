@@ -127,7 +127,7 @@ def test_queries_stand_where_the_method_found_them(page: Browser) -> None:
     page.click("#methods input[value=zzz]")
     # Three queries 0.1 m off, one 1 m off, two without a pose.
     assert page.texts("#figures")[0].endswith("zzz: 4 of 6 queries have a pose, median 0.10 m off")
-    assert pixels_of(page, green) > 60
+    assert pixels_of(page, green) > 20
     assert pixels_of(page, amber) > 20
     assert is_clean(page)
 
