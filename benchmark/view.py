@@ -123,7 +123,7 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> V
 
     Args:
         path: of a finished scene with its map.
-        results: files or folders that ``evaluate`` wrote for this scene.
+        results: files that ``evaluate`` wrote for this scene, or folders with such files.
         out: of the page, an HTML file, the picture beside it as PNG; else both lie among the
             scene's pictures.
 
@@ -142,8 +142,13 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> V
         for session in scene.sessions
         for name, pose in zip(*_posed(scene, session), strict=True)
     }
-    files = [file for source in results for file in results_files(source)]
-    found = [_method(load(file), poses, file) for file in files]
+    found = []
+    for source in results:
+        for file in results_files(source):
+            read = load(file)
+            # A folder may hold other data sets beside this one.
+            if source.is_file() or read.dataset.name == scene.name:
+                found.append(_method(read, poses, file))
     clouds = _clouds(scene, sparse_map, added)
     things = _things(scene, sparse_map, added)
     ways = [
