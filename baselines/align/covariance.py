@@ -9,8 +9,10 @@ from torch import Tensor
 
 from baselines.align.residuals import Linearisation
 
-# Degrees of freedom of a pose, in points: each point says two numbers.
-_POSE_IN_POINTS = 3
+# Degrees of freedom of a pose, in patches: each says two numbers.
+_POSE_IN_PATCHES = 3
+# Cells of a level to a side of a patch whose points are taken for dependent.
+_PATCH = 12.0
 # A variance (rad^2) that says nothing of a rotation.
 _ANY_TURN = math.pi**2
 
@@ -18,14 +20,15 @@ _ANY_TURN = math.pi**2
 def covariance(around: Linearisation) -> Tensor:
     """Covariance (M, 6, 6) of poses at the minimum of their cost, in double precision.
 
-    Huber's sandwich H^-1 (sum of p p^T) H^-1, with p the pull of each point on the pose. It takes
-    no view on how the channels of a feature depend on one another, only that points are
-    independent, and grows by the points that the pose itself used up. Infinite on the diagonal
-    where the points do not determine a pose.
+    Huber's sandwich H^-1 (sum of p p^T) H^-1, with p the pull of each patch of the picture on the
+    pose. It takes no view on how the channels of a feature depend on one another, nor the points of
+    one patch (Liang and Zeger, Biometrika 1986, on clusters): neighbours see the same, and a point
+    may stand there several times, as several photographs show it. It grows by the patches that the
+    pose itself used up. Infinite on the diagonal where the points do not determine a pose.
     """
     H, pull = around.hessian.detach().double(), around.pull.detach().double()
-    count = around.seen.sum(-1)
-    enough = count > _POSE_IN_POINTS
+    pull, count = _by_patch(around, pull)
+    enough = count > _POSE_IN_PATCHES
     factor, info = torch.linalg.cholesky_ex(H)
     determined = enough & (info == 0)
     eye = torch.eye(6, dtype=H.dtype, device=H.device)
@@ -33,9 +36,21 @@ def covariance(around: Linearisation) -> Tensor:
     spread = pull.transpose(-1, -2) @ pull
     inner = torch.cholesky_solve(spread, factor)
     sandwich = torch.cholesky_solve(inner.transpose(-1, -2), factor)
-    used = count / (count - _POSE_IN_POINTS).clamp_min(1)
+    used = count / (count - _POSE_IN_PATCHES).clamp_min(1)
     result = sandwich * used[:, None, None]
     turn = result.diagonal(dim1=-2, dim2=-1)[:, :3].amax(-1)
     good = determined & result.isfinite().flatten(1).all(-1) & (turn < _ANY_TURN)
     unknown = torch.full_like(H[0, 0], torch.inf).diag_embed().expand_as(H)
     return torch.where(good[:, None, None], 0.5 * (result + result.transpose(-1, -2)), unknown)
+
+
+def _by_patch(around: Linearisation, pull: Tensor) -> tuple[Tensor, Tensor]:
+    """Pulls summed over square patches of the picture, (M, P, 6), and how many have any, (M,)."""
+    patch = torch.where(around.seen[..., None], around.cells, 0).div(_PATCH).floor().long()
+    wide = int(patch[..., 0].max()) + 1 if patch.numel() else 1
+    high = int(patch[..., 1].max()) + 1 if patch.numel() else 1
+    index = patch[..., 1] * wide + patch[..., 0]
+    sums = pull.new_zeros(len(pull), wide * high, pull.shape[-1])
+    sums = sums.scatter_add(1, index[..., None].expand_as(pull), pull)
+    held = torch.zeros_like(sums[..., 0]).scatter_add(1, index, around.seen.to(sums))
+    return sums, (held > 0).sum(-1)

@@ -57,6 +57,7 @@ class Linearisation:
         cost: (M, N) robust, without confidence.
         pull: (M, N, 6) gradient of each point's cost (half of it), weighted.
         hessian: (M, 6, 6) Gauss-Newton, weighted.
+        cells: (M, N, 2) where the points lie on the level, the first cell's centre being zero.
     """
 
     seen: Tensor
@@ -64,6 +65,7 @@ class Linearisation:
     cost: Tensor
     pull: Tensor
     hessian: Tensor
+    cells: Tensor
 
     @property
     def gradient(self) -> Tensor:
@@ -182,4 +184,5 @@ class Problem:
             cost=robust_cost(squared, self.scale),
             pull=chained[..., 0, :],
             hessian=jacobian.flatten(1, 2).transpose(-1, -2) @ chained[..., 1:, :].flatten(1, 2),
+            cells=cells,
         )

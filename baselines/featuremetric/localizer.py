@@ -60,7 +60,7 @@ class FeaturemetricConfig(Config):
 
     weights: Path | None = None
     references: int = Field(5, ge=1)
-    points: int = Field(1024, ge=10)
+    points: int = Field(2048, ge=10)
     corners: int = Field(2500, ge=0)
     longest: int = Field(1024, ge=64)
     iterations: int = Field(100, ge=1)

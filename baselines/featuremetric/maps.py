@@ -99,7 +99,7 @@ class MapExtractor:
         levels, coarse to fine. ``least_side`` of it must be at least 16 pixels."""
         seen = view(rgb, camera, angle, min(scale, self.largest_scale(camera)))
         # Rows of pixels of RGB are channels-last as they are.
-        image = torch.from_numpy(seen.picture).permute(2, 0, 1)[None].float() / 255
+        image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
             levels = self.network(image)
         maps = []

@@ -3,11 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from baselines.upright import north, upright
 from numpy.typing import NDArray
 
+from baselines.features import Extractor
+from baselines.views import north, view
+from scene.camera import Camera
 from scene.features import Features
-from scene.pose import so3_exp
+from scene.pose import Pose, so3_exp
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -36,40 +38,75 @@ def test_views_from_a_street_keep_the_sky_up(heading: float) -> None:
     assert north(level @ turned(heading)) == pytest.approx(0, abs=1e-9)
 
 
-def _brightest(rgb: NDArray[np.uint8]) -> Features:
+class Brightest(Extractor):
     """One keypoint at the centre of what is bright."""
-    rows, columns = np.nonzero(rgb.max(2) > 128)
-    xy = np.array([[columns.mean() + 0.5, rows.mean() + 0.5]], np.float32)
-    return Features(xy, np.ones(1, np.float32), np.ones((1, 4), np.float32))
+
+    name = "brightest"
+    options = ""
+
+    def __call__(self, rgb: NDArray[np.uint8]) -> Features:
+        rows, columns = np.nonzero(rgb.max(2) > 100)
+        xy = np.array([[columns.mean() + 0.5, rows.mean() + 0.5]], np.float32)
+        return Features(xy, np.ones(1, np.float32), np.ones((1, 4), np.float32))
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 2, 2.5, -1.0])
-def test_keypoints_come_back_to_the_pixels_of_the_picture(angle: float) -> None:
+LENS = Camera("OPENCV", 120, 80, (90.0, 90.0, 61.0, 38.0, -0.1, 0.02, 0.004, -0.003))
+OBLONG = Camera("PINHOLE", 120, 80, (90.0, 99.0, 58.0, 41.0))
+FISHEYE = Camera("OPENCV_FISHEYE", 120, 80, (60.0, 60.0, 61.0, 38.0, 0.01, -0.002, 0.0, 0.0))
+ANGLES = [0.0, 0.4, np.pi / 2, 2.5, -1.0]
+
+
+def spot(x: int, y: int) -> NDArray[np.uint8]:
     picture = np.zeros((80, 120, 3), np.uint8)
-    picture[20:23, 90:93] = 255
-    found = upright(_brightest, picture, angle)
+    picture[y - 1 : y + 2, x - 1 : x + 2] = 255
+    return picture
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_keypoints_come_back_to_the_pixels_of_the_picture(angle: float) -> None:
+    found = Brightest().seen(spot(91, 21), OBLONG, angle)
     assert found.xy[0] == pytest.approx([91.5, 21.5], abs=0.3)
 
 
-def test_what_pointed_north_points_up() -> None:
-    # A camera flown east: its up is east, north is to its left.
-    picture = np.zeros((100, 100, 3), np.uint8)
-    picture[48:52, 10:14] = 255
-    seen: list[NDArray[np.uint8]] = []
-
-    def look(rgb: NDArray[np.uint8]) -> Features:
-        seen.append(rgb)
-        return _brightest(rgb)
-
-    rotation = turned(90.0)
-    side = np.sign((rotation @ [0, 1, 0])[0])
-    upright(look, picture if side < 0 else picture[:, ::-1], north(rotation))
-    rows, columns = np.nonzero(seen[0].max(2) > 128)
-    assert rows.mean() < 20
-    assert columns.mean() == pytest.approx(49.5, abs=2)
-
-
 def test_the_edge_of_the_picture_is_no_feature() -> None:
-    picture = np.zeros((80, 80, 3), np.uint8)
-    picture[1:4, 1:4] = 255
-    assert len(upright(_brightest, picture, 0.3).xy) == 0
+    assert len(Brightest().seen(spot(2, 2), OBLONG, 0.3).xy) == 0
+
+
+@pytest.mark.parametrize("camera", [LENS, OBLONG, FISHEYE], ids=lambda camera: camera.model)
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("scale", [1.0, 0.6, 1.7])
+def test_a_view_is_what_its_camera_sees(camera: Camera, angle: float, scale: float) -> None:
+    """A point is where the turned camera projects it, which is where the photograph shows it."""
+    points = torch.tensor([[0.4, -0.3, 1.0], [-0.5, 0.3, 1.2], [0.1, 0.2, 0.9]]).double()
+    there = camera.project(points).xy.numpy()
+    for point, (x, y) in zip(points, there, strict=True):
+        seen = view(spot(int(x), int(y)), camera, angle, scale)
+        turned_point = point @ torch.from_numpy(seen.view_from_camera).T
+        xy = seen.camera.project(turned_point[None]).xy.numpy()
+        assert seen.in_photograph(xy)[0] == pytest.approx([x, y], abs=1e-6)
+        light = seen.picture[..., 0].astype(float)
+        x_light = (light.sum(0) @ (np.arange(seen.camera.width) + 0.5)) / light.sum()
+        y_light = (light.sum(1) @ (np.arange(seen.camera.height) + 0.5)) / light.sum()
+        found = seen.in_photograph(np.array([[x_light, y_light]]))[0]
+        assert found == pytest.approx([int(x) + 0.5, int(y) + 0.5], abs=0.25)
+
+
+def test_poses_and_covariances_come_back() -> None:
+    seen = view(spot(50, 40), LENS, 0.7)
+    pose = Pose.exp(torch.tensor([0.1, -0.2, 0.3, 4.0, 5.0, 6.0], dtype=torch.float64))
+    back = seen.photograph_pose(seen.pose(pose))
+    np.testing.assert_allclose(back.matrix(), pose.matrix(), atol=1e-12)
+    # A small motion of the view, brought back, is the tangent brought back.
+    tangent = 1e-4 * torch.tensor([1.0, 2.0, -1.0, 3.0, -2.0, 1.0], dtype=torch.float64)
+    moved = seen.photograph_pose(Pose.exp(tangent) @ seen.pose(pose))
+    own = (moved @ pose.inverse()).log().numpy()
+    outer = seen.photograph_covariance(np.outer(tangent, tangent))
+    np.testing.assert_allclose(outer, np.outer(own, own), atol=1e-11)
+
+
+def test_what_is_left_of_a_turned_picture_is_known() -> None:
+    seen = view(np.full((80, 120, 3), 200, np.uint8), OBLONG, 0.5)
+    x, y = np.meshgrid(np.arange(seen.camera.width) + 0.5, np.arange(seen.camera.height) + 0.5)
+    shown = seen.shows(np.stack([x, y], -1))
+    assert (seen.picture[shown] == 200).all()
+    assert 0.6 < shown.sum() / (80 * 120) < 0.85

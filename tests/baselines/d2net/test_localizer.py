@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from baselines.d2net import localizer as module
 from baselines.d2net.localizer import D2NetConfig, D2NetExtractor, D2NetLocalizer
 from baselines.d2net.network import read_network
 from benchmark.registry import create
@@ -152,7 +151,7 @@ def test_a_mirrored_view_is_no_copy(weights: Path) -> None:
 def test_without_weights_it_says_where_they_come_from(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(module, "WEIGHTS", tmp_path / "d2net.safetensors")
+    monkeypatch.setattr("baselines.weights.SHIPPED", tmp_path)
     with pytest.raises(InputError, match="train d2net") as caught:
         create("d2net", {})
     assert "\n" not in str(caught.value)

@@ -31,7 +31,7 @@ def extract(tmp_path_factory: pytest.TempPathFactory) -> MapExtractor:
 def read(
     made: tuple[SparseMap, Path], extract: MapExtractor, cache: Path, memory: int = 2**30
 ) -> ReferenceFeatures:
-    return references(*made, extract, 100, "key", cache, memory)
+    return references(*made, extract, 100, 0, "method", "key", cache, memory)
 
 
 def test_beginnings_cover_the_picture() -> None:
@@ -53,11 +53,11 @@ def test_observed_as_the_network_sees_them(
 ) -> None:
     sparse_map, images = made
     image = sparse_map.images["2.png"]
-    maps = extract(read_rgb(images / "2.png"))
-    seen = observe(maps, image, sparse_map, 60)
-    assert len(seen.rows) == 60 == len(np.unique(seen.rows))
-    assert (sparse_map.track_length[seen.rows] >= 3).all()
-    xy = image.camera.project(image.pose.transform(torch.from_numpy(sparse_map.xyz[seen.rows]))).xy
+    view, maps = extract(read_rgb(images / "2.png"), image.camera)
+    rows = np.unique(image.point_rows[image.point_rows >= 0])
+    seen = observe(view, maps, image.pose, sparse_map.xyz[rows], 60)
+    assert len(seen.xyz) == 60 == len(np.unique(seen.xyz, axis=0))
+    xy = image.camera.project(image.pose.transform(torch.from_numpy(seen.xyz))).xy
     for level, map_ in enumerate(maps):
         place = 2 * xy.float() / torch.tensor([256.0, 192.0]) - 1
         there = torch.nn.functional.grid_sample(
@@ -86,12 +86,12 @@ def test_kept_on_disk_and_bounded_in_memory(
     for row in (0, 1, 2, 3, 4, 0, 4, 2):
         for ours, theirs in zip(again[row].features, first[row].features, strict=True):
             np.testing.assert_array_equal(ours, theirs)
-        np.testing.assert_array_equal(again[row].rows, first[row].rows)
+        np.testing.assert_array_equal(again[row].xyz, first[row].xyz)
         assert sum(held.nbytes for held in again._held.values()) <= 2 * one + one // 2
     assert len(again._held) == 2
     assert again[2] is again[2]
-    # 100 points of 112 channels and 3 confidences in half precision, and their rows.
-    assert one == 100 * (2 * (112 + 3) + 8)
+    # 100 points of 112 channels and 3 confidences in half precision, and their places.
+    assert one == 100 * (2 * (112 + 3) + 24)
 
 
 def test_other_inputs_are_other_files(
@@ -100,9 +100,10 @@ def test_other_inputs_are_other_files(
     read(made, extract, tmp_path)
     sparse_map, images = made
     moved = replace(sparse_map, xyz=sparse_map.xyz + 0.01)
-    references(moved, images, extract, 100, "key", tmp_path, 2**30)
-    references(sparse_map, images, extract, 100, "other", tmp_path, 2**30)
-    assert len(list(tmp_path.iterdir())) == 3
+    references(moved, images, extract, 100, 0, "method", "key", tmp_path, 2**30)
+    references(sparse_map, images, extract, 100, 0, "method", "other", tmp_path, 2**30)
+    references(sparse_map, images, extract, 100, 50, "method", "key", tmp_path, 2**30)
+    assert len(list(tmp_path.iterdir())) == 4
 
 
 def test_damaged_cache(made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path) -> None:
@@ -117,5 +118,5 @@ def test_missing_photograph(
     made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match="does not exist"):
-        references(made[0], tmp_path, extract, 100, "key", tmp_path, 2**30)
+        references(made[0], tmp_path, extract, 100, 0, "method", "key", tmp_path, 2**30)
     assert not list(tmp_path.iterdir())

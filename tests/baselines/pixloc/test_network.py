@@ -56,7 +56,10 @@ def test_written_weights_come_back(tmp_path: Path) -> None:
             network(image), again(image), config.strides, config.dims, strict=True
         ):
             assert a.shape == (1, dim, 48 // stride, 64 // stride)
-            assert torch.equal(a, b) and torch.equal(u, v)
+            # What is read is laid out in memory to be fast, and adds up in another order.
+            assert torch.allclose(a, b, atol=1e-5) and torch.allclose(u, v, atol=1e-5)
+    for name, tensor in network.state_dict().items():
+        assert torch.equal(tensor, again.state_dict()[name])
 
 
 def test_bad_weights(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def test_pose_between_two_pictures(network: PixlocNet) -> None:
     with torch.no_grad():
         reference, query = (
             [
-                FeatureMap(features, confidence, (float(stride), float(stride)))
+                FeatureMap(features, confidence, stride)
                 for stride, (features, confidence) in zip((16, 4, 1), network(image), strict=True)
             ]
             for image in pair.images
