@@ -673,6 +673,38 @@ def build_map(
         print(report.text())
 
 
+@app.command()
+def diagnose(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene with its map.")],
+    masks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MASKS",
+            help="Objects of the map's photographs, where the scene does not know them: a folder "
+            "of label pictures, NAME.png for NAME.jpg, or a JSON of COCO annotations with "
+            "run-length masks.",
+        ),
+    ] = None,
+    cell: Annotated[
+        float, typer.Option(help="Side of a cell of ground to count points in, metres.", min=0.1)
+    ] = 5.0,
+    as_json: Json = False,
+) -> None:
+    """Say what a map has of the objects in its photographs: which have points, how many, how far
+    these lie from the true surface, and how evenly they cover the ground.
+
+    Draws SCENE/pictures/diagnosis.png. Where points were added to the map, also says and shows what
+    it was before.
+    """
+    from objconnect.diagnosis.command import diagnose as run
+
+    diagnosis = run(scene, masks, cell)
+    if as_json:
+        _print_json(diagnosis.as_dict())
+    else:
+        print(diagnosis.text())
+
+
 class Stereo(StrEnum):
     """Who matches the photographs."""
 
@@ -775,6 +807,44 @@ def doctor(as_json: Json = False) -> None:
         print(diagnosis.text())
     if not diagnosis.ok:
         raise typer.Exit(_INPUT_AT_FAULT)
+
+
+@app.command()
+def view(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene with its map.")],
+    results: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RESULTS",
+            help="Results file, or folder that evaluate wrote, whose poses of the scene's queries "
+            "to show; repeat for several.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="HTML", help="File for the page; else SCENE/pictures/view.html."),
+    ] = None,
+    show: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a scene as one page to move about in, and as a picture beside it.
+
+    Cameras with their photographs, points of the map, those added to it, the dense cloud, objects
+    with and without a point, and queries where methods found them. The page holds all it shows: it
+    opens as a file, without a server or a network.
+    """
+    import webbrowser
+
+    from benchmark.view import view as run
+
+    written = run(scene, results or (), out)
+    if show and not webbrowser.open(written.page.resolve().as_uri()):
+        raise InputError(f"no browser was found: open {written.page} in one")
+    if as_json:
+        summary = {"page": str(written.page), "picture": str(written.picture)}
+        _print_json({**summary, "points": written.points})
+    else:
+        print(written.page)
 
 
 def _settings(overrides: list[str]) -> dict[str, Any]:

@@ -1,22 +1,18 @@
 """The leaderboard as one HTML page that needs no network and no server.
 
 ``templates/page.html``, ``page.css`` and ``page.js`` are the page; everything measured goes into it
-as one block of JSON, in which nothing can end the block, and reaches the screen as text only. A
-content security policy names the one script by its digest and allows no connection at all.
+as one block of JSON and reaches the screen as text only.
 """
 
 from __future__ import annotations
 
 import base64
-import hashlib
 import io
 import json
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.resources import files
 from itertools import combinations
-from string import Template
 from typing import Any, Final
 
 import numpy as np
@@ -30,6 +26,7 @@ from benchmark.paired import compare, mcnemar
 from benchmark.paper import TITLE, columns, note, side_by_side
 from benchmark.results import BASIN, TOTAL, QueryResult, Recall, Summary, Uncertainty
 from benchmark.score import THRESHOLDS, is_correct
+from benchmark.self_contained import fill
 from benchmark.tables import ALL, Group, Run, saturation, start_in_words, table
 from benchmark.uncertainty import risk_coverage
 from scene.localizer import Status
@@ -85,35 +82,7 @@ def page(groups: Sequence[Group]) -> str:
         },
         "pictures": shelf.pictures,
     }
-    return fill(data)
-
-
-def fill(data: Mapping[str, Any]) -> str:
-    """The page around its data."""
-    folder = files("benchmark") / "templates"
-    style, script, whole = (
-        (folder / f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js", "html")
-    )
-    return Template(whole).substitute(
-        style=style,
-        script=script,
-        style_digest=_digest(style),
-        script_digest=_digest(script),
-        data=embedded(data),
-    )
-
-
-def embedded(data: Mapping[str, Any]) -> str:
-    """JSON that can stand in a script element: no name in it can end the element or begin one."""
-    text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    for sign in "<>&\u2028\u2029":
-        text = text.replace(sign, f"\\u{ord(sign):04x}")
-    # A file name may hold bytes that are no text.
-    return text.encode("utf-8", "replace").decode("utf-8")
-
-
-def _digest(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    return fill("page", data)
 
 
 def _board(group: Group, album: Album | None, shelf: _Shelf) -> dict[str, Any]:

@@ -18,6 +18,9 @@ from scene.files import write_text, written_whole
 Stage = Literal["photometric", "geometric"]
 Kind = Literal["depth_maps", "normal_maps"]
 _HEADER_BYTES = 64
+# A fused cloud as COLMAP writes it.
+_PLY = ["ply", "format binary_little_endian 1.0"]
+_VERTEX = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,23 @@ class Workspace:
     def normals(self, name: str, stage: Stage) -> NDArray[np.float32]:
         """(3, H, W) in the camera's frame; InputError when missing or damaged."""
         return read_array(self._file(name, stage, "normal_maps"), 3)
+
+    def read_cloud(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """Points (M, 3), world metres, and colours (M, 3) of the fused cloud.
+
+        Raises:
+            InputError: missing or damaged.
+        """
+        try:
+            data = self.cloud.read_bytes()
+        except OSError as error:
+            raise InputError(f"cannot read {self.cloud}: {error.strerror}") from None
+        head, end, body = data.partition(b"end_header\n")
+        lines = head.decode("ascii", "replace").split("\n")
+        if lines[: len(_PLY)] != _PLY or not end or len(body) % _VERTEX.itemsize:
+            raise InputError(f"{self.cloud} is damaged: remove it and run dense again")
+        table = np.frombuffer(body, _VERTEX)
+        return table["xyz"].astype(np.float64), table["rgb"].copy()
 
     def write_lists(self, sources: dict[str, list[str]]) -> None:
         """Write which photographs were matched with which, and which are fused."""

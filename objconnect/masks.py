@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from objconnect.segmentation import NOTHING, Labels, keep_largest
 from scene.errors import InputError
 from scene.files import read_text
 
+# More objects than a label picture of 16 bits can tell apart.
+_ALL = 1 << 16
 _GREY = ("1", "L", "P", "I", "I;16")
 
 
@@ -118,3 +121,42 @@ def _runs(text: str) -> list[int]:
             value -= 1 << shift
         runs.append(value + (runs[-2] if len(runs) > 2 else 0))
     return runs
+
+
+def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Labels]]:
+    """The label map of every photograph that has one, with all its objects.
+
+    Args:
+        source: folder of label pictures, NAME.png for the photograph NAME.jpg, or a file of COCO
+            annotations.
+        names: photographs; also found by the last part of their name alone.
+
+    Raises:
+        InputError: as the readers, or it has masks of none of them.
+    """
+    listed = _coco_names(source) if source.is_file() else frozenset()
+    found = False
+    for name in names:
+        for called in (name, name.rpartition("/")[2]):
+            picture = source / Path(called).with_suffix(".png")
+            if called in listed:
+                labels = read_coco(source, called, _ALL)
+            elif picture.is_file():
+                labels = read_label_png(picture, _ALL)
+            else:
+                continue
+            found = True
+            yield name, labels
+            break
+    if not found:
+        raise InputError(f"{source} has masks of none of the map's photographs")
+
+
+def _coco_names(path: Path) -> frozenset[str]:
+    try:
+        content = json.loads(read_text(path, "COCO annotations"))
+        return frozenset(str(entry["file_name"]) for entry in content["images"])
+    except InputError:
+        raise
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is not a file of COCO annotations: {error!r}") from None

@@ -10,14 +10,19 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from scene.colmap import read_map
 from scene.covisibility import Covisibility, read_covisibility
 from scene.errors import InputError
 from scene.files import sha256_of
-from scene.frames import DenseLayers, Frames, dense_layers, read_frames
+from scene.frames import DenseLayers, Frames, Layer, dense_layers, read_frames
 from scene.manifest import Manifest, Objects, Session, Splits, read_json, write_json
-from scene.sparse_map import SparseMap
+from scene.sparse_map import MapImage, SparseMap
+from scene.supplement import added_rows
 
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
@@ -97,6 +102,14 @@ class Scene:
             raise InputError(f"scene {self.path} has no map yet: run 'objconnect map {self.path}'")
         return read_map(self.map_path)
 
+    def added_points(self, sparse_map: SparseMap) -> NDArray[np.bool_]:
+        """Which points of the map were added to what the photographs' features made of it, (M,).
+
+        Raises:
+            InputError: the list of them is damaged or not of this map.
+        """
+        return added_rows(self.map_path, len(sparse_map.xyz))
+
     def frames(self, session: str) -> Frames:
         """Poses, cameras and priors of a session."""
         return read_frames(self._frames_path(session))
@@ -104,6 +117,19 @@ class Scene:
     def dense(self, session: str) -> AbstractContextManager[DenseLayers]:
         """Open the depth, instance, semantic and normal images of a session."""
         return dense_layers(self._frames_path(session))
+
+    def mapped_layers(
+        self, sparse_map: SparseMap, *layers: Layer
+    ) -> Iterator[tuple[MapImage, dict[Layer, NDArray[Any]]]]:
+        """The photographs of a map with layers of them, where their session has these at all."""
+        for session in self.sessions:
+            with self.dense(session) as dense:
+                if not all(dense.has(layer) for layer in layers):
+                    continue
+                for k, name in enumerate(self.frames(session).names):
+                    if name in sparse_map.images:
+                        read = {layer: dense.read(layer, k) for layer in layers}
+                        yield sparse_map.images[name], read
 
     def _frames_path(self, session: str) -> Path:
         if session not in self.sessions:

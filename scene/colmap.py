@@ -793,6 +793,103 @@ def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out:
     _write_model(model, out)
 
 
+@dataclass(frozen=True)
+class NewPoint:
+    """A point to add to a model.
+
+    Attributes:
+        xyz: (3,) world metres.
+        rgb: (3,) uint8.
+        xy: (2,) COLMAP pixels of its observation by name of the image; no two points share one.
+    """
+
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.uint8]
+    xy: Mapping[str, NDArray[np.float64]]
+
+
+def add_points(model: Path, points: Sequence[NewPoint], out: Path) -> list[int]:
+    """Write a model with more points; what it has keeps its identifiers, its order and its values.
+
+    Args:
+        model: folder of a binary model.
+        points: whose observations become keypoints after those that the images have.
+        out: existing folder.
+
+    Returns:
+        COLMAP's identifiers of the new points.
+
+    Raises:
+        InputError: the model is damaged, or an observation is in an image it does not have.
+    """
+    native = _whole_model(model)
+    images = {image.name: image for image in native.images.values()}
+    ids = []
+    for point in points:
+        track = []
+        for name, xy in point.xy.items():
+            if name not in images:
+                raise InputError(f"model {model} has no image {name!r}")
+            keypoints = images[name].points2D
+            track.append(pycolmap.TrackElement(images[name].image_id, len(keypoints)))
+            keypoints.append(pycolmap.Point2D(xy))
+        ids.append(int(native.add_point3D(point.xyz, pycolmap.Track(track), point.rgb)))
+        native.points3D[ids[-1]].error = _mean_error(native, ids[-1])
+    native.write(out)
+    return ids
+
+
+def _mean_error(model: pycolmap.Reconstruction, point_id: int) -> float:
+    """Mean reprojection error (px) of a point, as COLMAP keeps it with each."""
+    point = model.points3D[point_id]
+    errors = []
+    for element in point.track.elements:
+        image = model.images[element.image_id]
+        projected = image.project_point(point.xyz)
+        if projected is None:
+            raise InputError(f"point {point_id} lies behind image {image.name}, which observes it")
+        errors.append(np.linalg.norm(projected - image.points2D[element.point2D_idx].xy))
+    return float(np.mean(errors))
+
+
+def remove_points(model: Path, ids: Sequence[int], out: Path) -> None:
+    """Undo ``add_points``: the files are those of before, byte for byte.
+
+    Args:
+        model: folder of a binary model.
+        ids: what ``add_points`` returned, whose keypoints are the last ones of their images.
+        out: existing folder.
+
+    Raises:
+        InputError: the model is damaged, lacks a point, or was changed in between.
+    """
+    native = _whole_model(model)
+    added: dict[int, set[int]] = {}
+    for point_id in ids:
+        if point_id not in native.points3D:
+            raise InputError(f"model {model} has no point {point_id}")
+        for element in native.points3D[point_id].track.elements:
+            added.setdefault(element.image_id, set()).add(element.point2D_idx)
+    for point_id in ids:
+        native.delete_point3D(point_id)
+    for image_id, keypoints in added.items():
+        image = native.images[image_id]
+        left = image.num_points2D() - len(keypoints)
+        if min(keypoints) != left:
+            raise InputError(
+                f"the keypoints of points added to {model} are not the last of image {image.name}: "
+                "the model was changed since, build it again"
+            )
+        del image.points2D[left:]
+    native.write(out)
+
+
+def _whole_model(folder: Path) -> pycolmap.Reconstruction:
+    """A model for COLMAP, which ends the process on a damaged one, after our own reader."""
+    read_map(folder)
+    return pycolmap.Reconstruction(folder)
+
+
 def _lens_ids(photographs: Sequence[Photograph]) -> dict[str, int]:
     return {lens: k for k, lens in enumerate(dict.fromkeys(p.lens for p in photographs), 1)}
 

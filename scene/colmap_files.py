@@ -55,6 +55,15 @@ def read_model(folder: Path) -> SparseMap:
     return SparseMap(images, xyz, rgb, error, track_length)
 
 
+def read_point_ids(folder: Path) -> NDArray[np.uint64]:
+    """COLMAP's identifiers of a model's points, in the order of the rows of ``read_model``, (M,).
+
+    Raises:
+        InputError: ``points3D.bin`` is missing or damaged.
+    """
+    return _read_points(folder / "points3D.bin")[0]
+
+
 class _Reader:
     """A cursor over a file that refuses to run past its end."""
 

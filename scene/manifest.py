@@ -211,4 +211,4 @@ def write_json(path: Path, value: BaseModel) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    write_text(path, value.model_dump_json(indent=1) + "\n")
+    write_text(path, value.model_dump_json(indent=1, by_alias=True) + "\n")

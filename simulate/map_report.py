@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -11,25 +11,10 @@ from numpy.typing import NDArray
 
 from scene.colmap import PosedImage
 from scene.manifest import SceneObject
+from scene.object_points import ObjectCoverage, coverage
 from scene.pose import Pose
-from scene.sparse_map import MapImage, SparseMap
+from scene.sparse_map import SparseMap
 from simulate.class_spread import KindShare
-
-
-@dataclass(frozen=True)
-class ObjectCoverage:
-    """Objects of one kind: how many were seen, how many have a point, and their points."""
-
-    seen: int
-    with_points: int
-    points: int
-
-    def text(self) -> str:
-        """For a person."""
-        return (
-            f"{self.with_points} of {self.seen} seen have a point "
-            f"({self.with_points / self.seen:.0%}), {self.points / self.seen:.2f} points each"
-        )
 
 
 @dataclass(frozen=True)
@@ -140,47 +125,7 @@ def report(
         track_length=float(sparse_map.track_length.mean()),
         position_m=Spread.of(metres.numpy()),
         rotation_deg=Spread.of(degrees.numpy()),
-        objects=_coverage(owners, in_view, lambda item: item.size_class),
-        small_objects=_coverage(owners, small, lambda item: item.class_name),
+        objects=coverage(owners, in_view, lambda item: item.size_class),
+        small_objects=coverage(owners, small, lambda item: item.class_name),
         kinds=kinds,
     )
-
-
-def _coverage(
-    owners: NDArray[np.int64],
-    objects: Sequence[SceneObject],
-    kind: Callable[[SceneObject], str],
-) -> dict[str, ObjectCoverage]:
-    points: dict[str, list[int]] = {}
-    for item in objects:
-        points.setdefault(kind(item), []).append(int((owners == item.id).sum()))
-    return {
-        name: ObjectCoverage(len(counts), sum(count > 0 for count in counts), sum(counts))
-        for name, counts in sorted(points.items())
-    }
-
-
-def objects_of_points(
-    points: int, seen: Iterable[tuple[MapImage, NDArray[np.uint16]]]
-) -> NDArray[np.int64]:
-    """The object that each point of a map lies on, by most of the photographs that observe it.
-
-    Args:
-        points: M of the map.
-        seen: photographs of the map with their instance images (H, W).
-
-    Returns:
-        (M,) identifiers, 0 where there is none.
-    """
-    votes = [np.zeros((0, 2), np.int64)]
-    for image, instance in seen:
-        observed = image.point_rows >= 0
-        columns, rows = np.floor(image.xy[observed]).astype(int).T
-        # The far edges of the picture belong to its last pixels.
-        ids = instance[rows.clip(0, instance.shape[0] - 1), columns.clip(0, instance.shape[1] - 1)]
-        votes.append(np.stack([image.point_rows[observed], ids], -1).astype(np.int64))
-    ballots, counts = np.unique(np.concatenate(votes), axis=0, return_counts=True)
-    owners = np.zeros(points, np.int64)
-    for row, owner in ballots[np.argsort(counts, kind="stable")]:
-        owners[row] = owner
-    return owners

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -21,10 +21,10 @@ from scene.files import (
     sha256_of,
     sole_writer,
 )
+from scene.object_points import objects_of_points
 from scene.progress import progress_bar
-from scene.sparse_map import MapImage, SparseMap
 from simulate.class_spread import class_spread
-from simulate.map_report import MapReport, objects_of_points, report
+from simulate.map_report import MapReport, report
 from simulate.pictures import draw_pictures
 
 _KEPT = ".mapping"
@@ -91,9 +91,10 @@ def _build(scene: Scene, method: Method) -> MapReport:
         rendered = scene.manifest.preset is not None
         if rendered:
             draw_pictures(scene)
-    # Only rendered scenes know what each pixel shows.
-    instances = _instances(scene, sparse_map) if rendered else ()
-    owners = objects_of_points(len(sparse_map.xyz), instances)
+    instances = scene.mapped_layers(sparse_map, "instance")
+    owners = objects_of_points(
+        len(sparse_map.xyz), ((image, layers["instance"]) for image, layers in instances)
+    )
     kinds = class_spread(scene, sparse_map, features) if rendered else {}
     return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs), kinds)
 
@@ -141,14 +142,3 @@ def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
     if not images:
         raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
     return images, seen
-
-
-def _instances(
-    scene: Scene, sparse_map: SparseMap
-) -> Iterator[tuple[MapImage, NDArray[np.uint16]]]:
-    """The photographs of a map with the objects in each pixel (H, W)."""
-    for session in scene.sessions:
-        with scene.dense(session) as dense:
-            for k, name in enumerate(scene.frames(session).names):
-                if name in sparse_map.images:
-                    yield sparse_map.images[name], dense.read("instance", k)

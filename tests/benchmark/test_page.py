@@ -16,8 +16,9 @@ from benchmark.album import ALBUM, SIDE, Album, read_album, write_album
 from benchmark.basin import Size, basin
 from benchmark.datasets import open_datasets
 from benchmark.leaderboard import leaderboard
-from benchmark.page import PICTURE_BYTES, embedded
+from benchmark.page import PICTURE_BYTES
 from benchmark.results import Results, load, rescore
+from benchmark.self_contained import embedded
 from scene.localizer import Status
 from tests.benchmark.made_data import FakeLocalizer, write_flight, write_scene
 from tests.benchmark.test_leaderboard import run

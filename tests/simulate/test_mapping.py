@@ -15,13 +15,10 @@ import pytest
 import torch
 
 from scene.bundle import FEATURES, Scene
-from scene.camera import Camera
 from scene.errors import InputError
 from scene.features import read_features
 from scene.files import sha256_of, sole_writer
-from scene.sparse_map import MapImage
 from simulate.class_spread import class_spread
-from simulate.map_report import objects_of_points
 from simulate.mapping import build_map, choose_pairs
 
 
@@ -248,17 +245,3 @@ def test_shares_are_of_what_the_pixels_show(rendered: Scene) -> None:
             keypoints += [instance[int(y), int(x)] in built for x, y in features[name].xy]
     assert spread["buildings"].pixels == pytest.approx(np.mean(pixels))
     assert spread["buildings"].keypoints == pytest.approx(np.mean(keypoints))
-
-
-def test_a_point_lies_on_what_most_photographs_see_there() -> None:
-    """Three points: two of three photographs see object 7 at the first; the second is on the last
-    pixel of the picture; the third is never observed."""
-    camera = Camera("SIMPLE_PINHOLE", 4, 2, (4.0, 2.0, 1.0))
-    instance = np.array([[7, 0, 0, 0], [0, 0, 0, 9]], np.uint16)
-    image = MapImage(
-        "a", camera, np.eye(4), np.array([[0.9, 0.9], [4.0, 2.0], [2.5, 0.5]]), np.array([0, 1, -1])
-    )
-    aside = MapImage("b", camera, np.eye(4), np.array([[1.1, 0.9]]), np.array([0]))
-    seen = [(image, instance), (aside, instance), (image, instance)]
-    assert objects_of_points(3, seen).tolist() == [7, 9, 0]
-    assert objects_of_points(2, []).tolist() == [0, 0]

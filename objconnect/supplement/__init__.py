@@ -1,0 +1,1 @@
+"""Centres of objects, seen in several photographs, become points of the map."""
