@@ -17,7 +17,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from scene.errors import InputError
-from scene.files import sha256_of, written_whole
+from scene.files import parse_json, sha256_of, written_whole
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "weights"
 """Where the weights lie that come with the project."""
@@ -82,7 +82,7 @@ def read_weights(path: Path) -> Weights:
         try:
             with safe_open(path, "pt") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-                config = json.loads((file.metadata() or {}).get("config", "{}"))
+                config = parse_json((file.metadata() or {}).get("config", "{}"))
         except (SafetensorError, ValueError, OSError) as error:
             raise InputError(f"{path} is no safetensors file of weights: {error}") from error
         return Weights(tensors, config, digest)

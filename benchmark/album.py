@@ -25,7 +25,7 @@ from benchmark.pictures import project_points, spread
 from scene.camera import Camera
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
-from scene.hdf5 import array, groups
+from scene.hdf5 import array, attribute, group, groups
 from scene.images import read_rgb
 from scene.pose import Pose
 from scene.progress import progress_bar
@@ -167,20 +167,20 @@ def write_album(path: Path, album: Album) -> None:
     """
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
         file.attrs["schema"] = 1
-        file.attrs["dataset_sha256"] = album.sha256
+        file.attrs["dataset_sha256"] = album.sha256.encode()
         for number, (name, entry) in enumerate(album.entries.items()):
-            group = file.create_group(f"queries/{number:06d}")
-            group.attrs["name"] = name
-            group.attrs["camera"] = str(entry.camera)
+            part = file.create_group(f"queries/{number:06d}")
+            part.attrs["name"] = name.encode()
+            part.attrs["camera"] = str(entry.camera).encode()
             if entry.neighbour is not None:
-                group.attrs["neighbour"] = entry.neighbour
-            group["photograph"] = np.frombuffer(entry.photograph, np.uint8)
-            group["world"], group["truth"], group["seen"] = entry.world, entry.truth, entry.seen
+                part.attrs["neighbour"] = entry.neighbour.encode()
+            part["photograph"] = np.frombuffer(entry.photograph, np.uint8)
+            part["world"], part["truth"], part["seen"] = entry.world, entry.truth, entry.seen
         for number, (name, neighbour) in enumerate(album.neighbours.items()):
-            group = file.create_group(f"map/{number:06d}")
-            group.attrs["name"] = name
-            group.attrs["size"] = [neighbour.width, neighbour.height]
-            group["photograph"] = np.frombuffer(neighbour.photograph, np.uint8)
+            part = file.create_group(f"map/{number:06d}")
+            part.attrs["name"] = name.encode()
+            part.attrs["size"] = [neighbour.width, neighbour.height]
+            part["photograph"] = np.frombuffer(neighbour.photograph, np.uint8)
 
 
 def read_album(path: Path, sha256: str) -> Album | None:
@@ -193,26 +193,26 @@ def read_album(path: Path, sha256: str) -> Album | None:
         return None
     try:
         with h5py.File(path, "r") as file:
-            if file.attrs["dataset_sha256"] != sha256:
+            if attribute(file, "dataset_sha256") != sha256:
                 return None
             neighbours = {
-                str(group.attrs["name"]): Neighbour(
-                    int(group.attrs["size"][0]),
-                    int(group.attrs["size"][1]),
-                    array(group, "photograph").tobytes(),
+                str(attribute(part, "name")): Neighbour(
+                    int(attribute(part, "size")[0]),
+                    int(attribute(part, "size")[1]),
+                    array(part, "photograph").tobytes(),
                 )
-                for _, group in (groups(file["map"]) if "map" in file else ())
+                for _, part in (groups(group(file, "map")) if "map" in file else ())
             }
             entries = {
-                str(group.attrs["name"]): Entry(
-                    camera=Camera.parse(str(group.attrs["camera"]).split()),
-                    photograph=array(group, "photograph").tobytes(),
-                    neighbour=group.attrs.get("neighbour"),
-                    world=array(group, "world").reshape(-1, 3),
-                    truth=array(group, "truth").reshape(-1, 2),
-                    seen=array(group, "seen").reshape(-1, 2),
+                str(attribute(part, "name")): Entry(
+                    camera=Camera.parse(str(attribute(part, "camera")).split()),
+                    photograph=array(part, "photograph").tobytes(),
+                    neighbour=attribute(part, "neighbour") if "neighbour" in part.attrs else None,
+                    world=array(part, "world").reshape(-1, 3),
+                    truth=array(part, "truth").reshape(-1, 2),
+                    seen=array(part, "seen").reshape(-1, 2),
                 )
-                for _, group in groups(file["queries"])
+                for _, part in groups(group(file, "queries"))
             }
     except HDF5_DAMAGE as error:
         raise InputError(

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from benchmark.results import QueryResult
 from scene.errors import InputError, WriteError
+from scene.files import parse_json
 
 
 class Journal:
@@ -101,7 +102,7 @@ class Journal:
 
 def _key(line: str) -> object:
     try:
-        header = json.loads(line)
+        header = parse_json(line)
     except ValueError:
         return None
     return header.get("key") if isinstance(header, dict) else None

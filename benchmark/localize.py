@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from scene.bundle import Scene
 from scene.camera import Camera
 from scene.colmap import read_map
 from scene.errors import InputError
-from scene.files import read_text, write_text
+from scene.files import parse_json, read_text, write_text
 from scene.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from scene.images import read_exif, read_rgb
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
@@ -197,9 +196,9 @@ def _origin(path: Path) -> Geodetic | None:
     if not file.is_file():
         return None
     try:
-        values = json.loads(read_text(file, "origin"))
+        values = parse_json(read_text(file, "origin"))
         origin = Geodetic(float(values["lat"]), float(values["lon"]), float(values["alt"]))
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+    except (ValueError, KeyError, TypeError, OverflowError):
         origin = Geodetic(math.nan, math.nan, math.nan)
     if not all(map(math.isfinite, origin)):
         raise InputError(f"{file} must hold numbers lat, lon and alt")

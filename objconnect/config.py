@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from baselines.pixloc.network import check_levels
+from baselines.pixloc.network import Channels, check_levels
 from scene.config import Config
 
 
@@ -33,10 +33,10 @@ class ObjConnectNetConfig(Config):
 
     width: float = Field(1.0, gt=0, le=2)
     decoder: Literal["fpn", "unet"] = "unet"
-    pyramid: int = Field(64, ge=8)
-    steps: tuple[int, int, int, int] = (64, 64, 64, 32)
+    pyramid: int = Field(64, ge=8, le=2048)
+    steps: tuple[Channels, Channels, Channels, Channels] = (64, 64, 64, 32)
     strides: tuple[int, ...] = Field((16, 4, 2), min_length=1)
-    dims: tuple[int, ...] = Field((128, 128, 32), min_length=1)
+    dims: tuple[Channels, ...] = Field((128, 128, 32), min_length=1)
     segmentation: Literal["slic", "felzenszwalb", "grid", "given", "none"] = "slic"
     segments: int = Field(128, ge=1, le=1024)
     segment_side: float = Field(32.0, ge=4)

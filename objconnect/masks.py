@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,10 +12,12 @@ from PIL import Image, UnidentifiedImageError
 
 from objconnect.segmentation import NOTHING, Labels, keep_largest
 from scene.errors import InputError
-from scene.files import read_text
+from scene.files import parse_json, read_text
 
 # More objects than a label picture of 16 bits can tell apart.
 _ALL = 1 << 16
+# 33 megapixels: numbers for the pixels of more would take a gigabyte.
+_MOST_PIXELS = 1 << 25
 _GREY = ("1", "L", "P", "I", "I;16")
 
 
@@ -31,20 +32,33 @@ def read_label_png(path: Path, count: int) -> Labels:
         (H, W) int64, 0 to N - 1, or ``NOTHING``.
 
     Raises:
-        InputError: missing, damaged, or a picture of colours.
+        InputError: missing, damaged, too large, or a picture of colours.
     """
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=("PNG",)) as image:
+            _check_size(image.width, image.height, f"label picture {path}")
             mode, values = image.mode, np.asarray(image)
     except FileNotFoundError:
         raise InputError(f"label picture {path} does not exist") from None
+    except InputError:
+        raise
     except UnidentifiedImageError:
-        raise InputError(f"{path} is not an image this program can read") from None
+        raise InputError(f"{path} is no PNG") from None
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"label picture {path} is damaged: {error}") from None
     if mode not in _GREY:
         raise InputError(f"{path} has colours ({mode}): labels are one number per pixel")
-    return keep_largest(np.where(values == 0, NOTHING, values.astype(np.int64)), count)
+    labels = values.astype(np.int64)
+    labels[values == 0] = NOTHING
+    return keep_largest(labels, count)
+
+
+def _check_size(width: int, height: int, what: str) -> None:
+    if width * height > _MOST_PIXELS:
+        raise InputError(
+            f"{what} has {width} x {height} pixels, {_MOST_PIXELS} in all are the most: make it "
+            "smaller"
+        )
 
 
 def read_coco(path: Path, image: str, count: int) -> Labels:
@@ -65,7 +79,7 @@ def read_coco(path: Path, image: str, count: int) -> Labels:
         InputError: unreadable file, a photograph it does not have, or a mask that does not fit.
     """
     try:
-        content = json.loads(read_text(path, "COCO annotations"))
+        content = parse_json(read_text(path, "COCO annotations"))
         ids = [entry["id"] for entry in content["images"] if entry["file_name"] == image]
         found = [a["segmentation"] for a in content["annotations"] if a["image_id"] in ids]
     except (ValueError, KeyError, TypeError) as error:
@@ -93,10 +107,11 @@ def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
         height, width = (int(side) for side in segmentation["size"])
         counts = segmentation["counts"]
         runs = _runs(counts) if isinstance(counts, str) else [int(run) for run in counts]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{where} cannot be read: {error!r}") from None
     if min(height, width, *runs) < 0 or sum(runs) != height * width:
         raise InputError(f"{where} has {sum(runs)} pixels, its size is {width} x {height}")
+    _check_size(width, height, where)
     values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
     return values.reshape(width, height).T
 
@@ -154,7 +169,7 @@ def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Label
 
 def _coco_names(path: Path) -> frozenset[str]:
     try:
-        content = json.loads(read_text(path, "COCO annotations"))
+        content = parse_json(read_text(path, "COCO annotations"))
         return frozenset(str(entry["file_name"]) for entry in content["images"])
     except InputError:
         raise

@@ -86,12 +86,14 @@ def keep_largest(labels: Labels, count: int) -> Labels:
         labels: (h, w), negative where there is no object.
         count: of objects to keep.
     """
-    found, index, areas = np.unique(labels, return_inverse=True, return_counts=True)
-    order = np.argsort(-np.where(found < 0, 0, areas), kind="stable")
-    number = np.full(len(found), NOTHING)
-    number[order[:count]] = np.arange(min(count, len(found)))
-    number[found < 0] = NOTHING
-    return np.asarray(number[index.reshape(labels.shape)], np.int64)
+    nothing = labels < 0
+    areas = np.bincount(labels[~nothing], minlength=1)
+    largest = np.argsort(-areas, kind="stable")[:count]
+    number = np.full(len(areas), NOTHING, np.int64)
+    number[largest] = np.arange(len(largest))
+    kept = number.take(labels, mode="clip")
+    kept[nothing] = NOTHING
+    return kept
 
 
 def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tensor:

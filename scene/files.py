@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from scene.errors import InputError, WriteError
 
@@ -200,6 +202,18 @@ def read_text(path: Path, what: str) -> str:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not a UTF-8 text file"
         raise InputError(f"cannot read {what} {path}: {reason}") from error
+
+
+def parse_json(text: str) -> Any:
+    """JSON that a stranger may have written.
+
+    Raises:
+        ValueError: it is none, or nested thousands deep.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
 
 
 def _umask() -> int:

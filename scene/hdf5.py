@@ -49,17 +49,44 @@ def array(group: h5py.Group, name: str) -> NDArray[Any]:
     return np.asarray(dataset(group, name)[...])
 
 
-def groups(group: h5py.Group) -> Iterator[tuple[str, h5py.Group]]:
-    """The groups in a group, by name.
+def attribute(node: h5py.HLObject, name: str) -> Any:
+    """An attribute; text, which must be of fixed length, as ``str``.
+
+    Raises:
+        KeyError: there is none of this name.
+        ValueError: it is of variable length, or claims more than the file has.
+    """
+    stored = node.attrs.get_id(name)
+    # Damaged ones make the HDF5 library crash, or search for ever.
+    if stored.dtype.hasobject:
+        raise ValueError(f"attribute {name} is of variable length")
+    if stored.get_storage_size() > node.file.id.get_filesize():
+        raise ValueError(f"attribute {name} claims more than the file has")
+    value = node.attrs[name]
+    return value.decode() if isinstance(value, bytes) else value
+
+
+def group(parent: h5py.Group, name: str) -> h5py.Group:
+    """A group of another.
+
+    Raises:
+        KeyError: there is none of this name.
+        ValueError: it is no group, or lies in another file.
+    """
+    found = _member(parent, name)
+    if not isinstance(found, h5py.Group):
+        raise ValueError(f"{name} is no group")
+    return found
+
+
+def groups(parent: h5py.Group) -> Iterator[tuple[str, h5py.Group]]:
+    """The groups of another, by name.
 
     Raises:
         ValueError: something in it is no group, or lies in another file.
     """
-    for name in group:
-        found = _member(group, name)
-        if not isinstance(found, h5py.Group):
-            raise ValueError(f"{name} is no group")
-        yield name, found
+    for name in parent:
+        yield name, group(parent, name)
 
 
 def _member(group: h5py.Group, name: str) -> Any:

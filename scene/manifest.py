@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -12,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, Validat
 
 from scene.config import describe
 from scene.errors import InputError
-from scene.files import inside, read_text, write_text
+from scene.files import inside, parse_json, read_text, write_text
 from scene.geodesy import Geodetic
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -196,8 +195,8 @@ def read_json(path: Path, model: type[F], what: str) -> F:
     """
     text = read_text(path, what)
     try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        values = parse_json(text)
+    except ValueError as error:
         raise InputError(f"{what} {path} is not valid JSON: {error}") from None
     try:
         return model.model_validate(values)

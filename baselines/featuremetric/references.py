@@ -24,6 +24,7 @@ from baselines.featuremetric.resolution import metres_per_pixel, scale_to
 from baselines.views import View, north
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import sha256_of, written_whole
+from scene.hdf5 import array, attribute, dataset, group
 from scene.images import check_photographs, read_rgb
 from scene.pose import Pose
 from scene.progress import progress_bar
@@ -81,9 +82,9 @@ class ReferenceFeatures:
         self._lock = Lock()
         try:
             with h5py.File(path) as file:
-                self._ends = file["ends"][:]
-                self._levels = int(file.attrs["levels"])
-                self.metres_per_pixel = float(file.attrs["metres_per_pixel"])
+                self._ends = array(file, "ends")
+                self._levels = int(attribute(file, "levels"))
+                self.metres_per_pixel = float(attribute(file, "metres_per_pixel"))
         except HDF5_DAMAGE as error:
             raise InputError(f"{path} is damaged ({error}): delete it") from None
 
@@ -108,10 +109,11 @@ class ReferenceFeatures:
         part = slice(first, int(self._ends[photograph]))
         try:
             with h5py.File(self._path) as file:
+                features = group(file, "features")
                 return Observations(
-                    file["xyz"][part],
-                    tuple(file[f"features/{level}"][part] for level in range(self._levels)),
-                    file["confidence"][part],
+                    dataset(file, "xyz")[part],
+                    tuple(dataset(features, str(level))[part] for level in range(self._levels)),
+                    dataset(file, "confidence")[part],
                 )
         except HDF5_DAMAGE as error:
             raise InputError(f"{self._path} is damaged ({error}): delete it") from None

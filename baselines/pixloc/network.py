@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Annotated, Any, Final, Self
 
 import torch
 from pydantic import Field, ValidationError, model_validator
@@ -32,8 +32,12 @@ def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
         raise ValueError(f"strides must be of {STRIDES}")
     if any(fine >= coarse for coarse, fine in pairwise(strides)):
         raise ValueError("strides must become finer")
-    if len(dims) != len(strides) or min(dims) < 1:
+    if len(dims) != len(strides):
         raise ValueError("dims must give one number of channels per stride")
+
+
+Channels = Annotated[int, Field(ge=1, le=2048)]
+"""Of a layer; VGG16's widest has 512."""
 
 
 class PixlocNetConfig(Config):
@@ -48,10 +52,10 @@ class PixlocNetConfig(Config):
     """
 
     width: float = Field(1.0, gt=0, le=2)
-    decoder: tuple[int, int, int, int] = (64, 64, 64, 32)
+    decoder: tuple[Channels, Channels, Channels, Channels] = (64, 64, 64, 32)
     extra_convolutions: int = Field(0, ge=0, le=1)
     strides: tuple[int, ...] = Field((16, 4, 1), min_length=1)
-    dims: tuple[int, ...] = Field((128, 128, 32), min_length=1)
+    dims: tuple[Channels, ...] = Field((128, 128, 32), min_length=1)
 
     @model_validator(mode="after")
     def _levels(self) -> Self:

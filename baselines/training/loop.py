@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 import torch
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter, ValidationError
 from torch import Tensor, distributed, nn
 from torch.utils.data import DataLoader, Dataset
 
@@ -23,7 +23,7 @@ from baselines.training.curves import draw_curves
 from baselines.training.pairs import Pair, PairBatch, PairSource, collate
 from baselines.weights import write_weights
 from scene.errors import InputError
-from scene.files import read_text, write_text, written_whole
+from scene.files import parse_json, read_text, write_text, written_whole
 from scene.progress import progress_bar
 
 WEIGHTS: Final = "weights.safetensors"
@@ -191,9 +191,13 @@ def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
     text = json.dumps(run, indent=2, sort_keys=True) + "\n"
     path = out / _RUN
     if path.is_file():
-        before = json.loads(read_text(path, "description of the run"))
-        # Settings that came later than the run had the default's effect.
-        before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
+        described = read_text(path, "description of the run")
+        try:
+            before = parse_json(described)
+            # Settings that came later than the run had the default's effect.
+            before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
+        except (ValueError, KeyError, TypeError):
+            raise InputError(f"{path} is damaged: name another folder, or remove {out}") from None
         changed = [key for key in run if before.get(key) != json.loads(text)[key]]
         if changed:
             raise InputError(
@@ -286,6 +290,25 @@ def _restore(
         raise InputError(f"{path} is damaged ({reason}): remove it to begin again") from error
 
 
+_FIGURES: Final = TypeAdapter(dict[str, float])
+
+
+def _logged(path: Path, until: int) -> Iterator[str]:
+    """Lines of a log that are of steps before ``until``; what was cut short is left out."""
+    for number, line in enumerate(read_text(path, "training log").splitlines(), 1):
+        if not line.endswith("}"):
+            continue
+        try:
+            step = _FIGURES.validate_json(line)["step"]
+        except (ValidationError, KeyError):
+            raise InputError(
+                f"line {number} of {path} is damaged: remove the line, or the log to draw curves "
+                "anew from here"
+            ) from None
+        if step < until:
+            yield line
+
+
 class _Logger(Protocol):
     def __call__(self, step: int, figures: Mapping[str, float]) -> None: ...
 
@@ -296,10 +319,7 @@ def _log(path: Path, first: int, rank: int) -> Iterator[_Logger]:
     if rank > 0:
         yield lambda step, figures: None
         return
-    kept = []
-    if path.is_file():
-        lines = read_text(path, "training log").splitlines()
-        kept = [line for line in lines if line.endswith("}") and json.loads(line)["step"] < first]
+    kept = _logged(path, first) if path.is_file() else ()
     write_text(path, "".join(f"{line}\n" for line in kept))
     with path.open("a") as file:
 

@@ -4,6 +4,7 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -116,3 +117,24 @@ def test_an_album_is_made_once(made_flight: Path, tmp_path: Path) -> None:
         read_album(path, dataset.sha256)
     keep_album(path, dataset, sparse_map)
     assert read_album(path, dataset.sha256) is not None
+
+
+def test_nothing_of_another_file_is_in_an_album(album: Album, tmp_path: Path) -> None:
+    path, other = tmp_path / ALBUM, tmp_path / "other.h5"
+    write_album(path, album)
+    write_album(other, album)
+    with h5py.File(path, "r+") as file:
+        del file["map"]
+        file["map"] = h5py.ExternalLink(other, "/map")
+    with pytest.raises(InputError, match="album .* is damaged .*link"):
+        read_album(path, album.sha256)
+
+
+def test_text_of_variable_length_is_not_read(album: Album, tmp_path: Path) -> None:
+    """The HDF5 library searches a damaged heap of such texts for ever."""
+    path = tmp_path / ALBUM
+    write_album(path, album)
+    with h5py.File(path, "r+") as file:
+        file.attrs["dataset_sha256"] = album.sha256
+    with pytest.raises(InputError, match="album .* is damaged .*variable length"):
+        read_album(path, album.sha256)

@@ -67,9 +67,10 @@ def fuzz(names: list[str], inputs: int, seed: int, keep: Path, only: int | None)
             READERS[name].make(_made(folder / f"{name}-whole"))
             for _, read in READERS[name].files.values():
                 read(_copied(folder, name))  # what is whole is read
-        for part in range(_PARTS):
+        parts = _PARTS if only is None else 1
+        for part in range(parts):
             for name in names:
-                bounds = (counts[name] * k // _PARTS for k in (part, part + 1))
+                bounds = (counts[name] * k // parts for k in (part, part + 1))
                 numbers = range(*bounds) if only is None else range(only, only + 1)
                 for finding in _turns(name, numbers, seed, folder):
                     if finding["what"] not in findings:
@@ -130,8 +131,10 @@ def _ended(status: int) -> str:
     if not os.WIFSIGNALED(status):
         return f"the process ended with {os.waitstatus_to_exitcode(status)}"
     number = os.WTERMSIG(status)
-    if number in (signal.SIGPROF, signal.SIGALRM):
-        return "hangs"
+    if number == signal.SIGPROF:
+        return f"works for more than {SECONDS:.0f} s"
+    if number == signal.SIGALRM:
+        return f"hangs for more than {_ANY_SECONDS:.0f} s"
     return f"the process was killed by {signal.Signals(number).name}"
 
 

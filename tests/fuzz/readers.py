@@ -18,9 +18,9 @@ from baselines.d2net.network import D2NetNetConfig
 from baselines.pixloc import network as pixloc
 from baselines.pixloc.network import PixlocNetConfig
 from baselines.training.config import TrainConfig
-from baselines.training.loop import _log, _restore
+from baselines.training.loop import _claim, _log, _restore
 from baselines.weights import read_weights, write_weights
-from benchmark.album import read_album
+from benchmark.album import Album, Entry, Neighbour, read_album, write_album
 from benchmark.basin import load_basin
 from benchmark.cmu import open_cmu, open_slices
 from benchmark.datasets import open_datasets
@@ -255,7 +255,11 @@ def _weights(folder: Path) -> None:
         "done": 3,
     }
     torch.save(state, folder / "checkpoint.pt")
+    _claim(folder, {"config": CONFIG}, 0)
     (folder / "log.jsonl").write_text('{"step": 0, "loss": 1.5}\n{"step": 1, "loss": 1.25}\n')
+
+
+CONFIG = TrainConfig().model_dump(mode="json")
 
 
 def _read_checkpoint(folder: Path) -> None:
@@ -302,19 +306,9 @@ def _arrays(folder: Path) -> None:
 
 
 def _album(path: Path) -> None:
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        file.attrs["dataset_sha256"] = "x"
-        group = file.create_group("map/0")
-        group.attrs["name"], group.attrs["size"] = "a.jpg", [4, 3]
-        group["photograph"] = np.arange(9, dtype=np.uint8)
-        group = file.create_group("queries/0")
-        group.attrs["name"], group.attrs["camera"] = "b.jpg", str(CAMERA)
-        group.attrs["neighbour"] = "a.jpg"
-        group["photograph"] = np.arange(9, dtype=np.uint8)
-        group["world"] = np.ones((4, 3))
-        group["truth"] = group["seen"] = np.ones((4, 2))
+    photograph, xy = bytes(range(9)), np.ones((4, 2))
+    entry = Entry(CAMERA, photograph, "a.jpg", np.ones((4, 3)), xy, xy)
+    write_album(path, Album("x", {"b.jpg": entry}, {"a.jpg": Neighbour(4, 3, photograph)}))
 
 
 _NETWORKS = {"d2net": d2net, "pixloc": pixloc, "objconnect": objconnect}
@@ -449,7 +443,11 @@ READERS: dict[str, Reader] = {
     ),
     "checkpoints": Reader(
         _weights,
-        {"checkpoint.pt": ("torch", _read_checkpoint), "log.jsonl": ("text", _read_log)},
+        {
+            "checkpoint.pt": ("torch", _read_checkpoint),
+            "log.jsonl": ("text", _read_log),
+            "run.json": ("json", lambda f: _claim(f, {"config": CONFIG}, 0)),
+        },
         1,
     ),
     "cmu": Reader(

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from objconnect.masks import read_coco, read_label_png
+from objconnect.masks import given_masks, read_coco, read_label_png
 from scene.errors import InputError
 
 
@@ -96,6 +96,34 @@ def test_files_that_are_no_annotations(tmp_path: Path) -> None:
     sizes = [{"size": [2, 2], "counts": [4]}, {"size": [1, 4], "counts": [4]}]
     with pytest.raises(InputError, match="several sizes"):
         read_coco(write(path, sizes), "a.jpg", 8)
+
+
+@pytest.mark.parametrize(
+    ("size", "counts"),
+    [([np.inf, 2], [4]), ([2, 2], [np.inf]), ([10**9, 10**9], [10**18]), ([2, 10**400], [4])],
+)
+def test_coco_masks_of_absurd_size(size: list[float], counts: list[float], tmp_path: Path) -> None:
+    path = write(tmp_path / "masks.json", [{"size": size, "counts": counts}])
+    with pytest.raises(InputError, match="mask 0"):
+        read_coco(path, "a.jpg", 8)
+
+
+def test_coco_nested_thousands_deep(tmp_path: Path) -> None:
+    path = tmp_path / "masks.json"
+    path.write_text("[" * 9000)
+    with pytest.raises(InputError, match="nested too deeply"):
+        read_coco(path, "a.jpg", 8)
+    with pytest.raises(InputError, match="nested too deeply"):
+        list(given_masks(path, ["a.jpg"]))
+
+
+def test_label_pictures_of_absurd_size(tmp_path: Path) -> None:
+    """Sixty million pixels in a few kilobytes are refused before they are decoded."""
+    path = tmp_path / "labels.png"
+    Image.new("1", (10_000, 6_000)).save(path)
+    assert path.stat().st_size < 20_000
+    with pytest.raises(InputError, match="10000 x 6000 pixels.*make it smaller"):
+        read_label_png(path, 8)
 
 
 def test_label_pictures(tmp_path: Path) -> None:

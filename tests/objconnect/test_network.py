@@ -121,7 +121,10 @@ def test_given_masks() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"strides": (16, 3)}, {"strides": (4, 16, 1)}, {"dims": (8,)}, {"segmentation": "none"}],
+    [
+        *({"strides": (16, 3)}, {"strides": (4, 16, 1)}, {"dims": (8,)}, {"segmentation": "none"}),
+        *({"dims": (8, 8, 10**6)}, {"steps": (64, 64, 64, 10**6)}, {"pyramid": 10**6}),
+    ],
 )
 def test_bad_configuration(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError):

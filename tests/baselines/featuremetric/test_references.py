@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -112,6 +113,18 @@ def test_damaged_cache(made: tuple[SparseMap, Path], extract: MapExtractor, tmp_
     path.write_bytes(path.read_bytes()[:500])
     with pytest.raises(InputError, match="delete it"):
         read(made, extract, tmp_path)
+
+
+def test_cache_that_leads_elsewhere(
+    made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path
+) -> None:
+    read(made, extract, tmp_path)
+    (path,) = tmp_path.iterdir()
+    with h5py.File(path, "r+") as file:
+        file.move("xyz", "other")
+        file["xyz"] = h5py.SoftLink("/other")
+    with pytest.raises(InputError, match="link.*delete it"):
+        read(made, extract, tmp_path)[0]
 
 
 def test_missing_photograph(

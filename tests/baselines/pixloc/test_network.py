@@ -76,7 +76,11 @@ def test_bad_weights(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"strides": (16, 3)}, {"strides": (4, 16, 1)}, {"dims": (8,)}, {"width": 0}]
+    "wrong",
+    [
+        *({"strides": (16, 3)}, {"strides": (4, 16, 1)}, {"dims": (8,)}, {"width": 0}),
+        *({"dims": (8, 8, 10**6)}, {"decoder": (64, 64, 64, 10**6)}, {"decoder": (0, 8, 8, 8)}),
+    ],
 )
 def test_bad_configuration(wrong: dict[str, object]) -> None:
     with pytest.raises(InputError):

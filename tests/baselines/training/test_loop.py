@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from baselines.pixloc.training import PixlocTraining
 from baselines.training.command import CARD, train
 from baselines.training.config import TrainConfig
-from baselines.training.loop import LOG, WEIGHTS
+from baselines.training.loop import LOG, WEIGHTS, _claim, _log
 from baselines.training.pairs import PairBatch
 from baselines.weights import read_weights
 from benchmark.registry import TRAINABLE, trainable
@@ -98,6 +98,32 @@ def test_a_damaged_checkpoint_is_named(rendered: Scene, tmp_path: Path) -> None:
     (tmp_path / "checkpoint.pt").write_bytes(b"PK\x03\x04 cut short")
     with pytest.raises(InputError, match=r"checkpoint.pt is damaged .* remove it"):
         train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["[]}", '{"loss": 1.0}', '{"step": "x"}', '{"step": 0, "loss": {}}', "[" * 9000 + "}"],
+)
+def test_a_damaged_log_is_named(line: str, tmp_path: Path) -> None:
+    log = tmp_path / LOG
+    log.write_text('{"step": 0, "loss": NaN}\n' + line + '\n{"step": 1, "lo')
+    with pytest.raises(InputError, match=r"line 2 of .*log.jsonl is damaged"), _log(log, 5, 0):
+        pass
+
+
+def test_a_log_cut_short_goes_on(tmp_path: Path) -> None:
+    log = tmp_path / LOG
+    log.write_text('{"step": 0, "loss": NaN}\n{"step": 1, "loss": 1.0}\n{"step": 2, "lo')
+    with _log(log, 1, 0) as write:
+        write(1, {"loss": 2.0})
+    assert log.read_text() == '{"step": 0, "loss": NaN}\n{"step": 1, "loss": 2.0}\n'
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"config": 3}', '"config"', "[" * 9000])
+def test_a_damaged_description_is_named(text: str, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text(text)
+    with pytest.raises(InputError, match=r"run.json is damaged"):
+        _claim(tmp_path, {"config": TINY.model_dump(mode="json")}, 0)
 
 
 def test_a_method_that_cannot_learn_is_refused() -> None:
