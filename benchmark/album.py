@@ -25,7 +25,7 @@ from benchmark.pictures import project_points, spread
 from scene.camera import Camera
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
-from scene.hdf5 import array, attribute, group, groups
+from scene.hdf5 import array, attribute, group, groups, set_text
 from scene.images import read_rgb
 from scene.pose import Pose
 from scene.progress import progress_bar
@@ -167,18 +167,18 @@ def write_album(path: Path, album: Album) -> None:
     """
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
         file.attrs["schema"] = 1
-        file.attrs["dataset_sha256"] = album.sha256.encode()
+        set_text(file, "dataset_sha256", album.sha256)
         for number, (name, entry) in enumerate(album.entries.items()):
             part = file.create_group(f"queries/{number:06d}")
-            part.attrs["name"] = name.encode()
-            part.attrs["camera"] = str(entry.camera).encode()
+            set_text(part, "name", name)
+            set_text(part, "camera", str(entry.camera))
             if entry.neighbour is not None:
-                part.attrs["neighbour"] = entry.neighbour.encode()
+                set_text(part, "neighbour", entry.neighbour)
             part["photograph"] = np.frombuffer(entry.photograph, np.uint8)
             part["world"], part["truth"], part["seen"] = entry.world, entry.truth, entry.seen
         for number, (name, neighbour) in enumerate(album.neighbours.items()):
             part = file.create_group(f"map/{number:06d}")
-            part.attrs["name"] = name.encode()
+            set_text(part, "name", name)
             part.attrs["size"] = [neighbour.width, neighbour.height]
             part["photograph"] = np.frombuffer(neighbour.photograph, np.uint8)
 

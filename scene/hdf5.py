@@ -66,6 +66,12 @@ def attribute(node: h5py.HLObject, name: str) -> Any:
     return value.decode() if isinstance(value, bytes) else value
 
 
+def set_text(node: h5py.HLObject, name: str, text: str) -> None:
+    """Write text as an attribute of fixed length; h5py's own are refused by ``attribute``."""
+    data = text.encode()
+    node.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", len(data)))
+
+
 def group(parent: h5py.Group, name: str) -> h5py.Group:
     """A group of another.
 

@@ -13,7 +13,7 @@ from scene.covisibility import Covisibility, read_covisibility, write_covisibili
 from scene.errors import InputError
 from scene.features import read_features
 from scene.frames import dense_layers, read_frames, write_frames
-from scene.hdf5 import array, attribute, group, groups
+from scene.hdf5 import array, attribute, group, groups, set_text
 from tests.scene.test_frames import ALL, made_frames, made_layers
 
 
@@ -117,7 +117,8 @@ def test_groups_are_of_the_file(tmp_path: Path, secret: Path) -> None:
 
 def test_attributes_and_groups_from_strangers(tmp_path: Path, secret: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.attrs["text"], file.attrs["numbers"] = "größer".encode(), [4, 3]
+        set_text(file, "text", "größer")
+        file.attrs["numbers"] = [4, 3]
         assert attribute(file, "text") == "größer"
         assert attribute(file, "numbers").tolist() == [4, 3]
         file.attrs["endless"] = "x"
