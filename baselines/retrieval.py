@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from baselines.views import upright
 from scene.errors import InputError
 from scene.localizer import Query
+from scene.nearest import Nearest
 from scene.sparse_map import SparseMap
 
 Vector = NDArray[np.float64]
@@ -51,19 +54,27 @@ class VladIndex:
         Args:
             descriptors: per photograph (n, D), unit length.
         """
-        stacked = np.concatenate(descriptors)
-        rng = np.random.default_rng(0)
-        if len(stacked) > _TRAINING_DESCRIPTORS:
-            stacked = stacked[rng.choice(len(stacked), _TRAINING_DESCRIPTORS, replace=False)]
+        some = _some(descriptors)
         # Photographs without a single keypoint have no words, and look alike.
-        words = _cluster(stacked, min(_WORDS, len(stacked))) if len(stacked) else stacked
+        words = _cluster(some, min(_WORDS, len(some))) if len(some) else some
         vectors = np.stack([_vlad(d, words) for d in descriptors])
         return VladIndex(words, vectors)
 
     def rank(self, descriptors: NDArray[np.float32], k: int) -> NDArray[np.int64]:
         """Rows of the ``k`` most similar photographs, best first."""
         similarity = self.vectors @ _vlad(descriptors, self.words)
-        return np.argsort(-similarity, kind="stable")[:k]
+        return _least(-similarity, k)
+
+
+def _some(descriptors: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Descriptors to find words in: all or, of many, some, without a second copy of all."""
+    ends = np.cumsum([len(d) for d in descriptors])
+    if ends[-1] <= _TRAINING_DESCRIPTORS:
+        return np.concatenate(descriptors)
+    rows = np.random.default_rng(0).choice(ends[-1], _TRAINING_DESCRIPTORS, replace=False)
+    whose = np.searchsorted(ends, rows, "right")
+    # Negative: counted from the end of a photograph's own.
+    return np.stack([descriptors[k][row - ends[k]] for k, row in zip(whose, rows, strict=True)])
 
 
 def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
@@ -88,46 +99,56 @@ def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArr
     return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-12), np.float32)
 
 
-def nearest_by_position(
-    centres: NDArray[np.float64], position: NDArray[np.float64], k: int
-) -> NDArray[np.int64]:
-    """Rows of the ``k`` cameras nearest to a position, horizontally, nearest first.
-
-    Altitude is left out: it says little about what a camera over the same ground sees, and GNSS
-    altitude is the least reliable axis.
+class Viewpoints:
+    """Where the photographs of a map were taken from, and what they look at.
 
     Args:
-        centres: (N, 3) world metres.
-        position: (3,) world metres.
-        k: how many.
+        sparse_map: whose photographs; rows are those of its ``names``.
     """
-    distance = np.linalg.norm(centres[:, :2] - position[:2], axis=1)
-    return np.argsort(distance, kind="stable")[:k]
+
+    def __init__(self, sparse_map: SparseMap) -> None:
+        self._map = sparse_map
+        self._nearest = Nearest(sparse_map.centres[:, :2])
+        poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
+        self._upright = np.array([upright(pose[:3, :3]) for pose in poses]).reshape(-1, 3, 3)
+
+    def near(self, position: Vector, k: int) -> Rows:
+        """Rows of the ``k`` cameras nearest to a position (3,), horizontally, nearest first.
+
+        Altitude is left out: it says little about what a camera over the same ground sees, and GNSS
+        altitude is the least reliable axis.
+        """
+        return self._nearest(position[:2], k)
+
+    def alike(self, position: Vector, rotation: Matrix, k: int) -> Rows:
+        """Rows of the ``k`` cameras whose picture, north up, is most like that of a pose, best
+        first.
+
+        What the middles of two pictures lie apart counts in heights above the ground, and what the
+        cameras are still turned against each other in radians: a picture is about as wide as its
+        camera is high, and as strange as one beside it when it is tilted by 60 degrees.
+
+        Args:
+            position: (3,) camera centre, world metres.
+            rotation: (3, 3) ``cam_from_world``.
+            k: how many.
+        """
+        rotation = upright(rotation)
+        height = max(self._map.height_above(position), _LEAST_HEIGHT)
+        ground = position[2] - height
+        middles = _middle(self._map.centres, self._upright, ground)
+        shift = np.linalg.norm(middles - _middle(position[None], rotation[None], ground), axis=1)
+        cosine = (self._upright.reshape(-1, 9) @ rotation.ravel() - 1) / 2
+        turn = np.arccos(np.clip(cosine, -1, 1))
+        return _least(shift / height + turn, k)
 
 
-def nearest_by_view(sparse_map: SparseMap, position: Vector, rotation: Matrix, k: int) -> Rows:
-    """Rows of the ``k`` cameras whose picture, north up, is most like that of a pose, best first.
-
-    What the middles of two pictures lie apart counts in heights above the ground, and what the
-    cameras are still turned against each other in radians: a picture is about as wide as its camera
-    is high, and as strange as one beside it when it is tilted by 60 degrees.
-
-    Args:
-        sparse_map: whose photographs.
-        position: (3,) camera centre, world metres.
-        rotation: (3, 3) ``cam_from_world``.
-        k: how many.
-    """
-    images = [sparse_map.images[name] for name in sparse_map.names]
-    rotations = np.stack([upright(image.cam_from_world[:3, :3]) for image in images])
-    rotation = upright(rotation)
-    height = max(sparse_map.height_above(position), _LEAST_HEIGHT)
-    ground = position[2] - height
-    middles = _middle(sparse_map.centres, rotations, ground)
-    shift = np.linalg.norm(middles - _middle(position[None], rotation[None], ground), axis=1)
-    cosine = (np.einsum("nij,ij->n", rotations, rotation) - 1) / 2
-    turn = np.arccos(np.clip(cosine, -1, 1))
-    return np.argsort(shift / height + turn, kind="stable")[:k]
+def _least(values: NDArray[Any], k: int) -> Rows:
+    """Rows of the ``k`` least values, least first, of equals the first."""
+    if k >= len(values):
+        return np.argsort(values, kind="stable")
+    rows = np.flatnonzero(values <= np.partition(values, k - 1)[k - 1])
+    return np.asarray(rows[np.argsort(values[rows], kind="stable")][:k])
 
 
 def _middle(
@@ -144,18 +165,21 @@ class References:
     """Chooses photographs of a map for a query.
 
     Attributes:
-        sparse_map: whose photographs.
+        names: of the photographs.
+        viewpoints: of them.
         index: of what they look like.
     """
 
-    sparse_map: SparseMap
+    names: tuple[str, ...]
+    viewpoints: Viewpoints
     index: VladIndex
 
     @staticmethod
     def build(sparse_map: SparseMap, descriptors: Sequence[NDArray[np.float32]]) -> References:
         """Index the photographs by their descriptors, per photograph (n, D) of unit length in the
         order of ``sparse_map.names``."""
-        return References(sparse_map, VladIndex.build(descriptors))
+        index = VladIndex.build(descriptors)
+        return References(sparse_map.names, Viewpoints(sparse_map), index)
 
     def choose(
         self,
@@ -164,7 +188,7 @@ class References:
         describe: Callable[[], NDArray[np.float32]],
         tilted: bool = True,
     ) -> NDArray[np.int64]:
-        """Rows of ``sparse_map.names``, best first.
+        """Rows of ``names``, best first.
 
         Those the query names; else the ``k`` nearest to its prior; else the ``k`` that look most
         like it.
@@ -180,14 +204,17 @@ class References:
             InputError: the query names a photograph that the map does not have.
         """
         if query.references is not None:
-            row = {name: k for k, name in enumerate(self.sparse_map.names)}
-            unknown = [name for name in query.references if name not in row]
+            unknown = [name for name in query.references if name not in self._row]
             if unknown:
                 raise InputError(f"{query.name}: the map has no photograph {unknown[0]}")
-            return np.array([row[name] for name in query.references], np.int64)
+            return np.array([self._row[name] for name in query.references], np.int64)
         if query.prior is not None:
             rotation = query.prior.cam_from_world_rotation
             if rotation is not None and not tilted:
-                return nearest_by_view(self.sparse_map, query.prior.position, rotation, k)
-            return nearest_by_position(self.sparse_map.centres, query.prior.position, k)
+                return self.viewpoints.alike(query.prior.position, rotation, k)
+            return self.viewpoints.near(query.prior.position, k)
         return self.index.rank(describe(), k)
+
+    @cached_property
+    def _row(self) -> dict[str, int]:
+        return {name: row for row, name in enumerate(self.names)}

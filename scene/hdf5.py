@@ -96,6 +96,9 @@ def groups(parent: h5py.Group) -> Iterator[tuple[str, h5py.Group]]:
 
 
 def _member(group: h5py.Group, name: str) -> Any:
-    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+    link = group.get(name, getlink=True)
+    if link is None:
+        raise KeyError(f"there is no {name}")
+    if not isinstance(link, h5py.HardLink):
         raise ValueError(f"{name} is a link to something else")
     return group[name]

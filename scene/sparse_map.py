@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.camera import Camera
+from scene.nearest import Nearest
 from scene.pose import Pose
 
 # So many points say how high the ground is.
@@ -79,9 +80,12 @@ class SparseMap:
 
         Their median: points on roofs and walls are outnumbered, unless one stands among them.
         """
-        distance = np.square(self.xyz[:, :2] - position[:2]).sum(1)
-        nearest = np.argsort(distance, kind="stable")[:_AROUND]
+        nearest = self._nearest_points(position[:2], _AROUND)
         return float(position[2] - np.median(self.xyz[nearest, 2]))
+
+    @cached_property
+    def _nearest_points(self) -> Nearest:
+        return Nearest(self.xyz[:, :2])
 
     @cached_property
     def sha256(self) -> str:

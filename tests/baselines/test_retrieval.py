@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.retrieval import VladIndex, nearest_by_position, nearest_by_view
+from baselines.retrieval import Viewpoints, VladIndex
 from scene.camera import Camera
 from scene.sparse_map import MapImage, SparseMap
 
@@ -73,17 +73,40 @@ def test_a_map_of_fewer_descriptors_than_words() -> None:
     assert sorted(index.rank(few[1], 2)) == [0, 1]
 
 
-def test_nearest_by_position_ignores_altitude() -> None:
-    centres = np.array([[0.0, 0, 0], [10, 0, 100], [20, 0, 500], [-5, 0, 0]])
+def map_of(poses: dict[str, NDArray[np.float64]], ground: NDArray[np.float64]) -> SparseMap:
+    camera = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
+    nothing, none = np.zeros((0, 2)), np.zeros(0, np.int64)
+    images = {n: MapImage(n, camera, pose, nothing, none) for n, pose in poses.items()}
+    count = len(ground)
+    return SparseMap(
+        images, ground, np.zeros((count, 3), np.uint8), np.zeros(count), np.full(count, 3)
+    )
+
+
+def cameras_at(centres: NDArray[np.float64]) -> SparseMap:
+    poses = np.tile(np.eye(4), (len(centres), 1, 1))
+    poses[:, :3, 3] = -centres
+    return map_of({f"{k:06d}": pose for k, pose in enumerate(poses)}, np.zeros((0, 3)))
+
+
+def test_near_ignores_altitude() -> None:
+    viewpoints = Viewpoints(cameras_at(np.array([[0.0, 0, 0], [10, 0, 100], [20, 0, 500]])))
     position = np.array([14.0, 0, 0])
-    assert nearest_by_position(centres, position, 3).tolist() == [1, 2, 0]
+    assert viewpoints.near(position, 3).tolist() == [1, 2, 0]
     for up in (-1e4, 1e4):
-        raised = position + np.array([0, 0, up])
-        assert nearest_by_position(centres, raised, 3).tolist() == [1, 2, 0]
+        assert viewpoints.near(position + np.array([0, 0, up]), 3).tolist() == [1, 2, 0]
 
 
-def test_nearest_by_position_of_a_small_map() -> None:
-    assert nearest_by_position(np.zeros((2, 3)), np.ones(3), 5).tolist() == [0, 1]
+def test_near_in_a_small_map() -> None:
+    assert Viewpoints(cameras_at(np.zeros((2, 3)))).near(np.ones(3), 5).tolist() == [0, 1]
+
+
+def test_words_are_found_in_some_of_many_descriptors(
+    photographs: list[NDArray[np.float32]],
+) -> None:
+    many = [np.concatenate([p] * (90_000 // sum(map(len, photographs)))) for p in photographs]
+    index = VladIndex.build(many)
+    assert [int(index.rank(each, 1)[0]) for each in photographs] == list(range(len(photographs)))
 
 
 def test_photographs_turned_and_aimed_like_the_query_come_first() -> None:
@@ -99,14 +122,9 @@ def test_photographs_turned_and_aimed_like_the_query_come_first() -> None:
         pose[:3, 3] = -pose[:3, :3] @ [east, 0, 80]
         return pose
 
-    camera = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
-    nothing, none = np.zeros((0, 2)), np.zeros(0, np.int64)
     poses = {"a": looking(0, np.pi), "b": looking(25, 0.1), "c": looking(90, 0), "d": looking(2, 2)}
-    images = {n: MapImage(n, camera, pose, nothing, none) for n, pose in poses.items()}
     ground = np.random.default_rng(0).uniform(-200, 200, (300, 3)) * [1, 1, 0]
-    count = len(ground)
-    sparse_map = SparseMap(
-        images, ground, np.zeros((count, 3), np.uint8), np.zeros(count), np.full(count, 3)
-    )
-    found = nearest_by_view(sparse_map, np.array([0.0, 0, 80]), looking(0, 0)[:3, :3], 4)
+    sparse_map = map_of(poses, ground)
+    viewpoints = Viewpoints(sparse_map)
+    found = viewpoints.alike(np.array([0.0, 0, 80]), looking(0, 0)[:3, :3], 4)
     assert [sparse_map.names[row] for row in found] == ["b", "c", "d", "a"]

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 import torch
 from PIL import ExifTags, Image
+from pydantic import BaseModel
 from typer.testing import CliRunner
 
 import ingest.command
+import scene.images
+import scene.manifest
 from benchmark.cli import app
 from benchmark.datasets import open_datasets
 from benchmark.flight import TRACK
@@ -251,6 +254,45 @@ def test_an_interrupted_run_goes_on(
     first, second = Scene.open(out).manifest, Scene.open(tmp_path / "at once").manifest
     assert first.sha256.keys() == second.sha256.keys()
     assert first.sha256["map/points3D.bin"] == second.sha256["map/points3D.bin"]
+    assert not list(out.glob(".*"))
+
+
+def test_killed_while_pictures_are_turned_back(
+    photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """When all that was made of them is gone and nothing noted, and again at the second of them."""
+    folder, out = tmp_path / "photos", tmp_path / "scene"
+    folder.mkdir()
+    for path in sorted(photographs.iterdir())[:10]:
+        shutil.copy(path, folder / path.name)
+    over = [f"DJI_{k:04d}.jpg" for k in range(24, 28)]
+    turned = 0
+
+    def write_json(path: Path, value: BaseModel) -> None:
+        if path.name == "turned.json":
+            raise KeyboardInterrupt
+        scene.manifest.write_json(path, value)
+
+    def write_resized(source: Path, target: Path, longest: int, *, over: bool) -> None:
+        nonlocal turned
+        turned += over
+        if turned == 2:
+            raise KeyboardInterrupt
+        scene.images.write_resized(source, target, longest, over=over)
+
+    for patched in (write_json, write_resized):
+        with monkeypatch.context() as patch:
+            patch.setattr(ingest.command, patched.__name__, patched)
+            with pytest.raises(KeyboardInterrupt):
+                run(folder, out)
+    pictures = out / "sessions" / "flight" / "images"
+    assert [name for name in over if (pictures / name).exists()] == over[:1]
+    report = run(folder, out)
+    assert report.turned == tuple(over)
+    # A picture turned twice or not at all would contradict its gimbal, or not be registered.
+    assert (report.registered, report.wrong_attitudes) == (10, {})
+    scene.images.write_resized(folder / over[1], tmp_path / "turned.jpg", 1600, over=True)
+    assert (pictures / over[1]).read_bytes() == (tmp_path / "turned.jpg").read_bytes()
     assert not list(out.glob(".*"))
 
 

@@ -69,6 +69,20 @@ def test_time_is_written_as_universal_time(tmp_path: Path) -> None:
     assert read_exif(tmp_path / "a.jpg").time == TIME
 
 
+@pytest.mark.parametrize(
+    ("digits", "seconds"),
+    [("25", 0.25), ("025", 0.025), ("5\0", 0.5), (" 123456 ", 0.123456), ("", 0), ("-5", 0)],
+)
+def test_fractions_of_seconds(digits: str, seconds: float, tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    write_jpeg(path, picture(), Exif(None, TIME))
+    with Image.open(path) as image:
+        tags = image.getexif()
+        tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.SubsecTimeOriginal] = digits
+        image.save(path, exif=tags.tobytes())
+    assert read_exif(path).time == TIME + timedelta(seconds=seconds)
+
+
 def test_absent_fields_are_none(tmp_path: Path) -> None:
     write_jpeg(tmp_path / "a.jpg", picture(), Exif(None, None))
     exif = read_exif(tmp_path / "a.jpg")
