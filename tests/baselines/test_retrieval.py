@@ -109,8 +109,8 @@ def test_words_are_found_in_some_of_many_descriptors(
     assert [int(index.rank(each, 1)[0]) for each in photographs] == list(range(len(photographs)))
 
 
-def test_photographs_turned_and_aimed_like_the_query_come_first() -> None:
-    """Cameras 80 m over level ground: beside, turned by half a turn, and aimed ahead."""
+def test_photographs_that_show_the_same_north_up_come_first() -> None:
+    """Cameras 80 m over level ground: turned by half a turn, beside, and aimed ahead."""
 
     def looking(east: float, heading: float, tilt: float = 0.0) -> NDArray[np.float64]:
         c, s = np.cos(heading), np.sin(heading)
@@ -123,8 +123,9 @@ def test_photographs_turned_and_aimed_like_the_query_come_first() -> None:
         return pose
 
     poses = {"a": looking(0, np.pi), "b": looking(25, 0.1), "c": looking(90, 0), "d": looking(2, 2)}
+    poses["0"] = looking(0, 0, 1.0)
     ground = np.random.default_rng(0).uniform(-200, 200, (300, 3)) * [1, 1, 0]
     sparse_map = map_of(poses, ground)
     viewpoints = Viewpoints(sparse_map)
-    found = viewpoints.alike(np.array([0.0, 0, 80]), looking(0, 0)[:3, :3], 4)
-    assert [sparse_map.names[row] for row in found] == ["b", "c", "d", "a"]
+    found = viewpoints.alike(np.array([0.0, 0, 80]), looking(0, 0)[:3, :3], 5)
+    assert [sparse_map.names[row] for row in found] == ["a", "d", "b", "c", "0"]
