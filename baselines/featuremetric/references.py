@@ -165,7 +165,7 @@ def write_references(
 ) -> None:
     """Run the network on every photograph of a map and keep what its points look like."""
     config = extract.network.config
-    find = CornerFinder(sparse_map, images, corners) if corners else None
+    find = CornerFinder(sparse_map, images, corners, extract.longest) if corners else None
     posed = [sparse_map.images[each] for each in sparse_map.names]
     own = [
         metres_per_pixel(image.pose, image.camera, _observed(image, sparse_map)) for image in posed
