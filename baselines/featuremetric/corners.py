@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import cv2
+import h5py
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -24,8 +25,12 @@ from torch.nn.functional import grid_sample
 
 from baselines.views import view
 from scene.camera import Camera
+from scene.errors import HDF5_DAMAGE, InputError
+from scene.files import written_whole
+from scene.hdf5 import array
 from scene.images import read_rgb
 from scene.pose import Pose
+from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
 
 # Pixels between corners, and least strength of them as a share of the strongest.
@@ -170,6 +175,39 @@ class CornerFinder:
                 self._looks.popitem(last=False)
         self._looks.move_to_end(name)
         return self._looks[name]
+
+
+def all_corners(
+    sparse_map: SparseMap, images: Path, most: int, longest: int, path: Path
+) -> list[NDArray[np.float64]]:
+    """Places (N, 3) of the corners of every photograph of a map, kept in a file for every method.
+
+    Args:
+        sparse_map: whose photographs.
+        images: folder of the photographs.
+        most: corners of a photograph.
+        longest: see ``CornerFinder``.
+        path: of the file.
+
+    Raises:
+        InputError: a photograph is missing or damaged, or the file is.
+    """
+    if not path.is_file():
+        find = CornerFinder(sparse_map, images, most, longest)
+        found = []
+        with progress_bar("corners of the map", len(sparse_map.names)) as advance:
+            for done, name in enumerate(sparse_map.names, 1):
+                found.append(find(name).xyz)
+                advance(done)
+        with written_whole(path) as partial, h5py.File(partial, "w") as file:
+            file["xyz"] = np.concatenate([np.empty((0, 3)), *found])
+            file["ends"] = np.cumsum([len(xyz) for xyz in found])
+    try:
+        with h5py.File(path) as file:
+            xyz, ends = array(file, "xyz"), array(file, "ends")
+            return np.split(xyz, ends[:-1])
+    except HDF5_DAMAGE as error:
+        raise InputError(f"{path} is damaged ({error}): delete it") from None
 
 
 def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> float:

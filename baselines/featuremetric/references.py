@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -18,7 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.featuremetric.corners import CornerFinder
+from baselines.featuremetric.corners import all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.featuremetric.resolution import metres_per_pixel, scale_to
 from baselines.views import View, north
@@ -146,11 +147,18 @@ def references(
     """
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     photographs = [sha256_of(images / name) for name in sparse_map.names]
-    parts = [_FORMAT, sparse_map.sha256, photographs, points, corners, key]
-    digest = hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()
-    path = cache / f"{name}-{digest[:16]}.h5"
+
+    def file(of: str, *parts: object) -> Path:
+        words = " ".join(map(str, (_FORMAT, sparse_map.sha256, photographs, *parts)))
+        return cache / f"{of}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+
+    path = file(name, points, corners, key)
     if not path.is_file():
-        write_references(path, sparse_map, images, extract, points, corners, name)
+        beside = [np.empty((0, 3))] * len(sparse_map.names)
+        if corners:
+            kept = file("corners", corners, extract.longest)
+            beside = all_corners(sparse_map, images, corners, extract.longest, kept)
+        write_references(path, sparse_map, images, extract, points, beside, name)
     return ReferenceFeatures(path, memory)
 
 
@@ -160,12 +168,14 @@ def write_references(
     images: Path,
     extract: MapExtractor,
     points: int,
-    corners: int,
+    beside: Sequence[NDArray[np.float64]],
     name: str,
 ) -> None:
-    """Run the network on every photograph of a map and keep what its points look like."""
+    """Run the network on every photograph of a map and keep what its points look like.
+
+    ``beside`` are further points (N, 3) of each photograph.
+    """
     config = extract.network.config
-    find = CornerFinder(sparse_map, images, corners, extract.longest) if corners else None
     posed = [sparse_map.images[each] for each in sparse_map.names]
     own = [
         metres_per_pixel(image.pose, image.camera, _observed(image, sparse_map)) for image in posed
@@ -185,13 +195,12 @@ def write_references(
         ]
         ends = []
         with progress_bar(f"{name} map features", len(posed)) as advance:
-            for done, (image, resolution) in enumerate(zip(posed, own, strict=True), 1):
+            known_of = zip(posed, own, beside, strict=True)
+            for done, (image, resolution, further) in enumerate(known_of, 1):
                 rgb = read_rgb(images / image.name, image.camera)
                 scale = scale_to(wanted, resolution, extract.largest_scale(image.camera))
                 looked = extract(rgb, image.camera, north(image.cam_from_world[:3, :3]), scale)
-                placed = _observed(image, sparse_map)
-                if find is not None:
-                    placed = np.concatenate([placed, find(image.name).xyz])
+                placed = np.concatenate([_observed(image, sparse_map), further])
                 seen = observe(*looked, image.pose, placed, points)
                 _append(xyz, seen.xyz)
                 _append(confidence, seen.confidence)

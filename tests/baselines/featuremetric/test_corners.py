@@ -11,7 +11,8 @@ import pytest
 import torch
 from PIL import Image
 
-from baselines.featuremetric.corners import CornerFinder, Corners
+from baselines.featuremetric.corners import CornerFinder, Corners, all_corners
+from scene.errors import InputError
 from scene.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import height, write_map
 
@@ -73,3 +74,21 @@ def test_large_photographs_are_looked_at_smaller(made: tuple[SparseMap, Path]) -
     image = sparse_map.images["2.png"]
     seen = image.camera.project(image.pose.transform(torch.from_numpy(found.xyz))).xy
     np.testing.assert_allclose(seen, found.xy, atol=1e-3)
+
+
+def test_kept_for_every_method(
+    made: tuple[SparseMap, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sparse_map, images = made
+    path = tmp_path / "corners.h5"
+    first = all_corners(sparse_map, images, 200, 1024, path)
+    assert len(first) == len(sparse_map.names)
+    np.testing.assert_array_equal(
+        first[2], CornerFinder(sparse_map, images, 200, 1024)("2.png").xyz
+    )
+    monkeypatch.setattr(CornerFinder, "__call__", None)  # nothing is swept again
+    for ours, theirs in zip(all_corners(sparse_map, images, 200, 1024, path), first, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    path.write_bytes(path.read_bytes()[:600])
+    with pytest.raises(InputError, match="delete it"):
+        all_corners(sparse_map, images, 200, 1024, path)
