@@ -35,7 +35,7 @@ def main(scene: Path, session: str, out: Path) -> None:
     with tempfile.TemporaryDirectory() as cache:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
         chosen = localizer._retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
-        start = localizer._start(query, int(chosen[0]))
+        (start,) = localizer._starts(query, chosen)
         view, maps = localizer._look(query, chosen, start)
         from_world = view.pose(start)
         points, levels = localizer._levels(view, maps, chosen, from_world)
