@@ -27,7 +27,7 @@ from baselines.align.hypotheses import Reach, align_from_many
 from baselines.align.residuals import Level
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Precision
 from baselines.featuremetric.references import references
-from baselines.featuremetric.resolution import metres_per_pixel, scale_to
+from baselines.resolution import metres_per_pixel, scale_to
 from baselines.retrieval import References
 from baselines.views import View, north
 from scene.config import Config

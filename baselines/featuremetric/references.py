@@ -6,7 +6,6 @@ Only features at points are needed of the photographs, and these are few.
 from __future__ import annotations
 
 import hashlib
-import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from baselines.featuremetric.corners import all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
-from baselines.featuremetric.resolution import metres_per_pixel, scale_to
+from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
 from baselines.views import View, north
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import sha256_of, written_whole
@@ -177,12 +176,7 @@ def write_references(
     """
     config = extract.network.config
     posed = [sparse_map.images[each] for each in sparse_map.names]
-    own = [
-        metres_per_pixel(image.pose, image.camera, _observed(image, sparse_map)) for image in posed
-    ]
-    shrunk = [min(1.0, extract.largest_scale(image.camera)) for image in posed]
-    known = np.array(own) / shrunk
-    wanted = float(np.median(known[np.isfinite(known)])) if np.isfinite(known).any() else math.nan
+    wanted = of_map(sparse_map, lambda camera: min(1.0, extract.largest_scale(camera)))
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
         file.attrs["levels"] = len(config.strides)
         file.attrs["metres_per_pixel"] = wanted
@@ -195,12 +189,12 @@ def write_references(
         ]
         ends = []
         with progress_bar(f"{name} map features", len(posed)) as advance:
-            known_of = zip(posed, own, beside, strict=True)
-            for done, (image, resolution, further) in enumerate(known_of, 1):
+            for done, (image, further) in enumerate(zip(posed, beside, strict=True), 1):
                 rgb = read_rgb(images / image.name, image.camera)
-                scale = scale_to(wanted, resolution, extract.largest_scale(image.camera))
+                own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+                scale = scale_to(wanted, own, extract.largest_scale(image.camera))
                 looked = extract(rgb, image.camera, north(image.cam_from_world[:3, :3]), scale)
-                placed = np.concatenate([_observed(image, sparse_map), further])
+                placed = np.concatenate([_sure(image, sparse_map), further])
                 seen = observe(*looked, image.pose, placed, points)
                 _append(xyz, seen.xyz)
                 _append(confidence, seen.confidence)
@@ -247,7 +241,7 @@ def observe(
     )
 
 
-def _observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
+def _sure(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
     """Points of the map that a photograph observes, (N, 3); the sure ones where they suffice."""
     rows = np.unique(image.point_rows[image.point_rows >= 0])
     sure = rows[sparse_map.track_length[rows] >= _LEAST_TRACK]
