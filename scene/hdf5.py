@@ -38,7 +38,9 @@ def dataset(group: h5py.Group, name: str) -> h5py.Dataset:
     if found.dtype.hasobject:
         raise ValueError(f"{name} has elements of variable length")
     stored = min(found.id.get_storage_size(), found.file.id.get_filesize())
-    claimed = found.dtype.itemsize * max(found.size, math.prod(found.chunks or (0,)))
+    # Chunks are unpacked whole; of an array without elements there are none.
+    chunk = math.prod(found.chunks or (0,)) if found.size else 0
+    claimed = found.dtype.itemsize * max(found.size, chunk)
     if claimed > _MOST * stored:
         raise ValueError(f"{name} claims {claimed} bytes and {stored} are stored")
     return found

@@ -44,6 +44,8 @@ _BETTER: Final = 0.95
 
 # An altitude that is known worse than this share of the height above ground is none.
 _NO_ALTITUDE: Final = 0.2
+# A grid of starts that is spread wider has gaps.
+_FARTHEST: Final = Reach(40.0, 30.0)
 _SAME_HEADING: Final = math.radians(45)
 
 _Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
@@ -284,7 +286,8 @@ def _reach(prior: Prior | None) -> Reach:
     metres = usual.metres
     if prior.position_sigma is not None:
         metres = max(metres, 2 * float(prior.position_sigma[:2].max()))
-    return Reach(metres, max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0)))
+    degrees = max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0))
+    return Reach(min(metres, _FARTHEST.metres), min(degrees, _FARTHEST.degrees))
 
 
 def _distinct(rotations: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
