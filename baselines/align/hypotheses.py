@@ -124,6 +124,8 @@ def align_from_many(
     Refines the best hypotheses and the prior, and answers with the one that gains most over
     chance on the finest level; with the prior's failure where all fail.
     """
+    if points.shape[1] < options.least_points:
+        return align(levels, points, intrinsics, start, damping, options, mask)
     local = Local.of(points, intrinsics, start, mask, working_precision(levels))
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
     depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
