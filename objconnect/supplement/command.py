@@ -40,10 +40,7 @@ class SupplementReport:
 
 
 def supplement(
-    path: Path,
-    weights: Path | None = None,
-    masks: Path | None = None,
-    config: SupplementConfig = SupplementConfig(),
+    path: Path, weights: Path | None = None, masks: Path | None = None
 ) -> SupplementReport:
     """Find small things that have no point in a scene's map, and add points on them.
 
@@ -55,7 +52,6 @@ def supplement(
         weights: of an object-connect network, whose centres are looked at too; None: segments
             alone.
         masks: of objects of the map's photographs: see ``given_masks``.
-        config: thresholds.
 
     Returns:
         What was added, with the map's figures before and after; ``pictures/diagnosis.png`` shows
@@ -69,6 +65,7 @@ def supplement(
     before = sparse_map.without(scene.added_points(sparse_map))
     network = None if weights is None else read_network(weights)[0]
     given = None if masks is None else dict(given_masks(masks, before.names))
+    config = SupplementConfig()
     points, detections = supplement_points(before, scene.images_root, config, network, given)
     add_to_map(path, points, detections)
     observations = sum(len(point.rows) for point in points)
