@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pytest
 import torch
 from typer.testing import CliRunner
 
@@ -58,10 +58,10 @@ def test_a_network_says_how_sure_places_are_and_what_they_look_like(rendered: Sc
     assert ((inside >= [50, 100]) & (inside <= [120, 140])).all()
 
 
-def run(*arguments: str) -> dict[str, object]:
+def run(*arguments: str) -> dict[str, Any]:
     answer = CliRunner().invoke(app, ["supplement", *arguments, "--json"])
     assert answer.exit_code == 0, answer.output
-    parsed: dict[str, object] = json.loads(answer.stdout)
+    parsed: dict[str, Any] = json.loads(answer.stdout)
     return parsed
 
 
@@ -80,10 +80,4 @@ def test_small_things_are_added_once_and_taken_out_again(rendered_copy: Path) ->
     assert {file.name: sha256_of(file) for file in folder.iterdir()} == files
     refused = CliRunner().invoke(app, ["supplement", str(rendered_copy), "--remove"])
     assert refused.exit_code == 2
-
-
-def test_a_scene_without_a_map_is_refused(rendered_copy: Path) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(rendered_copy)
-        answer = CliRunner().invoke(app, ["supplement", "nowhere"])
-    assert answer.exit_code == 2
+    assert "nothing was added" in refused.output
