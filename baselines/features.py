@@ -31,8 +31,8 @@ class Extractor(ABC):
         name: of the kind of feature; also that of its cache.
         options: everything else that decides what is found, in words.
         weights_sha256: digest of learned weights, or None.
-        turned: whether features are found again in a picture turned by any angle. If not, those of
-            pictures turned north up are compared.
+        turned: whether features are found again in a picture turned by any angle, of any scale. If
+            not, those of pictures turned north up are compared, at the map's resolution.
     """
 
     name: str
@@ -44,17 +44,20 @@ class Extractor(ABC):
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         """Features of an (H, W, 3) uint8 image."""
 
-    def seen(self, rgb: NDArray[np.uint8], camera: Camera, angle: float) -> Features:
-        """Features of a photograph turned counter-clockwise by ``angle`` (rad), in its own pixels.
+    def seen(
+        self, rgb: NDArray[np.uint8], camera: Camera, angle: float, scale: float = 1.0
+    ) -> Features:
+        """Features of a photograph turned counter-clockwise by ``angle`` (rad) and resized by
+        ``scale``, in its own pixels.
 
         The corners that come in are black, and nothing at or beyond the photograph's edge is kept.
         """
-        looked = view(rgb, camera, angle)
+        looked = view(rgb, camera, angle, scale)
         found = self(looked.picture)
         xy = found.xy.astype(np.float64)
         kept = looked.shows(xy)
         xy = looked.in_photograph(xy[kept]).astype(found.xy.dtype)
-        return Features(np.asarray(xy), found.scale[kept], found.descriptors[kept])
+        return Features(np.asarray(xy), found.scale[kept] / scale, found.descriptors[kept])
 
     def of_photographs(
         self, root: Path, names: Sequence[str], on_progress: Callable[[int], None]

@@ -14,6 +14,7 @@ from pydantic import Field
 
 from baselines.features import Extractor, map_features
 from baselines.lifting import interpolated_points, observed_points
+from baselines.resolution import metres_per_pixel, of_map, scale_to
 from baselines.retrieval import References
 from baselines.views import north
 from scene.colmap import estimate_absolute_pose
@@ -21,9 +22,12 @@ from scene.config import Config
 from scene.errors import InputError
 from scene.features import Features
 from scene.localizer import Estimate, Query, Status, Stopwatch, fault
+from scene.pose import Pose
 from scene.sparse_map import SparseMap
 
 _MIN_MATCHES = 4
+# Pictures are magnified by so much at most: there is no more to be seen in them.
+_LARGEST = 2.0
 
 
 class StructureConfig(Config):
@@ -100,6 +104,8 @@ class StructureLocalizer:
                 "are not the photographs the map was built from, or were resized since"
             )
         self._xyz = np.concatenate(tables)
+        self._map = sparse_map
+        self._resolution = of_map(sparse_map, lambda camera: 1.0)
         self._references = References.build(sparse_map, [unit.numpy() for unit in descriptors])
 
     def localize(self, query: Query) -> Estimate:
@@ -142,10 +148,15 @@ class StructureLocalizer:
 
     def _features(self, query: Query) -> Features:
         """Those of the query, as those of the photographs were taken."""
-        attitude = query.prior.cam_from_world_rotation if query.prior else None
-        if self._extractor.turned or attitude is None:
+        prior = query.prior
+        if self._extractor.turned or prior is None or prior.cam_from_world_rotation is None:
             return self._extractor(query.image)
-        return self._extractor.seen(query.image, query.camera, north(attitude))
+        rotation = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
+        position = torch.from_numpy(np.array(prior.position, np.float64))
+        start = Pose(rotation, -rotation @ position)
+        own = metres_per_pixel(start, query.camera, self._map.xyz)
+        scale = scale_to(self._resolution, own, _LARGEST)
+        return self._extractor.seen(query.image, query.camera, north(rotation.numpy()), scale)
 
     def _correspondences(
         self, descriptors: torch.Tensor, references: NDArray[np.int64]

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,8 +21,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from baselines.views import view
+from scene.camera import Camera
 from scene.images import read_rgb
-from scene.sparse_map import MapImage, SparseMap
+from scene.pose import Pose
+from scene.sparse_map import SparseMap
 
 _BORDER: Final = 8.0
 _LEAST_SHARED: Final = 20
@@ -30,7 +33,7 @@ _LEAST_SHARED: Final = 20
 _BEST_ANGLE: Final = math.radians(15)
 # Beyond the depths of the map's own points by this share, steps of a pixel, at most so many.
 _BEYOND: Final = 0.1
-_MOST_DEPTHS: Final = 160
+_MOST_DEPTHS: Final = 256
 # Agreement (normalised cross-correlation) that two photographs must reach, and by how much any
 # other depth must fall behind.
 _AGREE: Final = 0.75
@@ -69,12 +72,23 @@ class Swept:
     score: NDArray[np.float64]
 
 
+class Look(NamedTuple):
+    """Grey values (H, W) of a photograph made smaller, its camera, its pose, and the way back to
+    the pixels of the photograph."""
+
+    grey: Tensor
+    camera: Camera
+    pose: Pose
+    in_photograph: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
 class Sweeper:
     """Places pixels of a map's photographs, one photograph after the other.
 
     Args:
         sparse_map: whose photographs, and points that say who sees the same.
         images: folder of the photographs.
+        longest: photographs with a longer side (px) are made smaller.
         window: what is compared.
         neighbours: that a photograph is held against, at most.
     """
@@ -83,14 +97,16 @@ class Sweeper:
         self,
         sparse_map: SparseMap,
         images: Path,
+        longest: float = math.inf,
         window: Window = Window(),
         neighbours: int = 4,
     ) -> None:
         self._map = sparse_map
         self._images = images
+        self._longest = longest
         self._window = window.offsets()
         self._neighbours = neighbours
-        self._grey: OrderedDict[str, Tensor] = OrderedDict()
+        self._looks: OrderedDict[str, Look] = OrderedDict()
         self._rows = {
             name: np.unique(image.point_rows[image.point_rows >= 0])
             for name, image in sparse_map.images.items()
@@ -107,37 +123,40 @@ class Sweeper:
 
         Args:
             name: of the photograph.
-            xy: (N, 2) pixels.
+            xy: (N, 2) pixels of ``look``.
             depths: nearest and farthest (N,) that each may have; None: as the map's points have.
 
         Raises:
             InputError: a photograph is missing or damaged.
         """
-        image = self._map.images[name]
         neighbours = self._beside(name)
         if len(neighbours) < 2 or not len(xy):
             return Swept(np.zeros((len(xy), 3)), np.zeros(len(xy), bool), np.zeros(len(xy)))
-        tried = self._depths(image, neighbours, len(xy), depths)
-        grey = self.grey(name)
-        others = [(self._map.images[each], self.grey(each)) for each in neighbours]
+        look = self.look(name)
+        tried = self._depths(name, look.camera, neighbours, len(xy), depths)
+        others = [self.look(each) for each in neighbours]
         pixels = torch.from_numpy(xy)
         parts = [
-            _swept(image, grey, pixels[part], others, tried[part].float(), self._window)
+            _swept(look, pixels[part], others, tried[part].float(), self._window)
             for part in torch.split(torch.arange(len(xy)), _AT_ONCE)
         ]
         xyz, sure, score = (torch.cat(each).numpy() for each in zip(*parts, strict=True))
         return Swept(xyz, sure, score.astype(np.float64))
 
-    def grey(self, name: str) -> Tensor:
-        """Grey values (H, W) of a photograph; the last few are kept."""
-        if name not in self._grey:
-            rgb = read_rgb(self._images / name, self._map.images[name].camera)
-            grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY)
-            self._grey[name] = torch.from_numpy(grey.astype(np.float32))
-            while len(self._grey) > _HELD:
-                self._grey.popitem(last=False)
-        self._grey.move_to_end(name)
-        return self._grey[name]
+    def look(self, name: str) -> Look:
+        """At a photograph; the last few are kept."""
+        if name not in self._looks:
+            image = self._map.images[name]
+            rgb = read_rgb(self._images / name, image.camera)
+            scale = min(1.0, self._longest / max(image.camera.width, image.camera.height))
+            small = view(rgb, image.camera, 0.0, scale)
+            grey = cv2.cvtColor(np.ascontiguousarray(small.picture), cv2.COLOR_RGB2GRAY)
+            values = torch.from_numpy(grey.astype(np.float32))
+            self._looks[name] = Look(values, small.camera, image.pose, small.in_photograph)
+            while len(self._looks) > _HELD:
+                self._looks.popitem(last=False)
+        self._looks.move_to_end(name)
+        return self._looks[name]
 
     def _beside(self, name: str) -> list[str]:
         """Photographs of the same, whose rays cross this one's well and from different sides."""
@@ -165,26 +184,29 @@ class Sweeper:
 
     def _depths(
         self,
-        image: MapImage,
+        name: str,
+        camera: Camera,
         neighbours: Sequence[str],
         count: int,
         bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
     ) -> Tensor:
         """Inverse depths to try, (N, D): a pixel apart in the neighbour that is farthest away."""
+        pose = self._map.images[name].pose
         if bounds is None:
-            points = torch.from_numpy(self._map.xyz[self._rows[image.name]])
-            z = image.pose.transform(points)[:, 2]
+            points = torch.from_numpy(self._map.xyz[self._rows[name]])
+            z = pose.transform(points)[:, 2]
             near, far = z[z > 0].quantile(z.new_tensor([0.005, 0.995]))
             nearest = (near * (1 - _BEYOND)).expand(count)
             farthest = (far * (1 + _BEYOND)).expand(count)
         else:
             nearest, farthest = (torch.from_numpy(bound) for bound in bounds)
         low, high = 1 / farthest, 1 / nearest
-        centre = image.pose.centre()
+        centre = pose.centre()
         reach = max(float((self._map.images[n].pose.centre() - centre).norm()) for n in neighbours)
-        steps = math.ceil(max(image.camera.focal) * reach * float((high - low).max())) + 1
+        steps = math.ceil(max(camera.focal) * reach * float((high - low).max())) + 1
         share = torch.linspace(0, 1, min(max(steps, 8), _MOST_DEPTHS), dtype=torch.float64)
-        return low[:, None] + (high - low)[:, None] * share
+        tried: Tensor = low[:, None] + (high - low)[:, None] * share
+        return tried
 
 
 def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> float:
@@ -193,25 +215,17 @@ def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> 
 
 
 def _swept(
-    image: MapImage,
-    grey: Tensor,
-    xy: Tensor,
-    others: Sequence[tuple[MapImage, Tensor]],
-    depths: Tensor,
-    window: Tensor,
+    look: Look, xy: Tensor, others: Sequence[Look], depths: Tensor, window: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Where pixels (N, 2) stand in the world, (N, 3), which are sure, (N,), and how well, (N,);
+    """Where pixels (N, 2) stand in the world, (N, 3), and which are sure, (N,), and how well, (N,);
     of inverse depths (N, D)."""
     # Rays through the corner and one pixel beside and below it: windows move with these.
     three = xy[:, None] + xy.new_tensor([[0, 0], [1, 0], [0, 1]])
-    rays, usable = image.camera.unproject(three.flatten(0, 1))
+    rays, usable = look.camera.unproject(three.flatten(0, 1))
     rays = rays.view(*three.shape[:2], 3).float()
-    own = _normalised(_looked_up(grey, xy[:, None] + window))
+    own = _normalised(_looked_up(look.grey, xy[:, None] + window))
     agreement = torch.stack(
-        [
-            _agreement(image, rays, own, window.float(), depths, other, pixels)
-            for other, pixels in others
-        ],
+        [_agreement(look, rays, own, window.float(), depths, other) for other in others],
         -1,
     )
     # The better half: the others may not see it.
@@ -230,27 +244,21 @@ def _swept(
     step = depths[:, 1] - depths[:, 0]
     inverse = depths.gather(1, inner[:, None])[:, 0] + offset * step
     in_camera = rays[:, 0].double() / inverse[:, None].double()
-    return image.pose.inverse().transform(in_camera), sure, second
+    return look.pose.inverse().transform(in_camera), sure, second
 
 
 def _agreement(
-    image: MapImage,
-    rays: Tensor,
-    own: Tensor,
-    window: Tensor,
-    depths: Tensor,
-    other: MapImage,
-    grey: Tensor,
+    look: Look, rays: Tensor, own: Tensor, window: Tensor, depths: Tensor, other: Look
 ) -> Tensor:
     """Correlation of windows (N, P) with what another photograph shows there, (N, D)."""
-    relative = (other.pose @ image.pose.inverse()).to(dtype=rays.dtype)
+    relative = (other.pose @ look.pose.inverse()).to(dtype=rays.dtype)
     in_camera = rays[:, None] / depths[..., None, None] @ relative.rotation.T + relative.translation
     shape = in_camera.shape[:3]
     projected = other.camera.project(in_camera.flatten(0, 2))
     inside = projected.valid & other.camera.contains(projected.xy, _BORDER)
     corner, right, below = projected.xy.view(*shape, 2).unbind(2)
     across = torch.stack([right - corner, below - corner], -2)
-    theirs = _normalised(_looked_up(grey, corner[:, :, None] + window @ across))
+    theirs = _normalised(_looked_up(other.grey, corner[:, :, None] + window @ across))
     found = torch.einsum("np,ndp->nd", own, theirs)
     return torch.where(inside.view(shape).all(-1), found, -1)
 

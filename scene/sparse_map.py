@@ -92,8 +92,10 @@ class SparseMap:
             )
             for name, image in self.images.items()
         }
-        left = (each[~gone] for each in (self.xyz, self.rgb, self.error, self.track_length))
-        return SparseMap(images, *left)
+        left = ~gone
+        return SparseMap(
+            images, self.xyz[left], self.rgb[left], self.error[left], self.track_length[left]
+        )
 
     @cached_property
     def sha256(self) -> str:

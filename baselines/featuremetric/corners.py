@@ -11,11 +11,16 @@ from pathlib import Path
 from typing import Final
 
 import cv2
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
 from baselines.sweep import Sweeper
+from scene.errors import HDF5_DAMAGE, InputError
+from scene.files import written_whole
+from scene.hdf5 import array
+from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
 
 # Pixels between corners, and least strength of them as a share of the strongest.
@@ -44,11 +49,12 @@ class CornerFinder:
         sparse_map: whose photographs, and points that say who sees the same.
         images: folder of the photographs.
         most: corners of a photograph.
+        longest: photographs with a longer side (px) are made smaller.
     """
 
-    def __init__(self, sparse_map: SparseMap, images: Path, most: int) -> None:
+    def __init__(self, sparse_map: SparseMap, images: Path, most: int, longest: int) -> None:
         self._most = most
-        self._sweep = Sweeper(sparse_map, images)
+        self._sweep = Sweeper(sparse_map, images, longest)
 
     def __call__(self, name: str) -> Corners:
         """Of one photograph; none where it has too few neighbours.
@@ -56,9 +62,43 @@ class CornerFinder:
         Raises:
             InputError: a photograph is missing or damaged.
         """
-        xy = _corners(self._sweep.grey(name), self._most)
+        look = self._sweep.look(name)
+        xy = _corners(look.grey, self._most)
         found = self._sweep(name, xy)
-        return Corners(xy[found.sure], found.xyz[found.sure])
+        return Corners(look.in_photograph(xy[found.sure]), found.xyz[found.sure])
+
+
+def all_corners(
+    sparse_map: SparseMap, images: Path, most: int, longest: int, path: Path
+) -> list[NDArray[np.float64]]:
+    """Places (N, 3) of the corners of every photograph of a map, kept in a file for every method.
+
+    Args:
+        sparse_map: whose photographs.
+        images: folder of the photographs.
+        most: corners of a photograph.
+        longest: see ``CornerFinder``.
+        path: of the file.
+
+    Raises:
+        InputError: a photograph is missing or damaged, or the file is.
+    """
+    if not path.is_file():
+        find = CornerFinder(sparse_map, images, most, longest)
+        found = []
+        with progress_bar("corners of the map", len(sparse_map.names)) as advance:
+            for done, name in enumerate(sparse_map.names, 1):
+                found.append(find(name).xyz)
+                advance(done)
+        with written_whole(path) as partial, h5py.File(partial, "w") as file:
+            file["xyz"] = np.concatenate([np.empty((0, 3)), *found])
+            file["ends"] = np.cumsum([len(xyz) for xyz in found])
+    try:
+        with h5py.File(path) as file:
+            xyz, ends = array(file, "xyz"), array(file, "ends")
+            return np.split(xyz, ends[:-1])
+    except HDF5_DAMAGE as error:
+        raise InputError(f"{path} is damaged ({error}): delete it") from None
 
 
 def _corners(grey: Tensor, most: int) -> NDArray[np.float64]:

@@ -9,27 +9,29 @@ steps that make the cost larger are not taken, and the pose has a covariance.
 
 from __future__ import annotations
 
+import math
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from baselines.align.aligner import align
+from baselines.align.aligner import Alignment, align
 from baselines.align.descent import Options
 from baselines.align.hypotheses import Reach, align_from_many
 from baselines.align.residuals import Level
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Precision
 from baselines.featuremetric.references import references
-from baselines.featuremetric.resolution import metres_per_pixel, scale_to
+from baselines.resolution import metres_per_pixel, scale_to
 from baselines.retrieval import References
 from baselines.views import View, north
 from scene.config import Config
-from scene.localizer import Estimate, Query, Status, Stopwatch, fault
+from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, fault
 from scene.pose import Pose
 from scene.projection import Intrinsics
 from scene.sparse_map import SparseMap
@@ -39,6 +41,10 @@ _LEAST_SIDE: Final = 16
 _MEGABYTE: Final = 2**20
 # Poses of pictures of nothing cost 0.98 of chance and more, those of right ones 0.7 to 0.9.
 _BETTER: Final = 0.95
+
+# An altitude that is known worse than this share of the height above ground is none.
+_NO_ALTITUDE: Final = 0.2
+_SAME_HEADING: Final = math.radians(45)
 
 _Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
 
@@ -67,6 +73,16 @@ class FeaturemetricConfig(Config):
     multistart: bool = False
     precision: Precision = "float32"
     memory_mb: int = Field(1024, ge=1)
+
+
+class _Attempt(NamedTuple):
+    """What came of one start: ``fit`` is the cost in parts of that by chance."""
+
+    start: Pose
+    view: View
+    found: Alignment
+    fit: float
+    reason: str
 
 
 class FeaturemetricLocalizer:
@@ -127,7 +143,34 @@ class FeaturemetricLocalizer:
             )
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            start = self._start(query, int(chosen[0]))
+            starts = self._starts(query, chosen)
+        tried = [self._attempt(query, chosen, start, clock) for start in starts]
+        best = min(tried, key=lambda attempt: (bool(attempt.reason), attempt.fit))
+        found, view = best.found, best.view
+        seen, iterations = int(found.seen), sum(int(each.found.iterations) for each in tried)
+        if best.reason:
+            return Estimate(
+                Status.FALLBACK,
+                best.start,
+                inliers=seen,
+                iterations=iterations,
+                seconds=clock.seconds,
+                reason=best.reason,
+            )
+        covariance = view.photograph_covariance(found.covariance[0].numpy())
+        return Estimate(
+            Status.OK,
+            view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0])),
+            covariance if np.isfinite(covariance).all() else None,
+            inliers=seen,
+            iterations=iterations,
+            seconds=clock.seconds,
+        )
+
+    def _attempt(
+        self, query: Query, chosen: NDArray[np.int64], start: Pose, clock: Stopwatch
+    ) -> _Attempt:
+        """Look at the query as if a start were right, and align it."""
         with clock.stage("features"):
             view, maps = self._look(query, chosen, start)
         with clock.stage("points"):
@@ -142,44 +185,15 @@ class FeaturemetricLocalizer:
                 self._damping,
                 self._options,
             )
-            many = self.config.multistart
-            found = align_from_many(*problem, Reach()) if many else align(*problem)
+            if self.config.multistart:
+                found = align_from_many(*problem, _reach(query.prior))
+            else:
+                found = align(*problem)
             reason = found.reason(0)
-            if not reason and self._by_chance(problem, found.pose):
+            fit = math.inf if reason else _fit(problem, found.pose)
+            if not reason and not fit < _BETTER:
                 reason = "the image fits the map's points hardly better than it would by chance"
-        seen, iterations = int(found.seen), int(found.iterations)
-        if reason:
-            return Estimate(
-                Status.FALLBACK,
-                start,
-                inliers=seen,
-                iterations=iterations,
-                seconds=clock.seconds,
-                reason=reason,
-            )
-        covariance = view.photograph_covariance(found.covariance[0].numpy())
-        return Estimate(
-            Status.OK,
-            view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0])),
-            covariance if np.isfinite(covariance).all() else None,
-            inliers=seen,
-            iterations=iterations,
-            seconds=clock.seconds,
-        )
-
-    def _by_chance(self, problem: _Problem, pose: Pose) -> bool:
-        """Whether other points would look as much like the query where these are seen."""
-        levels, points, intrinsics, _, damping, options = problem
-        still = replace(options, iterations=0)
-        judge = len(levels) // 2
-        level, held_back = levels[judge], damping[judge]
-        # Neighbours in the list are of different parts of the picture, and may still look alike.
-        others = torch.roll(level.reference, level.reference.shape[1] // 2, 1)
-        ours, theirs = (
-            align([each], points, intrinsics, pose, [held_back], still).cost
-            for each in (level, replace(level, reference=others))
-        )
-        return not float(ours) < _BETTER * float(theirs)
+        return _Attempt(start, view, found, fit, reason)
 
     def _least_side(self, query: Query) -> int:
         """Pixels of the image's shorter side, as the network would see it as taken."""
@@ -206,16 +220,30 @@ class FeaturemetricLocalizer:
         scale = max(scale_to(self._observations.metres_per_pixel, own, largest), least)
         return self._extract(query.image, camera, north(start.rotation.numpy()), scale)
 
-    def _start(self, query: Query, reference: int) -> Pose:
-        """The prior; what it does not say is that of the best reference."""
-        nearest = self._map.images[self._map.names[reference]].pose
-        if query.prior is None:
-            return nearest
-        rotation = nearest.rotation
-        if query.prior.cam_from_world_rotation is not None:
-            rotation = torch.from_numpy(np.array(query.prior.cam_from_world_rotation, np.float64))
-        position = torch.from_numpy(np.array(query.prior.position, np.float64))
-        return Pose(rotation, -rotation @ position)
+    def _starts(self, query: Query, chosen: NDArray[np.int64]) -> list[Pose]:
+        """The prior; what it does not say is that of the best reference.
+
+        Where no attitude is known and many starts are wanted, there is one for every way that the
+        references are turned: a survey flies half of its lines the other way round.
+        """
+        posed = [self._map.images[self._map.names[int(row)]].pose for row in chosen]
+        prior = query.prior
+        if prior is None:
+            return posed[:1]
+        position = np.array(prior.position, np.float64)
+        beside = posed[0].centre().numpy()
+        height = self._map.height_above(beside)
+        if prior.position_sigma is not None and prior.position_sigma[2] > _NO_ALTITUDE * height:
+            position[2] = beside[2]
+        if prior.cam_from_world_rotation is not None:
+            rotations = [np.array(prior.cam_from_world_rotation, np.float64)]
+        else:
+            rotations = _distinct([pose.rotation.numpy() for pose in posed])
+        if not self.config.multistart:
+            rotations = rotations[:1]
+        centre = torch.from_numpy(position)
+        turned = [torch.from_numpy(rotation) for rotation in rotations]
+        return [Pose(rotation, -rotation @ centre) for rotation in turned]
 
     def _levels(
         self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose
@@ -246,3 +274,39 @@ class FeaturemetricLocalizer:
                 )
             )
         return xyz[kept], levels
+
+
+def _reach(prior: Prior | None) -> Reach:
+    """How far a prior may be off: two of its standard deviations, where they are known."""
+    usual = Reach()
+    if prior is None:
+        return usual
+    metres = usual.metres
+    if prior.position_sigma is not None:
+        metres = max(metres, 2 * float(prior.position_sigma[:2].max()))
+    return Reach(metres, max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0)))
+
+
+def _distinct(rotations: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    """Those that are turned about their axis by more than 45 degrees against all before them."""
+    kept: list[NDArray[np.float64]] = []
+    for rotation in rotations:
+        turns = (north(rotation) - north(other) for other in kept)
+        if all(abs(math.remainder(turn, math.tau)) > _SAME_HEADING for turn in turns):
+            kept.append(rotation)
+    return kept
+
+
+def _fit(problem: _Problem, pose: Pose) -> float:
+    """The cost at a pose, in parts of what other points would cost where these are seen."""
+    levels, points, intrinsics, _, damping, options = problem
+    still = replace(options, iterations=0)
+    judge = len(levels) // 2
+    level, held_back = levels[judge], damping[judge]
+    # Neighbours in the list are of different parts of the picture, and may still look alike.
+    others = torch.roll(level.reference, level.reference.shape[1] // 2, 1)
+    ours, theirs = (
+        align([each], points, intrinsics, pose, [held_back], still).cost
+        for each in (level, replace(level, reference=others))
+    )
+    return float(ours) / max(float(theirs), 1e-12)

@@ -88,7 +88,7 @@ class MapExtractor:
 
     def __init__(self, network: Network, longest: int, precision: Precision) -> None:
         self.network = network
-        self._longest = longest
+        self.longest = longest
         self._bfloat16 = precision == "bfloat16"
 
     @torch.inference_mode()
@@ -110,7 +110,7 @@ class MapExtractor:
 
     def largest_scale(self, camera: Camera) -> float:
         """At which photographs of a camera may be seen."""
-        return min(1.0, self._longest / max(camera.width, camera.height))
+        return min(1.0, self.longest / max(camera.width, camera.height))
 
 
 def _shown(seen: View, size: torch.Size, stride: int) -> NDArray[np.bool_]:

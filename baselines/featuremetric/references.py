@@ -6,8 +6,8 @@ Only features at points are needed of the photographs, and these are few.
 from __future__ import annotations
 
 import hashlib
-import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.featuremetric.corners import CornerFinder
+from baselines.featuremetric.corners import all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
-from baselines.featuremetric.resolution import metres_per_pixel, scale_to
+from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
 from baselines.views import View, north
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import sha256_of, written_whole
@@ -146,11 +146,18 @@ def references(
     """
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     photographs = [sha256_of(images / name) for name in sparse_map.names]
-    parts = [_FORMAT, sparse_map.sha256, photographs, points, corners, key]
-    digest = hashlib.sha256(" ".join(map(str, parts)).encode()).hexdigest()
-    path = cache / f"{name}-{digest[:16]}.h5"
+
+    def file(of: str, *parts: object) -> Path:
+        words = " ".join(map(str, (_FORMAT, sparse_map.sha256, photographs, *parts)))
+        return cache / f"{of}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+
+    path = file(name, points, corners, key)
     if not path.is_file():
-        write_references(path, sparse_map, images, extract, points, corners, name)
+        beside = [np.empty((0, 3))] * len(sparse_map.names)
+        if corners:
+            kept = file("corners", corners, extract.longest)
+            beside = all_corners(sparse_map, images, corners, extract.longest, kept)
+        write_references(path, sparse_map, images, extract, points, beside, name)
     return ReferenceFeatures(path, memory)
 
 
@@ -160,19 +167,16 @@ def write_references(
     images: Path,
     extract: MapExtractor,
     points: int,
-    corners: int,
+    beside: Sequence[NDArray[np.float64]],
     name: str,
 ) -> None:
-    """Run the network on every photograph of a map and keep what its points look like."""
+    """Run the network on every photograph of a map and keep what its points look like.
+
+    ``beside`` are further points (N, 3) of each photograph.
+    """
     config = extract.network.config
-    find = CornerFinder(sparse_map, images, corners) if corners else None
     posed = [sparse_map.images[each] for each in sparse_map.names]
-    own = [
-        metres_per_pixel(image.pose, image.camera, _observed(image, sparse_map)) for image in posed
-    ]
-    shrunk = [min(1.0, extract.largest_scale(image.camera)) for image in posed]
-    known = np.array(own) / shrunk
-    wanted = float(np.median(known[np.isfinite(known)])) if np.isfinite(known).any() else math.nan
+    wanted = of_map(sparse_map, lambda camera: min(1.0, extract.largest_scale(camera)))
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
         file.attrs["levels"] = len(config.strides)
         file.attrs["metres_per_pixel"] = wanted
@@ -185,13 +189,12 @@ def write_references(
         ]
         ends = []
         with progress_bar(f"{name} map features", len(posed)) as advance:
-            for done, (image, resolution) in enumerate(zip(posed, own, strict=True), 1):
+            for done, (image, further) in enumerate(zip(posed, beside, strict=True), 1):
                 rgb = read_rgb(images / image.name, image.camera)
-                scale = scale_to(wanted, resolution, extract.largest_scale(image.camera))
+                own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+                scale = scale_to(wanted, own, extract.largest_scale(image.camera))
                 looked = extract(rgb, image.camera, north(image.cam_from_world[:3, :3]), scale)
-                placed = _observed(image, sparse_map)
-                if find is not None:
-                    placed = np.concatenate([placed, find(image.name).xyz])
+                placed = np.concatenate([_sure(image, sparse_map), further])
                 seen = observe(*looked, image.pose, placed, points)
                 _append(xyz, seen.xyz)
                 _append(confidence, seen.confidence)
@@ -238,7 +241,7 @@ def observe(
     )
 
 
-def _observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
+def _sure(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
     """Points of the map that a photograph observes, (N, 3); the sure ones where they suffice."""
     rows = np.unique(image.point_rows[image.point_rows >= 0])
     sure = rows[sparse_map.track_length[rows] >= _LEAST_TRACK]

@@ -20,7 +20,7 @@ _LEAST_POINTS: Final = 10
 def reprojection_error(
     pose: Pose, truth: Pose, points: Tensor, intrinsics: Intrinsics, valid: Tensor
 ) -> Tensor:
-    """Mean pseudo-Huber distance of the points' projections by two poses, (B,), about pixels.
+    """Mean pseudo-Huber distance of the points' projections by two poses, (B,); see ``in_pixels``.
 
     Args:
         pose: ``camera_from_world``, batched (B).
@@ -37,6 +37,11 @@ def reprojection_error(
     # Barron's general loss (CVPR 2019) at shape 1 and scale 2, over 4: quadratic, then linear.
     robust = 2 * (torch.sqrt(squared / 4 + 1) - 1)
     return torch.as_tensor(robust.sum(-1) / used.sum(-1).clamp(min=1))
+
+
+def in_pixels(error: Tensor) -> Tensor:
+    """The distance in pixels whose pseudo-Huber function is ``error``."""
+    return 2 * ((error / 2 + 1).square() - 1).sqrt()
 
 
 def pose_loss(

@@ -16,7 +16,7 @@ from torch.nn import functional
 from baselines.align.aligner import align
 from baselines.align.descent import Options
 from baselines.align.residuals import Level
-from baselines.pixloc.loss import pose_loss, reprojection_error
+from baselines.pixloc.loss import in_pixels, pose_loss, reprojection_error
 from baselines.pixloc.network import PixlocNet, PixlocNetConfig, read_network
 from baselines.training.config import TrainConfig
 from baselines.training.contrastive import contrastive, mean_over, sample
@@ -153,11 +153,8 @@ def pixels_of(
     """Median errors in pixels, at the start and after each level, to log."""
     place = batch.points, batch.intrinsics_b, batch.valid
     start = reprojection_error(batch.start, batch.b_from_a, *place)
-    after = {
-        f"pixels/{stride}": float(error.median())
-        for stride, error in zip(strides, errors, strict=True)
-    }
-    return {"pixels/start": float(start.median()), **after}
+    named = zip(("start", *strides), (start, *errors), strict=True)
+    return {f"pixels/{name}": float(in_pixels(error.median())) for name, error in named}
 
 
 def filters_and_damping(

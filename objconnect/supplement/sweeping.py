@@ -58,7 +58,7 @@ def supplement_points(
     Raises:
         InputError: a photograph is missing or damaged.
     """
-    sweep = Sweeper(sparse_map, images, _WINDOW, _NEIGHBOURS)
+    sweep = Sweeper(sparse_map, images, window=_WINDOW, neighbours=_NEIGHBOURS)
     detections, places = {}, [np.zeros((0, 3))]
     names = [name for name in sparse_map.names if masks is None or name in masks]
     with progress_bar("sweep", len(names)) as advance:

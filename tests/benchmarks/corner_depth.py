@@ -24,7 +24,7 @@ def main(path: Path) -> None:
     """Print one line per photograph."""
     scene, (dataset,) = Scene.open(path), open_datasets(path)
     sparse_map = dataset.load_map()
-    find = CornerFinder(sparse_map, dataset.images, _MOST)
+    find = CornerFinder(sparse_map, dataset.images, _MOST, 1024)
     for name in sparse_map.names[_PHOTOGRAPHS]:
         began = time.process_time()
         found = find(name)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
 from baselines.weights import SHIPPED
@@ -110,6 +111,55 @@ def test_many_starts_reach_further(weights: Path, made: tuple[SparseMap, Path]) 
         found[many] = errors(localizer.localize(far))[0]
     assert found[False] > 1
     assert found[True] < 0.2
+
+
+def test_an_altitude_nobody_knows_is_that_of_the_flight(
+    weights: Path, made: tuple[SparseMap, Path]
+) -> None:
+    """Below the ground, and known to no better than 60 m; nor how the camera is turned."""
+    low = looking_down(9.0, -0.2)
+    centre = low.centre().numpy() - [0, 0, 30]
+    prior = Prior(centre, np.array([2.0, 2.0, 60.0]))
+    found = {}
+    for many in (False, True):
+        localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=many))
+        localizer.prepare(*made)
+        found[many] = errors(localizer.localize(replace(QUERY, prior=prior)))[0]
+    assert max(found.values()) < 0.1
+    sure = replace(prior, position_sigma=np.array([2.0, 2.0, 1.0]))
+    assert localizer.localize(replace(QUERY, prior=sure)).status is not Status.OK
+
+
+def test_a_camera_turned_over_is_tried_where_attitude_is_unknown(
+    weights: Path, made: tuple[SparseMap, Path], tmp_path: Path
+) -> None:
+    """The nearest photograph was flown the other way round."""
+    sparse_map, images = made
+    over = np.diag([-1.0, -1.0, 1.0])
+    camera = CAMERA.params
+    turned_camera = replace(
+        CAMERA, params=(*camera[:2], CAMERA.width - camera[2], CAMERA.height - camera[3])
+    )
+    flown, folder = {}, tmp_path / "images"
+    folder.mkdir()
+    for name, image in sparse_map.images.items():
+        picture = np.asarray(Image.open(images / name))
+        if name == "2.png":  # the nearest to the query
+            picture = picture[::-1, ::-1]
+            pose = np.eye(4)
+            pose[:3, :3] = over
+            image = replace(
+                image,
+                camera=turned_camera,
+                cam_from_world=pose @ image.cam_from_world,
+                xy=[CAMERA.width, CAMERA.height] - image.xy,
+            )
+        Image.fromarray(picture).save(folder / name)
+        flown[name] = image
+    localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True))
+    localizer.prepare(replace(sparse_map, images=flown), folder, tmp_path)
+    near = Prior(looking_down(11.0, -0.4).centre().numpy(), None)
+    assert errors(localizer.localize(replace(QUERY, prior=near)))[0] < 0.1
 
 
 @pytest.mark.parametrize("offset", [(1000.0, 0, 0), (0, 0, -60.0)], ids=["aside", "below"])

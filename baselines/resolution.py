@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from scene.camera import Camera
 from scene.pose import Pose
+from scene.sparse_map import MapImage, SparseMap
 
 # Views whose resolutions differ by less are compared as they are: networks bear that, and streets
 # have no one resolution.
@@ -32,6 +34,27 @@ def metres_per_pixel(pose: Pose, camera: Camera, xyz: NDArray[np.float64]) -> fl
     if int(shown.sum()) < _LEAST_POINTS:
         return math.nan
     return float(in_camera[shown, 2].median()) / float(np.mean(camera.focal))
+
+
+def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:
+    """Metres per pixel at which most photographs of a map are seen; NaN if not known.
+
+    Args:
+        sparse_map: whose photographs.
+        shrunk: pixels seen per pixel of a camera's photographs.
+    """
+    found = [
+        metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+        / shrunk(image.camera)
+        for image in sparse_map.images.values()
+    ]
+    known = [each for each in found if math.isfinite(each)]
+    return float(np.median(known)) if known else math.nan
+
+
+def observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
+    """The points that a photograph of a map observes, (N, 3)."""
+    return np.asarray(sparse_map.xyz[np.unique(image.point_rows[image.point_rows >= 0])])
 
 
 def scale_to(wanted: float, own: float, largest: float) -> float:

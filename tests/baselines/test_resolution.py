@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.featuremetric.resolution import metres_per_pixel, scale_to
+from baselines.resolution import metres_per_pixel, scale_to
 from tests.baselines.pixloc.made_map import CAMERA, HEIGHT, looking_down
 
 
