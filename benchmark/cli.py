@@ -705,6 +705,53 @@ def diagnose(
         print(diagnosis.text())
 
 
+@app.command()
+def supplement(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene with its map.")],
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Weights of an object-connect network, to look at its centres too; segments of "
+            "the photographs alone otherwise.",
+        ),
+    ] = None,
+    masks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MASKS",
+            help="Objects of the map's photographs, in place of segments: as of diagnose.",
+        ),
+    ] = None,
+    remove: Annotated[
+        bool, typer.Option("--remove", help="Take out what was added: the map of before.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Add points on small things that stand on the ground and have none in the map.
+
+    They are marked in SCENE/map/supplement.json; nothing else of the map changes. Run again, they
+    are replaced. Draws SCENE/pictures/diagnosis.png and says what the map was before.
+    """
+    from objconnect.supplement.command import supplement as run
+    from objconnect.supplement.map import remove_from_map
+
+    if remove:
+        if weights is not None or masks is not None:
+            raise InputError("--remove takes no other option: it takes out all that was added")
+        removed = remove_from_map(scene)
+        if as_json:
+            _print_json({"removed": removed})
+        else:
+            print(f"{removed} points taken out of the map")
+        return
+    report = run(scene, weights, masks)
+    if as_json:
+        _print_json(report.as_dict())
+    else:
+        print(report.text())
+
+
 class Stereo(StrEnum):
     """Who matches the photographs."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -82,6 +82,20 @@ class SparseMap:
         """
         nearest = self._nearest_points(position[:2], _AROUND)
         return float(position[2] - np.median(self.xyz[nearest, 2]))
+
+    def without(self, gone: NDArray[np.bool_]) -> SparseMap:
+        """The map less some of its points (M,); keypoints stay, and observe nothing."""
+        row = np.where(gone, -1, np.cumsum(~gone) - 1)
+        images = {
+            name: replace(
+                image, point_rows=np.where(image.point_rows < 0, -1, row[image.point_rows])
+            )
+            for name, image in self.images.items()
+        }
+        left = ~gone
+        return SparseMap(
+            images, self.xyz[left], self.rgb[left], self.error[left], self.track_length[left]
+        )
 
     @cached_property
     def _nearest_points(self) -> Nearest:

@@ -18,6 +18,10 @@ class SupplementConfig(Config):
         reprojection_px: a detection belongs to a point that projects this close to it.
         views: photographs that must agree on a point.
         angle_deg: least angle between two of the rays that made it.
+        above_m: least height of a swept point above the ground around it.
+        below_m: largest height likewise.
+        together_m: places that two photographs were swept to are one when this close.
+        apart_m: least distance of a swept point from the map's own points.
     """
 
     neighbours: int = Field(12, ge=1)
@@ -26,3 +30,7 @@ class SupplementConfig(Config):
     reprojection_px: float = Field(2.0, gt=0)
     views: int = Field(3, ge=2)
     angle_deg: float = Field(3.0, gt=0, lt=90)
+    above_m: float = Field(0.4, gt=0)
+    below_m: float = Field(3.0, gt=0)
+    together_m: float = Field(0.4, gt=0)
+    apart_m: float = Field(0.5, ge=0)

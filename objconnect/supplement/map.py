@@ -63,19 +63,24 @@ def add_to_map(
     return supplement
 
 
-def remove_from_map(path: Path) -> None:
+def remove_from_map(path: Path) -> int:
     """Take out what was added to the map of a scene: its files are those of before, byte for byte.
+
+    Returns:
+        How many points that were.
 
     Raises:
         InputError: as ``add_to_map``, nothing was added, or the map was changed since.
     """
     scene = Scene.open(path)
     with sole_writer(path):
-        if read_supplement(scene.map_path) is None:
+        supplement = read_supplement(scene.map_path)
+        if supplement is None:
             raise InputError(f"nothing was added to the map of {path}")
         with folder_written_whole(scene.map_path) as folder:
             _copy_before(scene, folder)
         finish(path, scene.manifest)
+    return len(supplement.points)
 
 
 def _copy_before(scene: Scene, folder: Path) -> None:

@@ -71,7 +71,7 @@ def lift(
             for name, row in zip(sparse_map.names, members[proposal], strict=True)
             if row >= 0 and not taken[name][row]
         }
-        point = _solve(sparse_map, detections, rows, config)
+        point = triangulate(sparse_map, detections, rows, config)
         if point is not None:
             points.append(point)
             for name, row in point.rows.items():
@@ -151,14 +151,21 @@ def _looks(
     return np.asarray(total / length, np.float32)
 
 
-def _solve(
+def triangulate(
     sparse_map: SparseMap,
     detections: Mapping[str, Detections],
-    rows: dict[str, int],
+    rows: Mapping[str, int],
     config: SupplementConfig,
 ) -> Lifted | None:
     """The point of some detections, without those it does not project to; None where too few
-    remain, or their rays hardly cross."""
+    remain, or their rays hardly cross.
+
+    Args:
+        sparse_map: with the poses.
+        detections: by photograph.
+        rows: one detection each of some photographs.
+        config: thresholds.
+    """
     while len(rows) >= config.views:
         images = [sparse_map.images[name] for name in rows]
         xy = np.array([detections[name].xy[row] for name, row in rows.items()])

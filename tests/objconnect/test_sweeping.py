@@ -1,0 +1,83 @@
+"""Small things without a point are found in rendered photographs, and added to the map."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from typer.testing import CliRunner
+
+from benchmark.cli import app
+from objconnect.config import ObjConnectNetConfig
+from objconnect.network import ObjConnectNet
+from objconnect.supplement.segments import find
+from objconnect.supplement.standing import heights, nearest
+from scene.bundle import Scene
+from scene.files import sha256_of
+from scene.images import read_rgb
+
+
+def test_heights_are_above_the_plane_of_most_points() -> None:
+    rng = np.random.default_rng(0)
+    cloud = rng.uniform(0, 40, (2000, 3))
+    cloud[:, 2] = 0.1 * cloud[:, 0] - 0.05 * cloud[:, 1] + rng.normal(scale=0.02, size=2000)
+    cloud[::5, 2] += 2.0
+    feet = rng.uniform(5, 35, (50, 2))
+    ground = 0.1 * feet[:, 0] - 0.05 * feet[:, 1]
+    above = heights(np.column_stack([feet, ground + 1]), cloud)
+    np.testing.assert_allclose(above, 1, atol=0.1)
+    assert np.isinf(heights(cloud[:3], cloud[:5])).all()
+
+
+def test_the_nearest_are_the_nearest() -> None:
+    rng = np.random.default_rng(1)
+    cloud, query = rng.uniform(0, 9, (500, 3)), rng.uniform(0, 9, (20, 3))
+    _, off = nearest(query, cloud, 4)
+    every = np.linalg.norm(query[:, None] - cloud, axis=2)
+    np.testing.assert_allclose(off, np.sort(every, axis=1)[:, :4], atol=1e-5)
+
+
+def test_a_network_says_how_sure_places_are_and_what_they_look_like(rendered: Scene) -> None:
+    torch.manual_seed(0)
+    config = ObjConnectNetConfig(width=0.125, steps=(8, 8, 8, 8), strides=(16, 4), dims=(8, 8))
+    network = ObjConnectNet(config).eval()
+    name = rendered.splits.map[0]
+    rgb = read_rgb(rendered.images_root / name)
+    plain, seen = find(rgb), find(rgb, network)
+    assert len(plain.xy) > 200
+    assert len(seen.xy) > len(plain.xy)
+    np.testing.assert_allclose(np.linalg.norm(seen.descriptors, axis=1), 1, atol=1e-5)
+    assert ((seen.confidence > 0) & (seen.confidence < 1)).all()
+    masks = np.full(rgb.shape[:2], -1, np.int64)
+    masks[100:140, 50:120] = 0
+    inside = find(rgb, masks=masks).xy
+    assert len(inside) > 0
+    assert ((inside >= [50, 100]) & (inside <= [120, 140])).all()
+
+
+def run(*arguments: str) -> dict[str, Any]:
+    answer = CliRunner().invoke(app, ["supplement", *arguments, "--json"])
+    assert answer.exit_code == 0, answer.output
+    parsed: dict[str, Any] = json.loads(answer.stdout)
+    return parsed
+
+
+def test_small_things_are_added_once_and_taken_out_again(rendered_copy: Path) -> None:
+    folder = Scene.open(rendered_copy).map_path
+    files = {file.name: sha256_of(file) for file in folder.iterdir()}
+    first = run(str(rendered_copy))
+    assert first["points"] > 0
+    again = run(str(rendered_copy))
+    assert again["points"] == first["points"]
+    assert (
+        again["diagnosis"]["before"]["points"] + first["points"]
+        == (again["diagnosis"]["map"]["points"])
+    )
+    assert run(str(rendered_copy), "--remove") == {"removed": first["points"]}
+    assert {file.name: sha256_of(file) for file in folder.iterdir()} == files
+    refused = CliRunner().invoke(app, ["supplement", str(rendered_copy), "--remove"])
+    assert refused.exit_code == 2
+    assert "nothing was added" in refused.output
