@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 # The ground under a point is a plane through so many points around it, seen from above ...
 _AROUND: Final = 24
-# ... that is fitted in so many rounds, those far from it counting less and less.
-_ROUNDS: Final = 6
-_CLOSE_M: Final = 0.1
+# ... that begins level at their median, and is fitted in rounds in each of which fewer are close.
+_CLOSE_M: Final = (0.8, 0.4, 0.2, 0.1, 0.1, 0.1)
 # FLANN's single tree (4), searched to the end.
 _EXACT: Final = {"algorithm": 4, "leaf_max_size": 10}
 _UNLIMITED: Final = {"checks": -1}
@@ -29,14 +28,14 @@ def heights(xyz: NDArray[np.float64], cloud: NDArray[np.float64]) -> NDArray[np.
     found, _ = nearest(xyz[:, :2], cloud[:, :2], _AROUND)
     around = cloud[found] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
     design = np.concatenate([around[..., :2], np.ones((*found.shape, 1))], 2)
-    weight = np.ones(found.shape)
-    for _ in range(_ROUNDS):
+    off = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
+    for close in _CLOSE_M:
+        weight = 1 / (1 + np.square(off / close))
         weighted = design * weight[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, design) + 1e-6 * np.eye(3)
         right = np.einsum("nki,nk->ni", weighted, around[..., 2])
         plane = np.linalg.solve(normal, right[..., None])[..., 0]
         off = around[..., 2] - np.einsum("nki,ni->nk", design, plane)
-        weight = 1 / (1 + np.square(off / _CLOSE_M))
     return np.asarray(xyz[:, 2] - plane[:, 2])
 
 

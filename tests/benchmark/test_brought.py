@@ -70,6 +70,7 @@ def test_unknown_names_are_told_what_there_is(install: Install) -> None:
     install("nearest", "nearest:make")
     with pytest.raises(
         InputError,
-        match="unknown method 'oracle'; known: sift, orb, akaze, epipolar, d2net, pixloc, nearest",
+        match="unknown method 'oracle'; known: sift, orb, akaze, epipolar, d2net, pixloc, "
+        "objconnect, nearest",
     ):
         create("oracle", {})

@@ -1,7 +1,7 @@
 """What the object-connect network sees in a query, and how the alignment goes, as one picture.
 
-``python -m tests.benchmarks.method_figure SCENE SESSION OUT.png``: the first query of a session of
-a finished scene with a map, from a prior wrong by 3 m and 5 degrees.
+``python -m tests.benchmarks.method_figure SCENE SESSION WEIGHTS OUT.png``: the first query of a
+session of a finished scene with a map, from a prior wrong by 3 m and 5 degrees.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ from baselines.align.hypotheses import Reach, align_from_many
 from benchmark.datasets import open_datasets
 from benchmark.starts import moved_prior
 from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
+from objconnect.network import read_network
 from objconnect.segmentation import segment
 from scene.pose import Pose
 
 
 @torch.inference_mode()
-def main(scene: Path, session: str, out: Path) -> None:
+def main(scene: Path, session: str, weights: Path, out: Path) -> None:
     """Draw it."""
     (dataset,) = open_datasets(scene)
     wanted = next(q for q in dataset.queries if q.name.split("/")[0] == session)
     query = wanted.load(moved_prior(wanted.reference, wanted.name, 3.0, 5.0))
-    localizer = ObjConnectLocalizer(ObjConnectConfig())
+    localizer = ObjConnectLocalizer(ObjConnectConfig(weights=weights))
     with tempfile.TemporaryDirectory() as cache:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
         chosen = localizer._retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
@@ -39,7 +40,7 @@ def main(scene: Path, session: str, out: Path) -> None:
         view, maps = localizer._look(query, chosen, start)
         from_world = view.pose(start)
         points, levels = localizer._levels(view, maps, chosen, from_world)
-    network = localizer._extract.network
+    network, _ = read_network(weights)
     image = torch.from_numpy(view.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
 
     figure = Figure(figsize=(14, 14), dpi=90, layout="constrained")
@@ -93,4 +94,4 @@ def main(scene: Path, session: str, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))
+    main(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), Path(sys.argv[4]))
