@@ -100,7 +100,7 @@ def test_damaged_covisibility_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is damaged"):
         read_covisibility(path)
     with h5py.File(path, "w") as file:
-        file["names"], file["overlap"] = [b"a", b"b"], np.zeros((3, 3))
+        file["names"], file["overlap"] = np.array([b"a", b"b"]), np.zeros((3, 3))
     with pytest.raises(InputError, match="2 frames has shape"):
         read_covisibility(path)
 
