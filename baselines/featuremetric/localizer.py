@@ -285,7 +285,9 @@ def _reach(prior: Prior | None) -> Reach:
         return usual
     metres = usual.metres
     if prior.position_sigma is not None:
-        metres = max(metres, 2 * float(prior.position_sigma[:2].max()))
+        # An axis that was not measured is infinitely unsure: nothing says how far to look.
+        known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
+        metres = max([metres, *(2 * float(sigma) for sigma in known)])
     degrees = max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0))
     return Reach(min(metres, _FARTHEST.metres), min(degrees, _FARTHEST.degrees))
 
