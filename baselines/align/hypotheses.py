@@ -31,6 +31,10 @@ _TURN_DEGREES = 6.0
 _MOST_SHIFTS = 17
 # Cells of the finest level from which the cost of chance is taken.
 _CHANCE_CELLS = 256
+# Points that tell which of many poses are worth all of them.
+_FEW_POINTS = 512
+# Cells of the coarsest level. Poses that show the points nearer to each other go on as one.
+_SAME_PLACE = 0.5
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,7 @@ def gain(level: Level, local: Local, poses: Pose, scale: float) -> Tensor:
     """
     B, K = poses.rotation.shape[:2]
     height, width = level.features.shape[-2:]
-    points, intrinsics = local.points, local.intrinsics
+    points = local.points
     cost = _costs(level.features.flatten(2), level.reference, scale)
     won = cost.mean(-1, keepdim=True) - cost
     if level.confidence is not None:
@@ -96,13 +100,9 @@ def gain(level: Level, local: Local, poses: Pose, scale: float) -> Tensor:
     if level.reference_confidence is not None:
         won = won * level.reference_confidence[..., None]
 
-    own = intrinsics.focal.ndim > 1
-    cameras = over(lambda t: t[:, None], intrinsics) if own else intrinsics
-    in_camera = poses.to(dtype=points.dtype).transform(points[:, None])
-    projected = cameras.project(in_camera)
+    xy, seen = _projected(local, poses)
     size = torch.tensor([width, height], dtype=points.dtype, device=points.device)
-    place = 2 * projected.xy / (per_axis(level.stride, points) * size) - 1
-    seen = projected.valid & local.usable[:, None]
+    place = 2 * xy / (per_axis(level.stride, points) * size) - 1
     place = torch.where(seen[..., None], place, 3).clamp(-3, 3)  # 3 is out of the picture
     maps = won.view(-1, 1, height, width)
     there = grid_sample(maps, place.transpose(1, 2).flatten(0, 1)[:, None], align_corners=False)
@@ -121,33 +121,80 @@ def align_from_many(
 ) -> Alignment:
     """As ``align``, from priors (B) that may be far off.
 
-    Refines the best hypotheses and the prior, and answers with the one that gains most over
-    chance on the finest level; with the prior's failure where all fail.
+    Some of the points, on the coarsest level, choose the best hypotheses and move them and the
+    prior to where they lead; all points refine those that have not come to the same place. Answers
+    with the one that gains most over chance on the finest level; with the failure of the prior
+    where all fail.
     """
     if points.shape[1] < options.least_points:
         return align(levels, points, intrinsics, start, damping, options, mask)
-    local = Local.of(points, intrinsics, start, mask, working_precision(levels))
+    every = math.ceil(points.shape[1] / _FEW_POINTS)
+    few, wanted = points[:, ::every], None if mask is None else mask[:, ::every]
+    coarsest = _thinned(levels[0], every)
+    local = Local.of(few, intrinsics, start, wanted, working_precision(levels))
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
     depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
     depth = depth.nan_to_num(1.0)
-    focal, stride = local.intrinsics.focal, per_axis(levels[0].stride, local.points)
+    focal, stride = local.intrinsics.focal, per_axis(coarsest.stride, local.points)
     spacing = torch.rad2deg(torch.atan(_SPACING * (stride / focal).min()))
     poses = around(local.start, depth, reach, float(spacing))
-    gains = gain(levels[0], local, poses, options.scale)
+    gains = gain(coarsest, local, poses, options.scale)
     best = gains.topk(min(reach.refined, gains.shape[1])).indices
 
     def with_prior(prior: Tensor, grid: Tensor) -> Tensor:
         picked = grid[torch.arange(len(grid), device=grid.device)[:, None], best]
         return torch.cat([prior[:, None], picked], 1)
 
-    starts = local.in_world(over(with_prior, local.start, poses))
+    scouts = local.in_world(over(with_prior, local.start, poses))
+    ahead = align([coarsest], few, intrinsics, scouts, damping[:1], options, wanted)
+    starts = _distinct(ahead.pose, few, intrinsics, wanted, coarsest)
     found = align(levels, points, intrinsics, starts, damping, options, mask)
     won = found.seen * (_chance(levels[-1], options.scale)[:, None] - found.cost)
     winner = torch.where(found.failed, -torch.inf, won).argmax(-1)
     query = torch.arange(len(winner), device=winner.device)
     chosen = over(lambda t: t[query, winner], replace(found, by_level=()))
     by_level = tuple(over(lambda t: t[query, winner], pose) for pose in found.by_level)
-    return replace(chosen, by_level=by_level, iterations=found.iterations.sum(-1))
+    tried = ahead.iterations.sum(-1) + found.iterations.sum(-1)
+    return replace(chosen, by_level=by_level, iterations=tried)
+
+
+def _thinned(level: Level, every: int) -> Level:
+    """With one point of so many."""
+    trust = level.reference_confidence
+    return replace(
+        level,
+        reference=level.reference[:, ::every],
+        reference_confidence=None if trust is None else trust[:, ::every],
+    )
+
+
+def _distinct(
+    poses: Pose, points: Tensor, intrinsics: Intrinsics, mask: Tensor | None, level: Level
+) -> Pose:
+    """Of poses (B, K) those that do not show the points where one before them does; (B, L) with L
+    what the most diverse query has, and others of their own for the rest."""
+    local = Local.of(points, intrinsics, poses, mask, working_precision([level]))
+    xy, seen = _projected(local, local.start)
+    cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
+    both = seen[:, :, None] & seen[:, None]
+    apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
+    same = apart < _SAME_PLACE  # never where no point is in both pictures
+    kept = torch.ones_like(same[..., 0])
+    for k in range(1, kept.shape[1]):
+        kept[:, k] = ~(same[:, k, :k] & kept[:, :k]).any(-1)
+    most = int(kept.sum(-1).max())
+    order = kept.long().argsort(dim=-1, descending=True, stable=True)[:, :most]
+    query = torch.arange(len(order), device=order.device)[:, None]
+    return over(lambda t: t[query, order], poses)
+
+
+def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
+    """Pixels (B, K, N, 2) of the points at poses (B, K), and whether they are any (B, K, N)."""
+    points, intrinsics = local.points, local.intrinsics
+    own = intrinsics.focal.ndim > 1
+    cameras = over(lambda t: t[:, None], intrinsics) if own else intrinsics
+    projected = cameras.project(poses.to(dtype=points.dtype).transform(points[:, None]))
+    return projected.xy, projected.valid & local.usable[:, None]
 
 
 def _chance(level: Level, scale: float) -> Tensor:
