@@ -29,6 +29,8 @@ from scene.projection import Intrinsics
 _SPACING = 1.7
 _TURN_DEGREES = 6.0
 _MOST_SHIFTS = 17
+# Points by which hypotheses are compared: they need not end as exact as the winner.
+_COMPARED = 512
 # Cells of the finest level from which the cost of chance is taken.
 _CHANCE_CELLS = 256
 
@@ -40,12 +42,14 @@ class Reach:
     Attributes:
         metres: the largest error of position to expect, in any direction.
         degrees: the largest error of attitude.
-        refined: hypotheses that are refined beside the prior itself.
+        refined: hypotheses that are refined beside the prior itself, on the coarsest level.
+        finalists: that go on from there to the finest.
     """
 
     metres: float = 8.0
     degrees: float = 10.0
-    refined: int = 3
+    refined: int = 8
+    finalists: int = 2
 
 
 def around(start: Pose, distance: Tensor, reach: Reach, spacing_degrees: float) -> Pose:
@@ -121,8 +125,9 @@ def align_from_many(
 ) -> Alignment:
     """As ``align``, from priors (B) that may be far off.
 
-    Refines the best hypotheses and the prior, and answers with the one that gains most over
-    chance on the finest level; with the prior's failure where all fail.
+    Refines the best hypotheses and the prior on the coarsest level, the best of these on the
+    others, and answers with the one that gains most over chance on the finest; with a failure
+    where all fail.
     """
     if points.shape[1] < options.least_points:
         return align(levels, points, intrinsics, start, damping, options, mask)
@@ -133,7 +138,10 @@ def align_from_many(
     focal, stride = local.intrinsics.focal, per_axis(levels[0].stride, local.points)
     spacing = torch.rad2deg(torch.atan(_SPACING * (stride / focal).min()))
     poses = around(local.start, depth, reach, float(spacing))
-    gains = gain(levels[0], local, poses, options.scale)
+    some = slice(None, None, max(1, points.shape[1] // _COMPARED))
+    coarse = _fewer(levels[0], some)
+    compared = replace(local, points=local.points[:, some], usable=local.usable[:, some])
+    gains = gain(coarse, compared, poses, options.scale)
     best = gains.topk(min(reach.refined, gains.shape[1])).indices
 
     def with_prior(prior: Tensor, grid: Tensor) -> Tensor:
@@ -141,13 +149,46 @@ def align_from_many(
         return torch.cat([prior[:, None], picked], 1)
 
     starts = local.in_world(over(with_prior, local.start, poses))
-    found = align(levels, points, intrinsics, starts, damping, options, mask)
-    won = found.seen * (_chance(levels[-1], options.scale)[:, None] - found.cost)
-    winner = torch.where(found.failed, -torch.inf, won).argmax(-1)
-    query = torch.arange(len(winner), device=winner.device)
-    chosen = over(lambda t: t[query, winner], replace(found, by_level=()))
-    by_level = tuple(over(lambda t: t[query, winner], pose) for pose in found.by_level)
-    return replace(chosen, by_level=by_level, iterations=found.iterations.sum(-1))
+    found = align(
+        [coarse],
+        points[:, some],
+        intrinsics,
+        starts,
+        damping[:1],
+        options,
+        None if mask is None else mask[:, some],
+    )
+    iterations = found.iterations.sum(-1)
+    if levels[1:]:
+        begun = _best(found, coarse, options.scale, reach.finalists)
+        found = align(levels[1:], points, intrinsics, begun.pose, damping[1:], options, mask)
+        iterations = iterations + found.iterations.sum(-1)
+        failure = torch.where(begun.failed, begun.failure, found.failure)
+        found = replace(found, failure=failure, by_level=begun.by_level + found.by_level)
+    winner = over(lambda t: t[:, 0], _best(found, levels[-1], options.scale, 1))
+    return replace(winner, iterations=iterations)
+
+
+def _fewer(level: Level, points: slice) -> Level:
+    """A level with some of its points."""
+    trust = level.reference_confidence
+    return replace(
+        level,
+        reference=level.reference[:, points],
+        reference_confidence=None if trust is None else trust[:, points],
+    )
+
+
+def _best(found: Alignment, level: Level, scale: float, count: int) -> Alignment:
+    """Of alignments (B, K) that ended on a level the ``count`` that gain most over chance on it.
+
+    Failures come last, and the first of the K before others that are no better.
+    """
+    won = found.seen * (_chance(level, scale)[:, None] - found.cost)
+    won = torch.where(found.failed, -torch.inf, won)
+    kept = won.argsort(dim=1, descending=True, stable=True)[:, :count]
+    query = torch.arange(len(kept), device=kept.device)[:, None]
+    return over(lambda t: t[query, kept], found)
 
 
 def _chance(level: Level, scale: float) -> Tensor:
