@@ -29,12 +29,14 @@ from scene.projection import Intrinsics
 _SPACING = 1.7
 _TURN_DEGREES = 6.0
 _MOST_SHIFTS = 17
+# Points by which hypotheses are compared, and how much larger steps end there: they need not end as
+# exact as the winner.
+_COMPARED = 512
+_ROUGH = 8
+# Cells of the next level.
+_SAME_PLACE = 0.5
 # Cells of the finest level from which the cost of chance is taken.
 _CHANCE_CELLS = 256
-# Points that tell which of many poses are worth all of them.
-_FEW_POINTS = 512
-# Cells of the coarsest level. Poses that show the points nearer to each other go on as one.
-_SAME_PLACE = 0.5
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,14 @@ class Reach:
     Attributes:
         metres: the largest error of position to expect, in any direction.
         degrees: the largest error of attitude.
-        refined: hypotheses that are refined beside the prior itself.
+        refined: hypotheses that are refined beside the prior itself, on the coarsest level.
+        finalists: that go on from there to the finest.
     """
 
     metres: float = 8.0
     degrees: float = 10.0
-    refined: int = 3
+    refined: int = 8
+    finalists: int = 2
 
 
 def around(start: Pose, distance: Tensor, reach: Reach, spacing_degrees: float) -> Pose:
@@ -121,71 +125,96 @@ def align_from_many(
 ) -> Alignment:
     """As ``align``, from priors (B) that may be far off.
 
-    Some of the points, on the coarsest level, choose the best hypotheses and move them and the
-    prior to where they lead; all points refine those that have not come to the same place. Answers
-    with the one that gains most over chance on the finest level; with the failure of the prior
+    Refines the best hypotheses and the prior on the coarsest level, the best of these on the
+    others, and answers with the one that gains most over chance on the finest; with a failure
     where all fail.
     """
     if points.shape[1] < options.least_points:
         return align(levels, points, intrinsics, start, damping, options, mask)
-    every = math.ceil(points.shape[1] / _FEW_POINTS)
-    few, wanted = points[:, ::every], None if mask is None else mask[:, ::every]
-    coarsest = _thinned(levels[0], every)
-    local = Local.of(few, intrinsics, start, wanted, working_precision(levels))
+    local = Local.of(points, intrinsics, start, mask, working_precision(levels))
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
     depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
     depth = depth.nan_to_num(1.0)
-    focal, stride = local.intrinsics.focal, per_axis(coarsest.stride, local.points)
+    focal, stride = local.intrinsics.focal, per_axis(levels[0].stride, local.points)
     spacing = torch.rad2deg(torch.atan(_SPACING * (stride / focal).min()))
     poses = around(local.start, depth, reach, float(spacing))
-    gains = gain(coarsest, local, poses, options.scale)
+    some = slice(None, None, max(1, points.shape[1] // _COMPARED))
+    coarse = _fewer(levels[0], some)
+    compared = replace(local, points=local.points[:, some], usable=local.usable[:, some])
+    gains = gain(coarse, compared, poses, options.scale)
     best = gains.topk(min(reach.refined, gains.shape[1])).indices
 
     def with_prior(prior: Tensor, grid: Tensor) -> Tensor:
         picked = grid[torch.arange(len(grid), device=grid.device)[:, None], best]
         return torch.cat([prior[:, None], picked], 1)
 
-    scouts = local.in_world(over(with_prior, local.start, poses))
-    ahead = align([coarsest], few, intrinsics, scouts, damping[:1], options, wanted)
-    starts = _distinct(ahead.pose, few, intrinsics, wanted, coarsest)
-    found = align(levels, points, intrinsics, starts, damping, options, mask)
-    won = found.seen * (_chance(levels[-1], options.scale)[:, None] - found.cost)
-    winner = torch.where(found.failed, -torch.inf, won).argmax(-1)
-    query = torch.arange(len(winner), device=winner.device)
-    chosen = over(lambda t: t[query, winner], replace(found, by_level=()))
-    by_level = tuple(over(lambda t: t[query, winner], pose) for pose in found.by_level)
-    tried = ahead.iterations.sum(-1) + found.iterations.sum(-1)
-    return replace(chosen, by_level=by_level, iterations=tried)
+    starts = local.in_world(over(with_prior, local.start, poses))
+    rough = replace(
+        options,
+        small_metres=_ROUGH * options.small_metres,
+        small_degrees=_ROUGH * options.small_degrees,
+    )
+    found = align(
+        [coarse],
+        points[:, some],
+        intrinsics,
+        starts,
+        damping[:1],
+        rough,
+        None if mask is None else mask[:, some],
+    )
+    iterations = found.iterations.sum(-1)
+    if levels[1:]:
+        begun = _best(found, coarse, options.scale, reach.finalists)
+        begun = _distinct(begun, compared, levels[1])
+        found = align(levels[1:], points, intrinsics, begun.pose, damping[1:], options, mask)
+        iterations = iterations + found.iterations.sum(-1)
+        failure = torch.where(begun.failed, begun.failure, found.failure)
+        found = replace(found, failure=failure, by_level=begun.by_level + found.by_level)
+    winner = over(lambda t: t[:, 0], _best(found, levels[-1], options.scale, 1))
+    return replace(winner, iterations=iterations)
 
 
-def _thinned(level: Level, every: int) -> Level:
-    """With one point of so many."""
+def _fewer(level: Level, points: slice) -> Level:
+    """A level with some of its points."""
     trust = level.reference_confidence
     return replace(
         level,
-        reference=level.reference[:, ::every],
-        reference_confidence=None if trust is None else trust[:, ::every],
+        reference=level.reference[:, points],
+        reference_confidence=None if trust is None else trust[:, points],
     )
 
 
-def _distinct(
-    poses: Pose, points: Tensor, intrinsics: Intrinsics, mask: Tensor | None, level: Level
-) -> Pose:
-    """Of poses (B, K) those that do not show the points where one before them does; (B, L) with L
-    what the most diverse query has, and others of their own for the rest."""
-    local = Local.of(points, intrinsics, poses, mask, working_precision([level]))
-    xy, seen = _projected(local, local.start)
+def _best(found: Alignment, level: Level, scale: float, count: int) -> Alignment:
+    """Of alignments (B, K) that ended on a level the ``count`` that gain most over chance on it.
+
+    Failures come last, and the first of the K before others that are no better.
+    """
+    won = found.seen * (_chance(level, scale)[:, None] - found.cost)
+    won = torch.where(found.failed, -torch.inf, won)
+    kept = won.argsort(dim=1, descending=True, stable=True)[:, :count]
+    query = torch.arange(len(kept), device=kept.device)[:, None]
+    return over(lambda t: t[query, kept], found)
+
+
+def _distinct(found: Alignment, local: Local, level: Level) -> Alignment:
+    """Of alignments (B, K), the best first, those that show the points elsewhere than the ones
+    before them: starts half a cell of a level apart end in one place.
+
+    As many are left of every query as of the one with most.
+    """
+    xy, seen = _projected(local, local.moved(found.pose))
     cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
     both = seen[:, :, None] & seen[:, None]
     apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
-    same = apart < _SAME_PLACE  # never where no point is in both pictures
+    same = apart < _SAME_PLACE  # not where no point is in both pictures
     kept = torch.ones_like(same[..., 0])
     for k in range(1, kept.shape[1]):
         kept[:, k] = ~(same[:, k, :k] & kept[:, :k]).any(-1)
-    most = int(kept.sum(-1).max())
-    order = kept.long().argsort(dim=-1, descending=True, stable=True)[:, :most]
+    order = kept.long().argsort(dim=1, descending=True, stable=True)
+    order = order[:, : int(kept.sum(-1).max())]
     query = torch.arange(len(order), device=order.device)[:, None]
-    return over(lambda t: t[query, order], poses)
+    return over(lambda t: t[query, order], found)
 
 
 def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:

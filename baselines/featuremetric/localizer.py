@@ -137,9 +137,7 @@ class FeaturemetricLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         with clock.stage("retrieval"):
-            chosen = self._retrieval.choose(
-                query, self.config.references, lambda: self._described(query), tilted=False
-            )
+            chosen = self._chosen(query)
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             begin = starts(query.prior, self._map, chosen)
@@ -173,19 +171,11 @@ class FeaturemetricLocalizer:
         with clock.stage("features"):
             view, maps = self._look(query, chosen, start)
         with clock.stage("points"):
-            from_world = view.pose(start)
-            points, levels = self._levels(view, maps, chosen, from_world)
+            problem = self._problem(view, maps, chosen, start)
         with clock.stage("alignment"):
-            problem = (
-                levels,
-                torch.from_numpy(points)[None],
-                view.camera.intrinsics(),
-                Pose(from_world.rotation[None], from_world.translation[None]),
-                self._damping,
-                self._options,
-            )
             if self.config.multistart:
                 found = align_from_many(*problem, _reach(query.prior))
+                problem, found = self._again(query, view, maps, problem, found)
             else:
                 found = align(*problem)
             reason = found.reason(0)
@@ -193,6 +183,32 @@ class FeaturemetricLocalizer:
             if not reason and not fit < _BETTER:
                 reason = "the image fits the map's points hardly better than it would by chance"
         return _Attempt(start, view, found, fit, reason)
+
+    def _again(
+        self, query: Query, view: View, maps: list[FeatureMap], problem: _Problem, found: Alignment
+    ) -> tuple[_Problem, Alignment]:
+        """Align once more, to what is seen from the pose found: a start far off saw other points,
+        and had other photographs beside it."""
+        if found.failed[0]:
+            return problem, found
+        there = view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0]))
+        prior = Prior(there.centre().numpy(), cam_from_world_rotation=there.rotation.numpy())
+        chosen = self._chosen(replace(query, prior=prior))
+        after = self._problem(view, maps, chosen, there)
+        levels, points, intrinsics, begin, damping, options = after
+        # The coarsest level has no more to say of a pose that the finest one found.
+        final = align(
+            levels[1:] or levels, points, intrinsics, begin, damping[1:] or damping, options
+        )
+        if final.failed[0]:
+            return problem, found
+        return after, replace(final, iterations=found.iterations + final.iterations)
+
+    def _chosen(self, query: Query) -> NDArray[np.int64]:
+        """Rows of the photographs to align a query to."""
+        return self._retrieval.choose(
+            query, self.config.references, lambda: self._described(query), tilted=False
+        )
 
     def _least_side(self, query: Query) -> int:
         """Pixels of the image's shorter side, as the network would see it as taken."""
@@ -219,17 +235,18 @@ class FeaturemetricLocalizer:
         scale = max(scale_to(self._observations.metres_per_pixel, own, largest), least)
         return self._extract(query.image, camera, north(start.rotation.numpy()), scale)
 
-    def _levels(
+    def _problem(
         self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose
-    ) -> tuple[NDArray[np.float64], list[Level]]:
-        """The points to align (N, 3), those first that the start sees, and what they look like.
+    ) -> _Problem:
+        """The points to align, those first that the start sees, and what they look like.
 
         A point seen by several references counts once for each of them, as in the authors' code.
         """
+        from_world = view.pose(start)
         observed = [self._observations[int(row)] for row in chosen]
         xyz = np.concatenate([seen.xyz for seen in observed])
         turn = np.concatenate([np.arange(len(seen.xyz)) for seen in observed])
-        in_camera = start.transform(torch.from_numpy(xyz))
+        in_camera = from_world.transform(torch.from_numpy(xyz))
         projected = view.camera.project(in_camera)
         inside = projected.valid & view.camera.contains(projected.xy)
         visible = inside.numpy() & view.shows(projected.xy.numpy())
@@ -247,7 +264,14 @@ class FeaturemetricLocalizer:
                     torch.from_numpy(confidence[:, number]).float()[None],
                 )
             )
-        return xyz[kept], levels
+        return (
+            levels,
+            torch.from_numpy(xyz[kept])[None],
+            view.camera.intrinsics(),
+            Pose(from_world.rotation[None], from_world.translation[None]),
+            self._damping,
+            self._options,
+        )
 
 
 def _reach(prior: Prior | None) -> Reach:
