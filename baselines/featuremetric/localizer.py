@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -29,6 +28,7 @@ from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Prec
 from baselines.featuremetric.references import references
 from baselines.resolution import metres_per_pixel, scale_to
 from baselines.retrieval import References
+from baselines.starts import starts
 from baselines.views import View, north
 from scene.config import Config
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, fault
@@ -42,13 +42,10 @@ _MEGABYTE: Final = 2**20
 # Poses of pictures of nothing cost 0.98 of chance and more, those of right ones 0.7 to 0.9.
 _BETTER: Final = 0.95
 
-# An altitude that is known worse than this share of the height above ground is none.
-_NO_ALTITUDE: Final = 0.2
 # Points by which starts are compared; the one kept is aligned to all.
 _COMPARED: Final = 512
 # A grid of starts that is spread wider has gaps.
 _FARTHEST: Final = Reach(40.0, 30.0)
-_SAME_HEADING: Final = math.radians(45)
 
 _Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
 
@@ -145,8 +142,8 @@ class FeaturemetricLocalizer:
             chosen = self._chosen(query)
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            starts = self._starts(query, chosen)
-        tried = [self._attempt(query, chosen, start, clock) for start in starts]
+            begin = starts(query.prior, self._map, chosen)
+        tried = [self._attempt(query, chosen, start, clock) for start in begin]
         best = min(tried, key=lambda attempt: (bool(attempt.reason), attempt.fit))
         found, view = best.found, best.view
         seen, iterations = int(found.seen), sum(int(each.found.iterations) for each in tried)
@@ -238,31 +235,6 @@ class FeaturemetricLocalizer:
         scale = max(scale_to(self._observations.metres_per_pixel, own, largest), least)
         return self._extract(query.image, camera, north(start.rotation.numpy()), scale)
 
-    def _starts(self, query: Query, chosen: NDArray[np.int64]) -> list[Pose]:
-        """The prior; what it does not say is that of the best reference.
-
-        Where no attitude is known and many starts are wanted, there is one for every way that the
-        references are turned: a survey flies half of its lines the other way round.
-        """
-        posed = [self._map.images[self._map.names[int(row)]].pose for row in chosen]
-        prior = query.prior
-        if prior is None:
-            return posed[:1]
-        position = np.array(prior.position, np.float64)
-        beside = posed[0].centre().numpy()
-        height = self._map.height_above(beside)
-        if prior.position_sigma is not None and prior.position_sigma[2] > _NO_ALTITUDE * height:
-            position[2] = beside[2]
-        if prior.cam_from_world_rotation is not None:
-            rotations = [np.array(prior.cam_from_world_rotation, np.float64)]
-        else:
-            rotations = _distinct([pose.rotation.numpy() for pose in posed])
-        if not self.config.multistart:
-            rotations = rotations[:1]
-        centre = torch.from_numpy(position)
-        turned = [torch.from_numpy(rotation) for rotation in rotations]
-        return [Pose(rotation, -rotation @ centre) for rotation in turned]
-
     def _problem(
         self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose, count: int
     ) -> _Problem:
@@ -314,16 +286,6 @@ def _reach(prior: Prior | None) -> Reach:
         metres = max([metres, *(2 * float(sigma) for sigma in known)])
     degrees = max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0))
     return Reach(min(metres, _FARTHEST.metres), min(degrees, _FARTHEST.degrees))
-
-
-def _distinct(rotations: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-    """Those that are turned about their axis by more than 45 degrees against all before them."""
-    kept: list[NDArray[np.float64]] = []
-    for rotation in rotations:
-        turns = (north(rotation) - north(other) for other in kept)
-        if all(abs(math.remainder(turn, math.tau)) > _SAME_HEADING for turn in turns):
-            kept.append(rotation)
-    return kept
 
 
 def _fit(problem: _Problem, pose: Pose) -> float:
