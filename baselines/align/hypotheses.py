@@ -29,9 +29,7 @@ from scene.projection import Intrinsics
 _SPACING = 1.7
 _TURN_DEGREES = 6.0
 _MOST_SHIFTS = 17
-# Points by which hypotheses are compared, and how much larger steps end there: they need not end as
-# exact as the winner.
-_COMPARED = 512
+# How much larger than others the steps are that end a hypothesis on the coarsest level.
 _ROUGH = 8
 # Cells of the next level.
 _SAME_PLACE = 0.5
@@ -138,10 +136,7 @@ def align_from_many(
     focal, stride = local.intrinsics.focal, per_axis(levels[0].stride, local.points)
     spacing = torch.rad2deg(torch.atan(_SPACING * (stride / focal).min()))
     poses = around(local.start, depth, reach, float(spacing))
-    some = slice(None, None, max(1, points.shape[1] // _COMPARED))
-    coarse = _fewer(levels[0], some)
-    compared = replace(local, points=local.points[:, some], usable=local.usable[:, some])
-    gains = gain(coarse, compared, poses, options.scale)
+    gains = gain(levels[0], local, poses, options.scale)
     best = gains.topk(min(reach.refined, gains.shape[1])).indices
 
     def with_prior(prior: Tensor, grid: Tensor) -> Tensor:
@@ -154,35 +149,17 @@ def align_from_many(
         small_metres=_ROUGH * options.small_metres,
         small_degrees=_ROUGH * options.small_degrees,
     )
-    found = align(
-        [coarse],
-        points[:, some],
-        intrinsics,
-        starts,
-        damping[:1],
-        rough,
-        None if mask is None else mask[:, some],
-    )
+    found = align(levels[:1], points, intrinsics, starts, damping[:1], rough, mask)
     iterations = found.iterations.sum(-1)
     if levels[1:]:
-        begun = _best(found, coarse, options.scale, reach.finalists)
-        begun = _distinct(begun, compared, levels[1])
+        begun = _best(found, levels[0], options.scale, reach.finalists)
+        begun = _distinct(begun, local, levels[1])
         found = align(levels[1:], points, intrinsics, begun.pose, damping[1:], options, mask)
         iterations = iterations + found.iterations.sum(-1)
         failure = torch.where(begun.failed, begun.failure, found.failure)
         found = replace(found, failure=failure, by_level=begun.by_level + found.by_level)
     winner = over(lambda t: t[:, 0], _best(found, levels[-1], options.scale, 1))
     return replace(winner, iterations=iterations)
-
-
-def _fewer(level: Level, points: slice) -> Level:
-    """A level with some of its points."""
-    trust = level.reference_confidence
-    return replace(
-        level,
-        reference=level.reference[:, points],
-        reference_confidence=None if trust is None else trust[:, points],
-    )
 
 
 def _best(found: Alignment, level: Level, scale: float, count: int) -> Alignment:

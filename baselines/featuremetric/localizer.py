@@ -42,6 +42,8 @@ _MEGABYTE: Final = 2**20
 # Poses of pictures of nothing cost 0.98 of chance and more, those of right ones 0.7 to 0.9.
 _BETTER: Final = 0.95
 
+# Points by which starts are compared; the one kept is aligned to all.
+_COMPARED: Final = 512
 # A grid of starts that is spread wider has gaps.
 _FARTHEST: Final = Reach(40.0, 30.0)
 
@@ -170,10 +172,12 @@ class FeaturemetricLocalizer:
         """Look at the query as if a start were right, and align it."""
         with clock.stage("features"):
             view, maps = self._look(query, chosen, start)
+        many = self.config.multistart
+        count = min(_COMPARED, self.config.points) if many else self.config.points
         with clock.stage("points"):
-            problem = self._problem(view, maps, chosen, start)
+            problem = self._problem(view, maps, chosen, start, count)
         with clock.stage("alignment"):
-            if self.config.multistart:
+            if many:
                 found = align_from_many(*problem, _reach(query.prior))
                 problem, found = self._again(query, view, maps, problem, found)
             else:
@@ -187,14 +191,14 @@ class FeaturemetricLocalizer:
     def _again(
         self, query: Query, view: View, maps: list[FeatureMap], problem: _Problem, found: Alignment
     ) -> tuple[_Problem, Alignment]:
-        """Align once more, to what is seen from the pose found: a start far off saw other points,
-        and had other photographs beside it."""
+        """Align once more, to all that is seen from the pose found: a start far off saw other
+        points, and had other photographs beside it."""
         if found.failed[0]:
             return problem, found
         there = view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0]))
         prior = Prior(there.centre().numpy(), cam_from_world_rotation=there.rotation.numpy())
         chosen = self._chosen(replace(query, prior=prior))
-        after = self._problem(view, maps, chosen, there)
+        after = self._problem(view, maps, chosen, there, self.config.points)
         levels, points, intrinsics, begin, damping, options = after
         # The coarsest level has no more to say of a pose that the finest one found.
         final = align(
@@ -236,9 +240,9 @@ class FeaturemetricLocalizer:
         return self._extract(query.image, camera, north(start.rotation.numpy()), scale)
 
     def _problem(
-        self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose
+        self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose, count: int
     ) -> _Problem:
-        """The points to align, those first that the start sees, and what they look like.
+        """At most ``count`` points, those first that the start sees, and what they look like.
 
         A point seen by several references counts once for each of them, as in the authors' code.
         """
@@ -250,7 +254,7 @@ class FeaturemetricLocalizer:
         projected = view.camera.project(in_camera)
         inside = projected.valid & view.camera.contains(projected.xy)
         visible = inside.numpy() & view.shows(projected.xy.numpy())
-        kept = np.lexsort((turn, ~visible))[: self.config.points]
+        kept = np.lexsort((turn, ~visible))[:count]
         confidence = np.concatenate([seen.confidence for seen in observed])[kept]
         levels = []
         for number, level in enumerate(maps):
