@@ -1,0 +1,53 @@
+"""Renders a flight on a cluster: shares of its frames go out, finished files come back."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+from scene.cluster import Crew, shares
+from scene.files import written_whole
+from simulate.render.job import RenderJob, frame_path
+from simulate.render.pool import FRAMES_PER_PROCESS, rendering
+
+# A share of fewer frames costs more for its place, which is built first, than for them.
+_WORTH_A_PROCESS = 8
+
+
+def frame_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
+    """Render all frames of a job with one process and one thread: the work of a crew.
+
+    Yields the number and the file of each, in the order of their numbers; nothing stays on the
+    worker's disk.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="share-") as folder,
+        closing(rendering(share, Path(folder), threads=1)) as frames,
+    ):
+        for frame in frames:
+            yield frame, frame_path(Path(folder), frame).read_bytes()
+
+
+def render_remotely(
+    crew: Crew[RenderJob, tuple[int, bytes]],
+    job: RenderJob,
+    out_dir: Path,
+    on_frame: Callable[[int], None],
+) -> None:
+    """Render every frame of `job` that `out_dir` does not hold yet, as `pool.render` does.
+
+    Only this process writes to `out_dir`: no folder need be shared.
+    """
+    out_dir.mkdir(parents=True, exist_ok=True)
+    missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
+    units = (
+        job.model_copy(update={"poses": {i: job.poses[i] for i in share}})
+        for share in shares(missing, crew.cores, _WORTH_A_PROCESS, FRAMES_PER_PROCESS)
+    )
+    with closing(crew.spread(units)) as files:
+        for frame, data in files:
+            with written_whole(frame_path(out_dir, frame)) as partial:
+                partial.write_bytes(data)
+            on_frame(frame)
