@@ -1,4 +1,4 @@
-"""The line on a cluster that loses a node: the same scene, map, results and depth as undisturbed."""
+"""The line on a cluster that loses a node: scene, map, results and depth as undisturbed."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ TINY = SimulateConfig.model_validate(
         "area": 120,
         "size": 96,
         "spp": 1,
-        "sensor": {"read_noise_e": 6},
-        "camera": {"preset": "mini-2"},
+        "sensor": {"full_well_e": 8000, "read_noise_e": 6},
         "sessions": [
             {"condition": "summer-noon", "flight": "nadir", "role": "map", "frames": 6},
             {"condition": "winter-dusk", "flight": "oblique", "role": "query", "frames": 2},

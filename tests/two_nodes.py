@@ -75,6 +75,12 @@ class TwoNodes:
                 lambda: self._cluster.add_node(num_cpus=1, object_store_memory=_STORE_BYTES)
             )
 
+    def one(self) -> None:
+        """See that there is one node."""
+        if self._second is not None:
+            self._cluster.remove_node(self._second)
+            self._second = None
+
     def end(self) -> None:
         self._cluster.shutdown()
 

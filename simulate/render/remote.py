@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -42,12 +42,14 @@ def render_remotely(
     """
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
-    units = (
-        job.model_copy(update={"poses": {i: job.poses[i] for i in share}})
-        for share in shares(missing, crew.cores, _WORTH_A_PROCESS, FRAMES_PER_PROCESS)
-    )
-    with closing(crew.spread(units)) as files:
+    with closing(crew.spread(divided(job, missing, crew.cores))) as files:
         for frame, data in files:
             with written_whole(frame_path(out_dir, frame)) as partial:
                 partial.write_bytes(data)
             on_frame(frame)
+
+
+def divided(job: RenderJob, frames: Sequence[int], cores: int) -> Iterator[RenderJob]:
+    """Shares of a job's frames for the workers of so many cores."""
+    for share in shares(frames, cores, _WORTH_A_PROCESS, FRAMES_PER_PROCESS):
+        yield job.model_copy(update={"poses": {i: job.poses[i] for i in share}})

@@ -123,14 +123,18 @@ def test_what_is_no_address_is_one_line(address: str) -> None:
 def test_where_no_cluster_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")
     monkeypatch.setenv("RAY_gcs_rpc_server_reconnect_timeout_s", "1")
-    with pytest.raises(InputError, match="cannot work on the Ray cluster 'auto'") as caught:
-        with crew("auto", slowly):
-            pass
+    with (
+        pytest.raises(InputError, match="cannot work on the Ray cluster 'auto'") as caught,
+        crew("auto", slowly),
+    ):
+        pass
     assert "\n" not in str(caught.value)
 
 
 def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match=r"pip install 'objconnect\[cluster\]'"):
-        with crew("local", slowly):
-            pass
+    with (
+        pytest.raises(InputError, match=r"pip install 'objconnect\[cluster\]'"),
+        crew("local", slowly),
+    ):
+        pass
