@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 
@@ -90,13 +91,12 @@ def evaluate(
                 journal.add(result)
                 peak = max(filter(None, (peak, memory)), default=None)
                 advance(len(journal.done))
-        sparse_map = dataset.load_map()
         queries = [journal.done[query.name] for query in dataset.queries]
         results = Results.of(method, identity(dataset), start.name, queries, prepare, peak)
         # Before the results, so that a run interrupted here has lost nothing.
-        keep_album(target.with_name(ALBUM), dataset, sparse_map)
+        keep_album(target.with_name(ALBUM), dataset, run.sparse_map)
         results.write(target)
-    _draw_median(dataset, sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
+    _draw_median(dataset, run.sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
     return results
 
 
@@ -113,30 +113,34 @@ class _Run:
     ) -> None:
         self._dataset, self._localizer = dataset, localizer
         self._start, self._cache = start, cache
-        self._ready: tuple[SparseMap, Ask] | None = None
+        self._ask: Ask | None = None
+
+    @cached_property
+    def sparse_map(self) -> SparseMap:
+        """Of the data set."""
+        return self._dataset.load_map()
 
     def prepare(self) -> float:
         """Make the method ready; seconds it took."""
         reset_peak()
-        sparse_map = self._dataset.load_map()
+        sparse_map = self.sparse_map
         began = perf_counter()
         self._localizer.prepare(sparse_map, self._dataset.images, self._cache)
         took = perf_counter() - began
-        self._ready = sparse_map, self._start.asker(self._dataset, sparse_map, self._cache)
+        self._ask = self._start.asker(self._dataset, sparse_map, self._cache)
         return took
 
     def answer(self, query: BenchmarkQuery) -> _Answer:
         """Ask, and score."""
-        assert self._ready is not None
-        sparse_map, ask = self._ready
-        loaded = ask(query)
+        assert self._ask is not None
+        loaded = self._ask(query)
         began = perf_counter()
         estimate = attempt(self._localizer, loaded)
-        return scored(query, estimate, sparse_map, perf_counter() - began), peak_megabytes()
+        return scored(query, estimate, self.sparse_map, perf_counter() - began), peak_megabytes()
 
     def __call__(self, queries: Sequence[BenchmarkQuery]) -> Iterator[_Answer]:
         """What a worker of a crew does."""
-        if self._ready is None:
+        if self._ask is None:
             self.prepare()
         yield from map(self.answer, queries)
 

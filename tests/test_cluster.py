@@ -27,7 +27,6 @@ TINY = SimulateConfig.model_validate(
         "sensor": {"full_well_e": 8000, "read_noise_e": 6},
         "sessions": [
             {"condition": "summer-noon", "flight": "nadir", "role": "map", "frames": 6},
-            {"condition": "winter-dusk", "flight": "oblique", "role": "query", "frames": 2},
         ],
     }
 )

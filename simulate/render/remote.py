@@ -19,15 +19,16 @@ _WORTH_A_PROCESS = 8
 def frame_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """Render all frames of a job with one process and one thread: the work of a crew.
 
-    Yields the number and the file of each, in the order of their numbers; nothing stays on the
-    worker's disk.
+    Yields the number and the file of each, in the order of their numbers.
     """
     with (
         tempfile.TemporaryDirectory(prefix="share-") as folder,
         closing(rendering(share, Path(folder), threads=1)) as frames,
     ):
         for frame in frames:
-            yield frame, frame_path(Path(folder), frame).read_bytes()
+            path = frame_path(Path(folder), frame)
+            yield frame, path.read_bytes()
+            path.write_bytes(b"")  # it is there, and takes no room
 
 
 def render_remotely(
