@@ -9,6 +9,7 @@ import logging
 import math
 import os
 import re
+import socket
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from scene.errors import InputError
 
 # How often a unit is done again whose worker was lost, or which failed for no fault of the input.
 _RETRIES: Final = 5
+# For an answer from the head of a cluster.
+_PATIENCE_S: Final = 10
 # Units handed out for each core; the rest wait here, so that few results wait in Ray's memory.
 _AHEAD: Final = 2
 # What results wait in, where we start Ray ourselves.
@@ -135,6 +138,8 @@ def crew(address: str | None, work: Work[Unit, Result]) -> Iterator[Crew[Unit, R
     if not _ADDRESS.fullmatch(address):
         raise InputError(f"--cluster takes local, auto or HOST:PORT, got {address!r}")
     ray = _ray()
+    if ":" in address:
+        _require_answer(address)
     own = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
     try:
         ray.init(
@@ -169,6 +174,15 @@ def _ray() -> Any:
             "--cluster needs Ray, which is not installed: pip install 'objconnect[cluster]'"
         ) from None
     return ray
+
+
+def _require_answer(address: str) -> None:
+    """InputError when nobody listens there, which takes Ray two minutes to find out."""
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE_S).close()
+    except (OSError, OverflowError) as error:
+        raise InputError(f"no Ray cluster answers at {address}: {error}") from None
 
 
 def shares(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
