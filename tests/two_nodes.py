@@ -17,42 +17,42 @@ _STORE_BYTES = 100 << 20
 
 
 class TwoNodes:
-    """One node of one core that stays, and one at a time that does not."""
+    """Two nodes of one core each, beside a head that does no work.
+
+    Attributes:
+        address: of the head.
+    """
 
     def __init__(self) -> None:
-        _ray()  # before anything of Ray is loaded, so that it asks nobody's server
+        self._ray = _ray()
         from ray.cluster_utils import Cluster
 
-        self._cluster = _patiently(
-            lambda: Cluster(
-                initialize_head=True,
-                head_node_args={
-                    "num_cpus": 1,
-                    "object_store_memory": _STORE_BYTES,
-                    "include_dashboard": False,
-                },
-            )
-        )
-        self._second: Any = None
+        head = {"num_cpus": 0, "object_store_memory": _STORE_BYTES, "include_dashboard": False}
+        self._cluster = _patiently(lambda: Cluster(initialize_head=True, head_node_args=head))
+        self.address = str(self._cluster.address)
 
-    @property
-    def address(self) -> str:
-        return str(self._cluster.address)
+    def have(self, count: int) -> None:
+        """See that there are so many nodes; only between runs."""
+        while len(self._cluster.worker_nodes) > count:
+            self._cluster.remove_node(next(iter(self._cluster.worker_nodes)))
+        while len(self._cluster.worker_nodes) < count:
+            _patiently(lambda: self._cluster.add_node(num_cpus=1, object_store_memory=_STORE_BYTES))
 
     @contextmanager
     def killed_at_work(self, when: Callable[[], bool] = lambda: True) -> Iterator[None]:
-        """Kill the second node inside, once it is at work and `when` says so.
+        """Kill a node inside, once it is at work and `when` says so.
 
         Raises:
-            AssertionError: it never was.
+            AssertionError: none was.
         """
-        self.whole()
+        self.have(2)
         over, killed = threading.Event(), threading.Event()
 
         def watch() -> None:
             while not over.is_set():
-                if when() and _works(self._raylet()):
-                    self._cluster.remove_node(self._second, allow_graceful=False)
+                node = self._at_work() if when() else None
+                if node is not None:
+                    self._cluster.remove_node(node, allow_graceful=False)
                     killed.set()
                     return
                 time.sleep(0.02)
@@ -64,32 +64,24 @@ class TwoNodes:
         finally:
             over.set()
             watcher.join()
-            if killed.is_set():
-                self._second = None
-        assert killed.is_set(), "the second node was never at work"
-
-    def whole(self) -> None:
-        """See that there are two nodes."""
-        if self._second is None:
-            self._second = _patiently(
-                lambda: self._cluster.add_node(num_cpus=1, object_store_memory=_STORE_BYTES)
-            )
-
-    def one(self) -> None:
-        """See that there is one node."""
-        if self._second is not None:
-            self._cluster.remove_node(self._second)
-            self._second = None
+        assert killed.is_set(), "no node was at work"
 
     def end(self) -> None:
         self._cluster.shutdown()
 
-    def _raylet(self) -> int:
-        (raylet,) = self._second.all_processes["raylet"]
-        return int(raylet.process.pid)
+    def _at_work(self) -> Any:
+        """A node whose worker is at a unit, and which this process does not hang on."""
+        own = self._ray._private.worker.global_worker.node
+        if own is None:
+            return None
+        for node in self._cluster.worker_nodes:
+            (raylet,) = node.all_processes["raylet"]
+            if node.unique_id != own.unique_id and _has_unit(raylet.process.pid):
+                return node
+        return None
 
 
-def _works(raylet: int) -> bool:
+def _has_unit(raylet: int) -> bool:
     """Whether a worker of a node is at a unit: Ray gives its process the name of the function."""
     for process in Path("/proc").glob("[0-9]*"):
         try:

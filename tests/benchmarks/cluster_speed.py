@@ -76,7 +76,7 @@ def main() -> None:
     try:
         for _ in range(chosen.turns):
             for workers in (1, 2):
-                nodes.whole() if workers == 2 else nodes.one()
+                nodes.have(workers)
                 run = measure(nodes.address, workers, job)
                 runs[workers].append(run)
                 print(
