@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,38 +27,30 @@ from simulate.annotations import measure_covisibility, pixel_digests
 _SOME = 8
 
 
-def unit_cost(scene: Scene) -> dict[str, str]:
+def unit_cost(scene: Scene) -> Iterator[tuple[str, str]]:
     """What, and how much of it."""
     photographs = list(scene.images_root.rglob("*.jpg"))
-    mapped = scene.splits.map
-    found = extract_sift(scene.images_root, mapped[:_SOME], SiftOptions(), threads=1)
-    names = list(found)
-    descriptors = [unit_descriptors(found[name]) for name in names]
-    root = scene.images_root
-    cost = {
-        "JPEG of a photograph": _kilobytes(photographs, len(photographs)),
-        "its layers": _kilobytes(scene.images_root.rglob("*.h5"), len(photographs)),
-        "map, of a photograph": _kilobytes(scene.map_path.rglob("*"), len(mapped)),
-        "SIFT of a photograph": _seconds(
-            lambda k: extract_sift(root, [names[k]], SiftOptions(), threads=1)
-        ),
-        "matching a pair": _seconds(lambda k: match(descriptors[k - 1], descriptors[k], 0.8)),
-    }
+    root, mapped, count = scene.images_root, scene.splits.map, len(photographs)
+    yield "JPEG of a photograph", _kilobytes(photographs, count)
+    yield "its layers", _kilobytes(root.rglob("*.h5"), count)
+    yield "map, of a photograph", _kilobytes(scene.map_path.rglob("*"), len(mapped))
     for what, do in (("covisibility", measure_covisibility), ("digests", pixel_digests)):
         began = time.process_time()
         do(scene)
-        spent = (time.process_time() - began) / len(photographs)
-        cost[f"{what}, of one of {len(photographs)}"] = f"{spent:.3f} cpu-s"
+        spent = (time.process_time() - began) / count
+        yield f"{what}, of one of {count}", f"{spent:.3f} cpu-s"
+    options = SiftOptions()
+    found = extract_sift(root, mapped[:_SOME], options, threads=1)
+    names = list(found)
+    descriptors = [unit_descriptors(found[name]) for name in names]
+    sift = _seconds(lambda k: extract_sift(root, [names[k]], options, threads=1))
+    yield "SIFT of a photograph", sift
+    yield "matching a pair", _seconds(lambda k: match(descriptors[k - 1], descriptors[k], 0.8))
     dataset = open_scene(scene.path)
-    if dataset.queries:
-        localizer, sparse_map = create("sift", {}), dataset.load_map()
-        localizer.prepare(sparse_map, dataset.images)
-        ask = PRIOR.asker(dataset, sparse_map)
-        queries = dataset.queries
-        cost["a query of sift"] = _seconds(
-            lambda k: attempt(localizer, ask(queries[k % len(queries)]))
-        )
-    return cost
+    localizer, sparse_map = create("sift", {}), dataset.load_map()
+    localizer.prepare(sparse_map, dataset.images)
+    ask, queries = PRIOR.asker(dataset, sparse_map), dataset.queries[:_SOME]
+    yield "a query of sift", _seconds(lambda k: attempt(localizer, ask(queries[k % len(queries)])))
 
 
 def _kilobytes(files: Iterable[Path], count: int) -> str:
@@ -80,8 +72,8 @@ def main() -> None:
     words = argparse.ArgumentParser(description=__doc__)
     words.add_argument("scene", type=Path)
     torch.set_num_threads(1)
-    for what, much in unit_cost(Scene.open(words.parse_args().scene)).items():
-        print(f"{what:<28}{much}")
+    for what, much in unit_cost(Scene.open(words.parse_args().scene)):
+        print(f"{what:<28}{much}", flush=True)
 
 
 if __name__ == "__main__":
