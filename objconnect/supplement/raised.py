@@ -127,7 +127,8 @@ def stands_out(
     filled = np.where(np.isnan(found), np.inf, found)
     least = filled.min(1)
     on_ground = filled[:, _GROUND].min(1)
-    share = np.where(np.isfinite(least), least / np.maximum(on_ground, 1e-9), np.inf)
+    share = np.full(len(found), np.inf)
+    np.divide(least, np.maximum(on_ground, 1e-9), out=share, where=np.isfinite(least))
     return share, np.abs(HEIGHTS[filled.argmin(1)] - height)
 
 
@@ -139,4 +140,4 @@ def _looked_up(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray
         cv2.remap(picture, part[:, :1], part[:, 1:], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
         for part in np.array_split(flat, 1 + len(flat) // _ROWS)
     ]
-    return np.concatenate(parts).reshape(*xy.shape[:-1], 3).astype(np.float32)
+    return np.asarray(np.concatenate(parts).reshape(*xy.shape[:-1], 3), np.float32)

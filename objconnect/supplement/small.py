@@ -86,7 +86,7 @@ def _standing(
     ) / tracks.views.clip(1)
     clear = (above > config.clear_m) & (share < config.clearly) & (off < config.together_m)
     bright = (tracks.views > config.views) & (tracks.views >= config.nearly_all * tracks.visible)
-    return clear | (bright & (mean > config.strong) & (share < config.hardly))
+    return np.asarray(clear | (bright & (mean > config.strong) & (share < config.hardly)))
 
 
 def _missing(sparse_map: SparseMap, points: list[Lifted], config: SupplementConfig) -> list[Lifted]:

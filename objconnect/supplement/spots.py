@@ -139,4 +139,4 @@ def _peaks(strength: NDArray[np.float32]) -> NDArray[np.float64]:
 
     x = column + 0.5 + offset(strength[row, column - 1], strength[row, column + 1])
     y = row + 0.5 + offset(strength[row - 1, column], strength[row + 1, column])
-    return np.stack([x, y], -1).astype(np.float64)
+    return np.asarray(np.stack([x, y], -1), np.float64)
