@@ -70,12 +70,16 @@ def draw(
         seen = image.point_rows >= 0
         seen[seen] = panel.kept[image.point_rows[seen]]
         x, y = image.xy[seen].T
-        colour = "#ffd60a" if drift is None else drift[image.point_rows[seen]].clip(0, _FARTHEST_M)
-        shown = ax.scatter(x, y, s=9, c=colour, cmap="plasma", vmin=0, vmax=_FARTHEST_M,
-                           edgecolors="black", linewidths=0.3)  # fmt: skip
+        if drift is None:
+            ax.scatter(x, y, s=9, c="#ffd60a", edgecolors="black", linewidths=0.3)
+        else:
+            off = drift[image.point_rows[seen]].clip(0, _FARTHEST_M)
+            shown = ax.scatter(x, y, s=9, c=off, cmap="plasma", vmin=0, vmax=_FARTHEST_M,
+                               edgecolors="black", linewidths=0.3)  # fmt: skip
         bare = sum(not has for has in panel.has_points.values())
-        ax.set_title(f"{panel.title}: {len(panel.has_points) - bare} small objects have a "
-                     f"point (green), {bare} none (red)", fontsize=10)  # fmt: skip
+        counted = (f": {len(panel.has_points) - bare} small objects have a point (green), "
+                   f"{bare} none (red)" if panel.has_points else "")  # fmt: skip
+        ax.set_title(f"{panel.title}{counted}", fontsize=10)
         ax.set(xlim=(0, width), ylim=(height, 0))
         ax.set_axis_off()
     if drift is not None:
