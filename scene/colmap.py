@@ -955,7 +955,8 @@ def _fill_database(
                     db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
             report(start + len(chunk))
     descriptors = {
-        name: unit_descriptors(item) for name, item in _read_features(database, root).items()
+        name: unit_descriptors(item.descriptors)
+        for name, item in _read_features(database, root).items()
     }
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = _SEED

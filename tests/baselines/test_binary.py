@@ -46,7 +46,7 @@ def test_matches_are_those_of_hamming_distance(
 ) -> None:
     noisy = cv2.GaussianBlur(photograph, (0, 0), 0.7).astype(np.uint8)
     a, b = extract(photograph), extract(noisy)
-    pairs = extract.match(extract.unit(a), extract.unit(b), 0.8)
+    pairs = extract.match(extract.unit(a.descriptors), extract.unit(b.descriptors), 0.8)
     bits = [np.unpackbits(f.descriptors, axis=1).astype(np.int64) for f in (a, b)]
     hamming = (bits[0][:, None] != bits[1][None]).sum(-1)
     best, rows = hamming.argmin(1), np.arange(len(hamming))
@@ -73,7 +73,7 @@ def test_bits_of_unit_length_keep_hamming_distance() -> None:
 def test_a_blank_photograph_has_no_features(extract: Binary) -> None:
     features = extract(np.full((120, 160, 3), 90, np.uint8))
     assert features.xy.shape == (0, 2)
-    assert len(extract.unit(features)) == 0
+    assert len(extract.unit(features.descriptors)) == 0
 
 
 @pytest.mark.parametrize("extract", [Orb(150), Akaze(150, 1e-4)], ids=["orb", "akaze"])
