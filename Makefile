@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: demo test lint bench install clean
+.PHONY: demo test lint bench install clean weights
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -55,3 +55,42 @@ bench: libraries
 	$(BIN)/python -m pytest tests/benchmarks -m '' -s --benchmark-enable --benchmark-columns=median,iqr,rounds
 	$(BIN)/python -m tests.benchmarks.frame_cost
 	$(BIN)/python -m tests.benchmarks.build_cost
+
+# The weights that come with the project, from their seeds; many hours, and an interrupted run goes
+# on where it was. PHOTOS, if given, is a folder of plain aerial photographs.
+W := runs/weights
+SIX := town-1001 suburb-1011 town-1002 park-1021 town-1003 industrial-1031
+NINE := $(SIX) town-1004 town-1005 suburb-1012
+place = $(patsubst %,$(W)/%/scene.json,$(1) town-101)
+# Method, places, configuration, and the run whose weights it begins with.
+train = $(BIN)/objconnect train $(1) $(2:%=--data $(W)/%) --validation $(W)/town-101 \
+  --config configs/train/$(3).yaml $(if $(PHOTOS),--set 'photographs=[$(PHOTOS)]') \
+  $(if $(4),--set weights=$(W)/$(4)/weights.safetensors) --out $(@D)
+learned = $(W)/$(1)/weights.safetensors
+
+weights: $(call learned,d2net) $(call learned,objconnect) $(call learned,objconnect-objects)
+
+$(W)/%/scene.json: | libraries
+	$(BIN)/objconnect simulate --config configs/train/scene.yaml --preset $(firstword $(subst -, ,$*)) \
+	  --seed $(lastword $(subst -, ,$*)) --out $(@D)
+
+$(call learned,pixloc-features): $(call place,$(SIX))
+	$(call train,pixloc,$(SIX),pixloc-features,)
+
+$(call learned,pixloc): $(call learned,pixloc-features)
+	$(call train,pixloc,$(SIX),pixloc,pixloc-features)
+
+$(call learned,pixloc-further): $(call learned,pixloc)
+	$(call train,pixloc,$(SIX),pixloc-further,pixloc)
+
+$(call learned,pixloc-upright): $(call learned,pixloc-further)
+	$(call train,pixloc,$(SIX),pixloc-upright,pixloc-further)
+
+$(call learned,d2net): $(call learned,pixloc-upright)
+	$(call train,d2net,$(SIX),d2net,pixloc-upright)
+
+$(call learned,objconnect): $(call learned,pixloc-upright) $(call place,$(NINE))
+	$(call train,objconnect,$(NINE),objconnect,pixloc-upright)
+
+$(call learned,objconnect-objects): $(call learned,pixloc-upright)
+	$(call train,objconnect,$(SIX),objconnect-objects,pixloc-upright)

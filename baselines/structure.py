@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from dataclasses import dataclass
+from functools import cache as cached
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from baselines.lifting import interpolated_points, observed_points
 from baselines.resolution import metres_per_pixel, of_map, scale_to
 from baselines.retrieval import OnDemand, References
 from baselines.shelf import Shelf, written_shelf
+from baselines.starts import starts
 from baselines.views import north
 from scene.colmap import estimate_absolute_pose
 from scene.config import Config
@@ -96,6 +98,7 @@ class StructureLocalizer:
         path = cache / f"{self.name}-points-{hashlib.sha256(key.encode()).hexdigest()[:16]}.h5"
         if not path.is_file():
             self._write_lifted(path, sparse_map, features, images)
+        self._map = sparse_map
         shelf, unit = Shelf(path), self._extractor.unit
 
         def lifted(row: int) -> _Lifted:
@@ -138,17 +141,55 @@ class StructureLocalizer:
                 )
 
     def localize(self, query: Query) -> Estimate:
-        """Extract, choose references, match, lift and solve."""
+        """Extract, choose references, match, lift and solve.
+
+        Features that are not found again in turned pictures are those of every picture that the
+        likely starts give; the one with most inliers counts.
+        """
         if reason := fault(query):
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
-        with clock.stage("features"):
-            features = self._features(query)
-            descriptors = self._extractor.unit(features.descriptors)
+
+        @cached
+        def as_taken() -> Features:
+            with clock.stage("features"):
+                return self._extractor(query.image)
+
+        turned = self._extractor.turned
+        if turned:
+            as_taken()
         with clock.stage("retrieval"):
-            references = self._references.choose(query, self.config.references, descriptors.numpy)
+            chosen = self._references.choose(
+                query,
+                self.config.references,
+                lambda: self._extractor.unit(as_taken().descriptors).numpy(),
+            )
+        if not len(chosen):
+            return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
+        if turned:
+            return self._solved(query, as_taken(), chosen, clock)
+        found = []
+        for start in starts(query.prior, self._map, chosen):
+            with clock.stage("features"):
+                features = self._seen(query, chosen, start)
+            found.append(self._solved(query, features, chosen, clock))
+        return max(found, key=lambda estimate: estimate.inliers)
+
+    def _seen(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
+        """Features of the query, seen as the photographs were, if a start is right."""
+        around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
+        own = metres_per_pixel(start, query.camera, around)
+        scale = scale_to(self._resolution, own, _LARGEST)
+        angle = north(start.rotation.numpy())
+        return self._extractor.seen(query.image, query.camera, angle, scale)
+
+    def _solved(
+        self, query: Query, features: Features, chosen: NDArray[np.int64], clock: Stopwatch
+    ) -> Estimate:
+        """Match, lift and solve."""
         with clock.stage("matching"):
-            keypoints, xyz = self._correspondences(descriptors, references)
+            unit = self._extractor.unit(features.descriptors)
+            keypoints, xyz = self._correspondences(unit, chosen)
         if len(xyz) < _MIN_MATCHES:
             reason = f"{len(xyz)} matches to the map, {_MIN_MATCHES} are needed"
             return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
@@ -174,20 +215,6 @@ class StructureLocalizer:
             inliers=inliers,
             seconds=clock.seconds,
         )
-
-    def _features(self, query: Query) -> Features:
-        """Those of the query, as those of the photographs were taken."""
-        prior = query.prior
-        if self._extractor.turned or prior is None or prior.cam_from_world_rotation is None:
-            return self._extractor(query.image)
-        rotation = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
-        position = torch.from_numpy(np.array(prior.position, np.float64))
-        start = Pose(rotation, -rotation @ position)
-        near = self._references.viewpoints.near(prior.position, self.config.references)
-        around = np.concatenate([self._lifted(int(row)).xyz for row in near])
-        own = metres_per_pixel(start, query.camera, around)
-        scale = scale_to(self._resolution, own, _LARGEST)
-        return self._extractor.seen(query.image, query.camera, north(rotation.numpy()), scale)
 
     def _correspondences(
         self, descriptors: torch.Tensor, references: NDArray[np.int64]

@@ -29,6 +29,10 @@ from scene.projection import Intrinsics
 _SPACING = 1.7
 _TURN_DEGREES = 6.0
 _MOST_SHIFTS = 17
+# How much larger than others the steps are that end a hypothesis on the coarsest level.
+_ROUGH = 8
+# Cells of the next level.
+_SAME_PLACE = 0.5
 # Cells of the finest level from which the cost of chance is taken.
 _CHANCE_CELLS = 256
 
@@ -40,12 +44,14 @@ class Reach:
     Attributes:
         metres: the largest error of position to expect, in any direction.
         degrees: the largest error of attitude.
-        refined: hypotheses that are refined beside the prior itself.
+        refined: hypotheses that are refined beside the prior itself, on the coarsest level.
+        finalists: that go on from there to the finest.
     """
 
     metres: float = 8.0
     degrees: float = 10.0
-    refined: int = 3
+    refined: int = 8
+    finalists: int = 2
 
 
 def around(start: Pose, distance: Tensor, reach: Reach, spacing_degrees: float) -> Pose:
@@ -88,7 +94,7 @@ def gain(level: Level, local: Local, poses: Pose, scale: float) -> Tensor:
     """
     B, K = poses.rotation.shape[:2]
     height, width = level.features.shape[-2:]
-    points, intrinsics = local.points, local.intrinsics
+    points = local.points
     cost = _costs(level.features.flatten(2), level.reference, scale)
     won = cost.mean(-1, keepdim=True) - cost
     if level.confidence is not None:
@@ -96,13 +102,9 @@ def gain(level: Level, local: Local, poses: Pose, scale: float) -> Tensor:
     if level.reference_confidence is not None:
         won = won * level.reference_confidence[..., None]
 
-    own = intrinsics.focal.ndim > 1
-    cameras = over(lambda t: t[:, None], intrinsics) if own else intrinsics
-    in_camera = poses.to(dtype=points.dtype).transform(points[:, None])
-    projected = cameras.project(in_camera)
+    xy, seen = _projected(local, poses)
     size = torch.tensor([width, height], dtype=points.dtype, device=points.device)
-    place = 2 * projected.xy / (per_axis(level.stride, points) * size) - 1
-    seen = projected.valid & local.usable[:, None]
+    place = 2 * xy / (per_axis(level.stride, points) * size) - 1
     place = torch.where(seen[..., None], place, 3).clamp(-3, 3)  # 3 is out of the picture
     maps = won.view(-1, 1, height, width)
     there = grid_sample(maps, place.transpose(1, 2).flatten(0, 1)[:, None], align_corners=False)
@@ -121,8 +123,9 @@ def align_from_many(
 ) -> Alignment:
     """As ``align``, from priors (B) that may be far off.
 
-    Refines the best hypotheses and the prior, and answers with the one that gains most over
-    chance on the finest level; with the prior's failure where all fail.
+    Refines the best hypotheses and the prior on the coarsest level, the best of these on the
+    others, and answers with the one that gains most over chance on the finest; with a failure
+    where all fail.
     """
     if points.shape[1] < options.least_points:
         return align(levels, points, intrinsics, start, damping, options, mask)
@@ -141,13 +144,63 @@ def align_from_many(
         return torch.cat([prior[:, None], picked], 1)
 
     starts = local.in_world(over(with_prior, local.start, poses))
-    found = align(levels, points, intrinsics, starts, damping, options, mask)
-    won = found.seen * (_chance(levels[-1], options.scale)[:, None] - found.cost)
-    winner = torch.where(found.failed, -torch.inf, won).argmax(-1)
-    query = torch.arange(len(winner), device=winner.device)
-    chosen = over(lambda t: t[query, winner], replace(found, by_level=()))
-    by_level = tuple(over(lambda t: t[query, winner], pose) for pose in found.by_level)
-    return replace(chosen, by_level=by_level, iterations=found.iterations.sum(-1))
+    rough = replace(
+        options,
+        small_metres=_ROUGH * options.small_metres,
+        small_degrees=_ROUGH * options.small_degrees,
+    )
+    found = align(levels[:1], points, intrinsics, starts, damping[:1], rough, mask)
+    iterations = found.iterations.sum(-1)
+    if levels[1:]:
+        begun = _best(found, levels[0], options.scale, reach.finalists)
+        begun = _distinct(begun, local, levels[1])
+        found = align(levels[1:], points, intrinsics, begun.pose, damping[1:], options, mask)
+        iterations = iterations + found.iterations.sum(-1)
+        failure = torch.where(begun.failed, begun.failure, found.failure)
+        found = replace(found, failure=failure, by_level=begun.by_level + found.by_level)
+    winner = over(lambda t: t[:, 0], _best(found, levels[-1], options.scale, 1))
+    return replace(winner, iterations=iterations)
+
+
+def _best(found: Alignment, level: Level, scale: float, count: int) -> Alignment:
+    """Of alignments (B, K) that ended on a level the ``count`` that gain most over chance on it.
+
+    Failures come last, and the first of the K before others that are no better.
+    """
+    won = found.seen * (_chance(level, scale)[:, None] - found.cost)
+    won = torch.where(found.failed, -torch.inf, won)
+    kept = won.argsort(dim=1, descending=True, stable=True)[:, :count]
+    query = torch.arange(len(kept), device=kept.device)[:, None]
+    return over(lambda t: t[query, kept], found)
+
+
+def _distinct(found: Alignment, local: Local, level: Level) -> Alignment:
+    """Of alignments (B, K), the best first, those that show the points elsewhere than the ones
+    before them: starts half a cell of a level apart end in one place.
+
+    As many are left of every query as of the one with most.
+    """
+    xy, seen = _projected(local, local.moved(found.pose))
+    cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
+    both = seen[:, :, None] & seen[:, None]
+    apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
+    same = apart < _SAME_PLACE  # not where no point is in both pictures
+    kept = torch.ones_like(same[..., 0])
+    for k in range(1, kept.shape[1]):
+        kept[:, k] = ~(same[:, k, :k] & kept[:, :k]).any(-1)
+    order = kept.long().argsort(dim=1, descending=True, stable=True)
+    order = order[:, : int(kept.sum(-1).max())]
+    query = torch.arange(len(order), device=order.device)[:, None]
+    return over(lambda t: t[query, order], found)
+
+
+def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
+    """Pixels (B, K, N, 2) of the points at poses (B, K), and whether they are any (B, K, N)."""
+    points, intrinsics = local.points, local.intrinsics
+    own = intrinsics.focal.ndim > 1
+    cameras = over(lambda t: t[:, None], intrinsics) if own else intrinsics
+    projected = cameras.project(poses.to(dtype=points.dtype).transform(points[:, None]))
+    return projected.xy, projected.valid & local.usable[:, None]
 
 
 def _chance(level: Level, scale: float) -> Tensor:

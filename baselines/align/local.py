@@ -59,6 +59,10 @@ class Local:
             finite=finite,
         )
 
+    def moved(self, cam_from_world: Pose) -> Pose:
+        """``cam_from_local`` of poses (B) or (B, K)."""
+        return _shifted(cam_from_world, self.origin)
+
     def in_world(self, cam_from_local: Pose) -> Pose:
         """``cam_from_world`` of poses (B) or (B, K)."""
         return _shifted(cam_from_local, -self.origin)

@@ -15,13 +15,15 @@ T = TypeVar("T")
 def over(function: Callable[..., Tensor], first: T, *others: T) -> T:
     """Apply a function to the tensors of dataclasses of one type, field by field, nested too.
 
-    What is not a tensor is the first one's.
+    A field may be a tuple of such; what is neither is the first one's.
     """
     values: dict[str, Any] = {}
     for field in fields(first):  # type: ignore[arg-type]
         value, *rest = (getattr(each, field.name) for each in (first, *others))
         if isinstance(value, Tensor):
             value = function(value, *rest)
+        elif isinstance(value, tuple):
+            value = tuple(over(function, *each) for each in zip(value, *rest, strict=True))
         elif hasattr(value, "__dataclass_fields__"):
             value = over(function, value, *rest)
         values[field.name] = value

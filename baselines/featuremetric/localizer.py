@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -29,6 +28,7 @@ from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Prec
 from baselines.featuremetric.references import references
 from baselines.resolution import metres_per_pixel, scale_to
 from baselines.retrieval import OnDemand, References
+from baselines.starts import starts
 from baselines.views import View, north
 from scene.config import Config
 from scene.held import MEGABYTE
@@ -42,11 +42,10 @@ _LEAST_SIDE: Final = 16
 # Poses of pictures of nothing cost 0.98 of chance and more, those of right ones 0.7 to 0.9.
 _BETTER: Final = 0.95
 
-# An altitude that is known worse than this share of the height above ground is none.
-_NO_ALTITUDE: Final = 0.2
+# Points by which starts are compared; the one kept is aligned to all.
+_COMPARED: Final = 512
 # A grid of starts that is spread wider has gaps.
 _FARTHEST: Final = Reach(40.0, 30.0)
-_SAME_HEADING: Final = math.radians(45)
 
 _Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
 
@@ -140,13 +139,11 @@ class FeaturemetricLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         with clock.stage("retrieval"):
-            chosen = self._retrieval.choose(
-                query, self.config.references, lambda: self._described(query), tilted=False
-            )
+            chosen = self._chosen(query)
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            starts = self._starts(query, chosen)
-        tried = [self._attempt(query, chosen, start, clock) for start in starts]
+            begin = starts(query.prior, self._map, chosen)
+        tried = [self._attempt(query, chosen, start, clock) for start in begin]
         best = min(tried, key=lambda attempt: (bool(attempt.reason), attempt.fit))
         found, view = best.found, best.view
         seen, iterations = int(found.seen), sum(int(each.found.iterations) for each in tried)
@@ -175,20 +172,14 @@ class FeaturemetricLocalizer:
         """Look at the query as if a start were right, and align it."""
         with clock.stage("features"):
             view, maps = self._look(query, chosen, start)
+        many = self.config.multistart
+        count = min(_COMPARED, self.config.points) if many else self.config.points
         with clock.stage("points"):
-            from_world = view.pose(start)
-            points, levels = self._levels(view, maps, chosen, from_world)
+            problem = self._problem(view, maps, chosen, start, count)
         with clock.stage("alignment"):
-            problem = (
-                levels,
-                torch.from_numpy(points)[None],
-                view.camera.intrinsics(),
-                Pose(from_world.rotation[None], from_world.translation[None]),
-                self._damping,
-                self._options,
-            )
-            if self.config.multistart:
+            if many:
                 found = align_from_many(*problem, _reach(query.prior))
+                problem, found = self._again(query, view, maps, problem, found)
             else:
                 found = align(*problem)
             reason = found.reason(0)
@@ -196,6 +187,32 @@ class FeaturemetricLocalizer:
             if not reason and not fit < _BETTER:
                 reason = "the image fits the map's points hardly better than it would by chance"
         return _Attempt(start, view, found, fit, reason)
+
+    def _again(
+        self, query: Query, view: View, maps: list[FeatureMap], problem: _Problem, found: Alignment
+    ) -> tuple[_Problem, Alignment]:
+        """Align once more, to all that is seen from the pose found: a start far off saw other
+        points, and had other photographs beside it."""
+        if found.failed[0]:
+            return problem, found
+        there = view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0]))
+        prior = Prior(there.centre().numpy(), cam_from_world_rotation=there.rotation.numpy())
+        chosen = self._chosen(replace(query, prior=prior))
+        after = self._problem(view, maps, chosen, there, self.config.points)
+        levels, points, intrinsics, begin, damping, options = after
+        # The coarsest level has no more to say of a pose that the finest one found.
+        final = align(
+            levels[1:] or levels, points, intrinsics, begin, damping[1:] or damping, options
+        )
+        if final.failed[0]:
+            return problem, found
+        return after, replace(final, iterations=found.iterations + final.iterations)
+
+    def _chosen(self, query: Query) -> NDArray[np.int64]:
+        """Rows of the photographs to align a query to."""
+        return self._retrieval.choose(
+            query, self.config.references, lambda: self._described(query), tilted=False
+        )
 
     def _least_side(self, query: Query) -> int:
         """Pixels of the image's shorter side, as the network would see it as taken."""
@@ -222,46 +239,22 @@ class FeaturemetricLocalizer:
         scale = max(scale_to(self._observations.metres_per_pixel, own, largest), least)
         return self._extract(query.image, camera, north(start.rotation.numpy()), scale)
 
-    def _starts(self, query: Query, chosen: NDArray[np.int64]) -> list[Pose]:
-        """The prior; what it does not say is that of the best reference.
-
-        Where no attitude is known and many starts are wanted, there is one for every way that the
-        references are turned: a survey flies half of its lines the other way round.
-        """
-        posed = [self._map.images[self._map.names[int(row)]].pose for row in chosen]
-        prior = query.prior
-        if prior is None:
-            return posed[:1]
-        position = np.array(prior.position, np.float64)
-        beside = posed[0].centre().numpy()
-        height = self._map.height_above(beside)
-        if prior.position_sigma is not None and prior.position_sigma[2] > _NO_ALTITUDE * height:
-            position[2] = beside[2]
-        if prior.cam_from_world_rotation is not None:
-            rotations = [np.array(prior.cam_from_world_rotation, np.float64)]
-        else:
-            rotations = _distinct([pose.rotation.numpy() for pose in posed])
-        if not self.config.multistart:
-            rotations = rotations[:1]
-        centre = torch.from_numpy(position)
-        turned = [torch.from_numpy(rotation) for rotation in rotations]
-        return [Pose(rotation, -rotation @ centre) for rotation in turned]
-
-    def _levels(
-        self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose
-    ) -> tuple[NDArray[np.float64], list[Level]]:
-        """The points to align (N, 3), those first that the start sees, and what they look like.
+    def _problem(
+        self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose, count: int
+    ) -> _Problem:
+        """At most ``count`` points, those first that the start sees, and what they look like.
 
         A point seen by several references counts once for each of them, as in the authors' code.
         """
+        from_world = view.pose(start)
         observed = [self._observations[int(row)] for row in chosen]
         xyz = np.concatenate([seen.xyz for seen in observed])
         turn = np.concatenate([np.arange(len(seen.xyz)) for seen in observed])
-        in_camera = start.transform(torch.from_numpy(xyz))
+        in_camera = from_world.transform(torch.from_numpy(xyz))
         projected = view.camera.project(in_camera)
         inside = projected.valid & view.camera.contains(projected.xy)
         visible = inside.numpy() & view.shows(projected.xy.numpy())
-        kept = np.lexsort((turn, ~visible))[: self.config.points]
+        kept = np.lexsort((turn, ~visible))[:count]
         confidence = np.concatenate([seen.confidence for seen in observed])[kept]
         levels = []
         for number, level in enumerate(maps):
@@ -275,7 +268,14 @@ class FeaturemetricLocalizer:
                     torch.from_numpy(confidence[:, number]).float()[None],
                 )
             )
-        return xyz[kept], levels
+        return (
+            levels,
+            torch.from_numpy(xyz[kept])[None],
+            view.camera.intrinsics(),
+            Pose(from_world.rotation[None], from_world.translation[None]),
+            self._damping,
+            self._options,
+        )
 
 
 def _reach(prior: Prior | None) -> Reach:
@@ -290,16 +290,6 @@ def _reach(prior: Prior | None) -> Reach:
         metres = max([metres, *(2 * float(sigma) for sigma in known)])
     degrees = max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0))
     return Reach(min(metres, _FARTHEST.metres), min(degrees, _FARTHEST.degrees))
-
-
-def _distinct(rotations: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-    """Those that are turned about their axis by more than 45 degrees against all before them."""
-    kept: list[NDArray[np.float64]] = []
-    for rotation in rotations:
-        turns = (north(rotation) - north(other) for other in kept)
-        if all(abs(math.remainder(turn, math.tau)) > _SAME_HEADING for turn in turns):
-            kept.append(rotation)
-    return kept
 
 
 def _fit(problem: _Problem, pose: Pose) -> float:

@@ -18,6 +18,7 @@ from skimage.segmentation import find_boundaries
 from baselines.align.aligner import align
 from baselines.align.descent import Options
 from baselines.align.hypotheses import Reach, align_from_many
+from baselines.starts import starts
 from benchmark.datasets import open_datasets
 from benchmark.starts import moved_prior
 from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
@@ -36,7 +37,7 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
     with tempfile.TemporaryDirectory() as cache:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
         chosen = localizer._retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
-        (start,) = localizer._starts(query, chosen)
+        (start,) = starts(query.prior, dataset.load_map(), chosen)
         view, maps = localizer._look(query, chosen, start)
         from_world = view.pose(start)
         points, levels = localizer._levels(view, maps, chosen, from_world)

@@ -12,6 +12,7 @@ import pytest
 
 from baselines.d2net.localizer import D2NetConfig, D2NetExtractor, D2NetLocalizer
 from baselines.d2net.network import read_network
+from baselines.views import north
 from benchmark.registry import create
 from scene.colmap import read_map
 from scene.errors import InputError
@@ -65,6 +66,27 @@ def test_a_photograph_of_the_map_is_known_again(
     assert metres < 0.5
     assert degrees < 0.5
     assert set(estimate.seconds) == {"features", "retrieval", "matching", "pose"}
+
+
+def test_headings_of_the_map_are_tried_where_attitude_is_unknown(
+    localizer: D2NetLocalizer, sparse_map: SparseMap
+) -> None:
+    """A photograph that was flown otherwise than north, and nobody knows."""
+    poses = [sparse_map.images[name].cam_from_world for name in sparse_map.names]
+    row = int(np.argmax([abs(north(pose[:3, :3])) for pose in poses]))
+    assert abs(north(poses[row][:3, :3])) > 0.5
+    query = again(sparse_map, row)
+    assert query.prior is not None
+    position = query.prior.position - [0, 0, 200]
+    blind = replace(query, prior=Prior(position, np.array([3.0, 3.0, 200.0])))
+    estimate = localizer.localize(blind)
+    assert estimate.status is Status.OK, estimate.reason
+    assert estimate.cam_from_world is not None
+    metres, degrees = estimate.cam_from_world.error_to(
+        sparse_map.images[sparse_map.names[row]].pose
+    )
+    assert metres < 0.5
+    assert degrees < 0.5
 
 
 def test_a_cached_preparation_extracts_nothing(

@@ -1,0 +1,61 @@
+"""Where to start looking: at the prior, and for what it does not say, at photographs of the map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from baselines.views import north
+from scene.localizer import Prior
+from scene.pose import Pose
+from scene.sparse_map import SparseMap
+
+# An altitude that is known worse than this share of the height above ground is none.
+_NO_ALTITUDE: Final = 0.2
+_SAME_HEADING: Final = math.radians(45)
+
+
+def starts(prior: Prior | None, sparse_map: SparseMap, chosen: NDArray[np.int64]) -> list[Pose]:
+    """Poses (``cam_from_world``, float64) at which a query may be, the likeliest first.
+
+    An altitude that is not known is that of the best photograph. Where no attitude is known there
+    is a start for every way that the photographs are turned: a survey flies half of its lines the
+    other way round. Without a prior these are the photographs' own poses.
+
+    Args:
+        prior: of the query, finite.
+        sparse_map: the map.
+        chosen: rows of ``sparse_map.names`` to take it from, best first; one at least.
+    """
+    posed = [sparse_map.images[sparse_map.names[int(row)]].pose for row in chosen]
+    if prior is None:
+        return _distinct(posed)
+    position = np.array(prior.position, np.float64)
+    beside = posed[0].centre().numpy()
+    height = sparse_map.height_above(beside)
+    if prior.position_sigma is not None and prior.position_sigma[2] > _NO_ALTITUDE * height:
+        position[2] = beside[2]
+    if prior.cam_from_world_rotation is not None:
+        rotations = [torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))]
+    else:
+        rotations = [pose.rotation for pose in _distinct(posed)]
+    centre = torch.from_numpy(position)
+    return [Pose(rotation, -rotation @ centre) for rotation in rotations]
+
+
+def _distinct(posed: Sequence[Pose]) -> list[Pose]:
+    """Those that are turned about their axis by more than 45 degrees against all before them."""
+    kept: list[Pose] = []
+    headings: list[float] = []
+    for pose in posed:
+        heading = north(pose.rotation.numpy())
+        turns = (heading - other for other in headings)
+        if all(abs(math.remainder(turn, math.tau)) > _SAME_HEADING for turn in turns):
+            kept.append(pose)
+            headings.append(heading)
+    return kept

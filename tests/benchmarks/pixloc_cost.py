@@ -1,0 +1,196 @@
+"""What one query costs pixloc, objconnect and the code of PixLoc's authors: seconds and memory.
+
+``python -m tests.benchmarks.pixloc_cost [CHECKOUT]`` runs each in processes of its own, with one
+thread and with two, on the same photographs, camera and start. CHECKOUT is github.com/cvg/pixloc at
+commit 65a51a7; omegaconf and tqdm must be importable. The methods:
+
+- pixloc, objconnect: as shipped, everything at its default;
+- full: pixloc with the authors' network at full width (untrained), as many iterations as theirs;
+- authors: their code with the same weights, and as many observations of points as ours.
+
+Everything a query takes is counted, preparing the map is not.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter, process_time
+from types import SimpleNamespace
+from typing import Final
+
+import numpy as np
+import torch
+from PIL import Image
+
+from baselines.featuremetric.localizer import FeaturemetricLocalizer
+from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
+from baselines.weights import write_weights
+from benchmark.memory import peak_megabytes, reset_peak
+from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
+from scene.camera import Camera
+from scene.localizer import Prior, Query, Status
+from scene.sparse_map import SparseMap
+from tests.baselines.pixloc import official
+from tests.baselines.pixloc.made_map import looking_down, photograph, write_map
+
+CAMERA: Final = Camera("PINHOLE", 512, 512, (440.0, 440.0, 256.0, 256.0))
+TRUTH: Final = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
+START: Final = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
+METHODS: Final = ("pixloc", "objconnect", "full", "authors")
+_ITERATIONS: Final = 100
+_RUNS: Final = 2
+
+Run = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A map of smooth ground, and a query over it.
+
+    Attributes:
+        images: folder of all photographs.
+        sparse_map: the map.
+        query: to localize.
+    """
+
+    images: Path
+    sparse_map: SparseMap
+    query: Query
+
+    @staticmethod
+    def write(folder: Path) -> Ground:
+        """With the photographs in a folder."""
+        images = folder / "images"
+        sparse_map = write_map(images, CAMERA)
+        image = photograph(TRUTH, CAMERA)
+        Image.fromarray(image).save(images / "query.png")
+        prior = Prior(START.centre().numpy(), None, START.rotation.numpy(), None)
+        return Ground(images, sparse_map, Query("query.png", image, CAMERA, prior))
+
+
+def made(method: str, ground: Ground) -> Run:
+    """A method as a function that localizes the query once."""
+    if method == "authors":
+        return _authors(ground)
+    localizer: FeaturemetricLocalizer
+    if method == "pixloc":
+        localizer = PixlocLocalizer(PixlocConfig())
+    elif method == "objconnect":
+        localizer = ObjConnectLocalizer(ObjConnectConfig())
+    else:
+        path, network = ground.images / "full.safetensors", official.ours()
+        write_weights(path, network, network.config.model_dump())
+        localizer = PixlocLocalizer(PixlocConfig(weights=path, iterations=_ITERATIONS))
+    localizer.prepare(ground.sparse_map, ground.images, ground.images)
+
+    def run() -> object:
+        estimate = localizer.localize(ground.query)
+        assert estimate.status is not Status.FAILED and estimate.iterations > 0
+        return estimate
+
+    return run
+
+
+def lower_bound(ground: Ground) -> Run:
+    """What the authors' code does before it aligns anything: the network, in float32 and
+    contiguous, on the query and on its references."""
+    network = official.ours().to(memory_format=torch.contiguous_format)
+    image = torch.from_numpy(ground.query.image).permute(2, 0, 1)[None].float().contiguous() / 255
+
+    @torch.inference_mode()
+    def run() -> object:
+        for _ in range(1 + len(ground.sparse_map.names)):
+            network(image)
+        return None
+
+    return run
+
+
+def _authors(ground: Ground) -> Run:
+    """What ``run_CMU.py`` does with a query, its references chosen."""
+    from pixloc.localization import (  # type: ignore[import-not-found]
+        Model3D,
+        PoseRefiner,
+    )
+    from pixloc.localization.feature_extractor import (  # type: ignore[import-not-found]
+        FeatureExtractor,
+    )
+    from pixloc.pixlib.geometry import Camera as Lens  # type: ignore[import-not-found]
+    from pixloc.pixlib.geometry import Pose
+    from pixloc.utils.colmap import Image as View  # type: ignore[import-not-found]
+
+    camera = {"model": CAMERA.model, "params": np.array(CAMERA.params)}
+    camera |= {"width": CAMERA.width, "height": CAMERA.height}
+    model = Model3D.__new__(Model3D)
+    model.cameras, model.dbs = {1: camera}, {}
+    sparse_map = ground.sparse_map
+    share = PixlocConfig().points // len(sparse_map.names)
+    seen: dict[int, set[int]] = {}
+    for number, name in enumerate(sparse_map.names):
+        image = sparse_map.images[name]
+        quaternion, t = image.pose.quaternion().numpy(), image.pose.translation.numpy()
+        model.dbs[number] = View(number, quaternion, t, 1, name, image.xy, image.point_rows)
+        for row in np.random.default_rng(0).permutation(image.point_rows)[:share]:
+            seen.setdefault(int(row), set()).add(number)
+    model.points3D = {row: SimpleNamespace(xyz=xyz) for row, xyz in enumerate(sparse_map.xyz)}
+
+    refiner = official.refiner(
+        num_iters=_ITERATIONS, pad=2, dt_stop_criteria=5e-3, grad_stop_criteria=1e-4
+    )
+    cpu = torch.device("cpu")
+    extractor = FeatureExtractor(refiner.extractor, cpu, {})
+    paths = SimpleNamespace(reference_images=ground.images, query_images=ground.images)
+    peer = PoseRefiner(cpu, list(refiner.optimizer), model, extractor, paths, {})
+    start = Pose.from_Rt(START.rotation.numpy(), START.translation.numpy())
+    lens = Lens.from_colmap(camera)
+
+    @torch.no_grad()
+    def run() -> object:
+        answer = peer.refine_query_pose(ground.query.name, lens, start, seen)
+        assert answer["success"]
+        return answer["T_refined"].numpy()[1]
+
+    return run
+
+
+def _measure(method: str, threads: int, checkout: Path | None) -> None:
+    """Print seconds and megabytes of a method as one line of JSON; for a process of its own."""
+    torch.set_num_threads(threads)
+    if checkout:
+        official.load(checkout)
+    with tempfile.TemporaryDirectory() as folder:
+        ground = Ground.write(Path(folder))
+        run = made(method, ground)
+        reset_peak()
+        run()
+        processor, wall = process_time(), perf_counter()
+        for _ in range(_RUNS):
+            run()
+        spent = (process_time() - processor) / _RUNS, (perf_counter() - wall) / _RUNS
+    print(json.dumps([*spent, peak_megabytes()]))
+
+
+def main(checkout: Path | None) -> None:
+    """Measure all methods and print a table."""
+    print("method      threads  processor s  wall s  peak MB")
+    for threads in (1, 2):
+        for method in METHODS if checkout else METHODS[:-1]:
+            words = [method, str(threads), *([str(checkout)] if checkout else [])]
+            command = [sys.executable, "-m", "tests.benchmarks.pixloc_cost", "--one", *words]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            processor, wall, peak = json.loads(done.stdout.splitlines()[-1])
+            print(f"{method:12s}{threads:6d}{processor:13.2f}{wall:9.2f}{peak:9.0f}", flush=True)
+
+
+if __name__ == "__main__":
+    arguments = sys.argv[1:]
+    if arguments[:1] == ["--one"]:
+        _measure(arguments[1], int(arguments[2]), Path(arguments[3]) if arguments[3:] else None)
+    else:
+        main(Path(arguments[0]) if arguments else None)
