@@ -62,7 +62,7 @@ def test_matches_are_those_of_hamming_distance(
 def test_bits_of_unit_length_keep_hamming_distance() -> None:
     rng = np.random.default_rng(0)
     packed = rng.integers(0, 256, (5, 61), dtype=np.uint8)
-    unit = unit_bits(Features(np.zeros((5, 2), np.float32), np.ones(5, np.float32), packed))
+    unit = unit_bits(packed)
     bits = np.unpackbits(packed, axis=1)
     hamming = (bits[:, None] != bits[None]).sum(-1)
     squared = np.square(unit.numpy()[:, None] - unit.numpy()[None]).sum(-1)
