@@ -121,7 +121,11 @@ def map_features(
         for first in range(0, len(names), _TOGETHER):
             some = names[first : first + _TOGETHER]
             if extractor.turned:
-                found = extractor.of_photographs(images, some, lambda n, k=first: advance(k + n))
+
+                def advanced(done: int, before: int = first) -> None:
+                    advance(before + done)
+
+                found = extractor.of_photographs(images, some, advanced)
                 for name in some:
                     add(name, found[name])
                 continue

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from baselines.binary import Akaze, Binary, Orb
-from scene.features import Features, unit_bits
+from scene.features import unit_bits
 from scene.images import read_rgb
 
 GATE = Path(__file__).parents[1] / "data" / "gate" / "images" / "map" / "images"
