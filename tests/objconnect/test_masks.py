@@ -134,6 +134,9 @@ def test_label_pictures_that_claim_gigabytes(tmp_path: Path) -> None:
     path.write_bytes(data[: at - 4] + (2**31).to_bytes(4, "big") + data[at:])
     with pytest.raises(InputError, match=r"labels\.png is damaged"):
         read_label_png(path, 8)
+    path.write_bytes(data[: at - 4] + data[-12:])
+    with pytest.raises(InputError, match="no pixels"):
+        read_label_png(path, 8)
 
 
 def test_label_pictures(tmp_path: Path) -> None:
