@@ -99,7 +99,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     def write_until_full(path: Path, data: bytes) -> int:
         if len(written) == 13:  # six photometric maps are done, and the normals of the seventh
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written.append(path.name)
+        if "stereo" in path.parts:
+            written.append(path.name)
         return write_bytes(path, data)
 
     with monkeypatch.context() as patch:

@@ -95,18 +95,18 @@ class _Bereaved(PixlocTraining):
         if progress >= 0.5:
             for child in multiprocessing.active_children():
                 os.kill(child.pid or 0, signal.SIGKILL)
-                child.join()
         return super().loss(batch, progress)
 
 
 def test_a_killed_maker_of_pairs_is_one_line(rendered: Scene, tmp_path: Path) -> None:
-    config = TINY.model_copy(update={"workers": 1, "warm_up": 0.0})
+    """At step 4, when pairs of the next two are made or on their way: those of the last are not."""
+    config = TINY.model_copy(update={"steps": 8, "workers": 1, "warm_up": 0.0})
     with pytest.raises(InputError, match="makes pairs died .*the same command goes on"):
         train("pixloc", _Bereaved, [rendered.path], tmp_path, config)
-    assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["done"] == 2
+    assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["done"] in (4, 6)
     assert read_weights(train("pixloc", PixlocTraining, [rendered.path], tmp_path, config)).tensors
     steps = [json.loads(line)["step"] for line in (tmp_path / LOG).read_text().splitlines()]
-    assert sorted(set(steps)) == list(range(TINY.steps))
+    assert sorted(set(steps)) == list(range(8))
 
 
 def test_two_trainings_do_not_write_one_folder(rendered: Scene, tmp_path: Path) -> None:
