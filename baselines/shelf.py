@@ -56,6 +56,7 @@ class Shelf:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._arrays: dict[str, h5py.Dataset] = {}
         try:
             self._file = h5py.File(path)
             self._ends = array(self._file, "ends")
@@ -77,7 +78,10 @@ class Shelf:
         """An array of a photograph, by its row in ``SparseMap.names``."""
         first = int(self._ends[photograph - 1]) if photograph else 0
         try:
-            return np.asarray(dataset(self._file, name)[first : int(self._ends[photograph])])
+            # Held against what is stored, which takes the longer the more there is, but once.
+            if name not in self._arrays:
+                self._arrays[name] = dataset(self._file, name)
+            return np.asarray(self._arrays[name][first : int(self._ends[photograph])])
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 

@@ -73,6 +73,16 @@ Cache = Annotated[
     ),
 ]
 
+ClusterAddress = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Work on a Ray cluster: local (all cores of this machine), auto (the cluster that "
+        "this machine is a node of) or HOST:PORT; see docs/cluster.md.",
+    ),
+]
+
 
 def _version(wanted: bool) -> None:
     if wanted:
@@ -123,6 +133,7 @@ def evaluate(
     ] = "prior",
     cache: Cache = None,
     jobs: Annotated[int, typer.Option(help="Queries at a time.", min=1)] = 1,
+    cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:
     """Localize the queries of data sets and score the poses.
@@ -149,7 +160,7 @@ def evaluate(
     written = []
     for dataset in opened:
         for localizer in localizers.values():
-            run(dataset, localizer, out, told, cache, jobs)
+            run(dataset, localizer, out, told, cache, jobs, cluster)
             written.append(results_path(out, dataset, localizer))
     boards = tables(written)
     if as_json:
@@ -462,6 +473,7 @@ def simulate(
     size: Annotated[int | None, typer.Option(help="Side of a photograph, pixels.")] = None,
     spp: Annotated[int | None, typer.Option(help="Rendering samples per pixel.")] = None,
     jobs: Annotated[int, typer.Option(help="Rendering processes.", min=1)] = 1,
+    cluster: ClusterAddress = None,
     file_format: Annotated[
         ExportFormat | None,
         typer.Option(
@@ -494,7 +506,7 @@ def simulate(
     target = None if file_format is None else out.with_name(f"{out.name}-{file_format.value}")
     if target is not None:
         require_empty(target)
-    scene = run(wanted, out, jobs)
+    scene = run(wanted, out, jobs, cluster)
     summary: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
     if target is not None and file_format is not None:
         if not scene.map_path.is_dir():
@@ -661,12 +673,13 @@ def build_map(
             help="Triangulate with the exact poses, or structure from motion aligned to them."
         ),
     ] = MapMethod.TRIANGULATE,
+    cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:
     """Build the sparse map of a scene from its map frames, and measure it against the truth."""
     from simulate.mapping import build_map as run
 
-    report = run(scene, method.value)
+    report = run(scene, method.value, cluster)
     if as_json:
         _print_json(report.as_dict())
     else:
@@ -772,6 +785,7 @@ def make_dense(
         Stereo, typer.Option(help="Our own PatchMatch, or COLMAP's where pycolmap has CUDA.")
     ] = Stereo.OWN,
     seed: Annotated[int, typer.Option(help="The same seed makes the same maps.", min=0)] = 0,
+    cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:
     """Estimate depth maps of the map's photographs, fuse them to a cloud, and measure them.
@@ -780,7 +794,7 @@ def make_dense(
     """
     from dense.command import dense as run
 
-    report = run(scene, size=size, sources=sources, stereo=stereo.value, seed=seed)
+    report = run(scene, size=size, sources=sources, stereo=stereo.value, seed=seed, cluster=cluster)
     if as_json:
         _print_json(report.as_dict())
     else:

@@ -122,7 +122,9 @@ def doctor() -> Diagnosis:
     """Look at the machine, the packages, what rendering needs, and the shipped weights."""
     requirements = _requirements()
     rendering = _version("bpy") is not None
-    loadable = [r for r in requirements if not r.extra or (r.extra == "simulate" and rendering)]
+    # What is not wanted is not looked for.
+    wanted = {"", *(["simulate"] if rendering else []), *(["cluster"] if _version("ray") else [])}
+    loadable = [r for r in requirements if r.extra in wanted]
     with ThreadPoolExecutor(min(4, _cores())) as pool:
         modules = list(dict.fromkeys(r.module for r in loadable))
         loaded = dict(zip(modules, pool.map(_load, modules), strict=True))
@@ -131,6 +133,7 @@ def doctor() -> Diagnosis:
         _device(loaded["torch"]),
         *(_package(r, loaded[r.module]) for r in loadable),
         *_rendering(rendering),
+        *_cluster("cluster" in wanted),
         *_testing([r for r in requirements if r.extra == "test"]),
         *_weights(_ROOT / "weights"),
     ]
@@ -285,6 +288,13 @@ def _rendering(installed: bool) -> Iterator[Check]:
         )
     else:
         yield Check("Blender's libraries", "ok", "all there")
+
+
+def _cluster(installed: bool) -> Iterator[Check]:
+    """What ``--cluster`` needs; never missing."""
+    if not installed:
+        fix = f"{sys.executable} -m pip install 'objconnect[cluster]'"
+        yield Check("ray", "absent", "not installed: --cluster is not possible", fix)
 
 
 def _testing(requirements: list[_Requirement]) -> Iterator[Check]:

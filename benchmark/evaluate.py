@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import logging
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing, contextmanager
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 
@@ -25,8 +28,9 @@ from benchmark.results import (
     QueryResult,
     Results,
 )
-from benchmark.starts import NONE, PRIOR, Start
+from benchmark.starts import NONE, PRIOR, Ask, Start
 from benchmark.uncertainty import normalised_error
+from scene.cluster import crew, shares
 from scene.errors import InputError
 from scene.localizer import Estimate, Localizer, Query, Status
 from scene.pose import Pose
@@ -34,6 +38,9 @@ from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
 
 log = logging.getLogger(__name__)
+
+# Queries that a worker of a cluster is handed at once, at most.
+_UNIT = 16
 
 
 def evaluate(
@@ -43,6 +50,7 @@ def evaluate(
     start: Start = PRIOR,
     cache: Path | None = None,
     jobs: int = 1,
+    cluster: str | None = None,
 ) -> Results:
     """Localize every query, score it, and write ``OUT/<dataset>/<method>.json`` at the end.
 
@@ -58,48 +66,109 @@ def evaluate(
         start: what the method is told about each query besides its image.
         cache: folder for the method's per-map state, or None to keep none.
         jobs: queries at a time, in threads. Seconds per query are those of one of so many.
+        cluster: whose cores answer instead, a query each, as ``scene.cluster.crew`` takes it. Its
+            nodes see data set and cache under the paths they have here. Seconds of preparation are
+            then those of the first worker, its own start included; memory is the largest worker's.
 
     Raises:
-        InputError: the map or a photograph is missing or broken, or ``out`` cannot be written.
+        InputError: the map or a photograph is missing or broken, ``out`` cannot be written, or
+            there is no such cluster.
     """
     require_folder(out)
     start = _given(start, dataset)
     method = method_of(localizer)
     target = results_path(out, dataset, localizer)
+    run = _Run(dataset, localizer, start, cache)
     with Journal(target.with_suffix(".partial"), _key(method, dataset, start)) as journal:
-        reset_peak()
-        sparse_map = dataset.load_map()
-        began = perf_counter()
-        localizer.prepare(sparse_map, dataset.images, cache)
-        prepare = perf_counter() - began
-        ask = start.asker(dataset, sparse_map, cache)
-
-        def finish(query: BenchmarkQuery) -> QueryResult:
-            loaded = ask(query)
-            began = perf_counter()
-            estimate = attempt(localizer, loaded)
-            return scored(query, estimate, sparse_map, perf_counter() - began)
-
-        left = [query for query in dataset.queries if query.name not in journal.done]
-        bar = progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries))
-        with bar as advance, ThreadPoolExecutor(jobs) as pool:
+        with (
+            _answering(run, jobs, cluster) as (prepare, ask),
+            closing(ask([q for q in dataset.queries if q.name not in journal.done])) as answers,
+            progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance,
+        ):
+            peak = None if cluster else peak_megabytes()
             advance(len(journal.done))
-            try:
-                for done in as_completed([pool.submit(finish, query) for query in left]):
-                    journal.add(done.result())
-                    advance(len(journal.done))
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+            for result, memory in answers:
+                journal.add(result)
+                peak = max(filter(None, (peak, memory)), default=None)
+                advance(len(journal.done))
         queries = [journal.done[query.name] for query in dataset.queries]
-        results = Results.of(
-            method, identity(dataset), start.name, queries, prepare, peak_megabytes()
-        )
+        results = Results.of(method, identity(dataset), start.name, queries, prepare, peak)
         # Before the results, so that a run interrupted here has lost nothing.
-        keep_album(target.with_name(ALBUM), dataset, sparse_map)
+        keep_album(target.with_name(ALBUM), dataset, run.sparse_map)
         results.write(target)
-    _draw_median(dataset, sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
+    _draw_median(dataset, run.sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
     return results
+
+
+_Answer = tuple[QueryResult, float | None]
+"""Of a query, and the largest memory of its process so far, 1e6 bytes."""
+_Ask = Callable[[Sequence[BenchmarkQuery]], Generator[_Answer, None, None]]
+
+
+class _Run:
+    """A method at work on a data set; picklable until it is prepared, for workers to do that."""
+
+    def __init__(
+        self, dataset: Dataset, localizer: Localizer, start: Start, cache: Path | None
+    ) -> None:
+        self._dataset, self._localizer = dataset, localizer
+        self._start, self._cache = start, cache
+        self._ask: Ask | None = None
+
+    @cached_property
+    def sparse_map(self) -> SparseMap:
+        """Of the data set."""
+        return self._dataset.load_map()
+
+    def prepare(self) -> float:
+        """Make the method ready; seconds it took."""
+        reset_peak()
+        sparse_map = self.sparse_map
+        began = perf_counter()
+        self._localizer.prepare(sparse_map, self._dataset.images, self._cache)
+        took = perf_counter() - began
+        self._ask = self._start.asker(self._dataset, sparse_map, self._cache)
+        return took
+
+    def answer(self, query: BenchmarkQuery) -> _Answer:
+        """Ask, and score."""
+        assert self._ask is not None
+        loaded = self._ask(query)
+        began = perf_counter()
+        estimate = attempt(self._localizer, loaded)
+        return scored(query, estimate, self.sparse_map, perf_counter() - began), peak_megabytes()
+
+    def __call__(self, queries: Sequence[BenchmarkQuery]) -> Iterator[_Answer]:
+        """What a worker of a crew does."""
+        if self._ask is None:
+            self.prepare()
+        yield from map(self.answer, queries)
+
+
+@contextmanager
+def _answering(run: _Run, jobs: int, cluster: str | None) -> Iterator[tuple[float, _Ask]]:
+    """Seconds that preparing took, and who answers queries: our threads, or a cluster."""
+    if cluster is None:
+        yield run.prepare(), lambda queries: _in_threads(run, queries, jobs)
+        return
+    with crew(cluster, run) as workers:
+        began = perf_counter()
+        for _ in workers.spread([()]):  # one fills the cache, from which the others take it
+            pass
+        took = perf_counter() - began
+        yield took, lambda queries: workers.spread(shares(queries, workers.cores, 1, _UNIT))
+
+
+def _in_threads(
+    run: _Run, queries: Sequence[BenchmarkQuery], jobs: int
+) -> Generator[_Answer, None, None]:
+    with ThreadPoolExecutor(jobs) as pool:
+        try:
+            for done in as_completed([pool.submit(run.answer, query) for query in queries]):
+                yield done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def require_folder(out: Path) -> None:

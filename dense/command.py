@@ -7,7 +7,8 @@ import logging
 import shutil
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -28,6 +29,7 @@ from dense.warp import View
 from dense.workspace import Stage, Workspace
 from scene.bundle import Scene, finish
 from scene.camera import Camera
+from scene.cluster import crew
 from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
 from scene.errors import InputError
 from scene.files import (
@@ -47,6 +49,9 @@ UNFINISHED = ".dense"
 KEY = "dense.json"
 Stereo = Literal["own", "colmap"]
 
+# Of a depth map: every one alone, then each against its sources.
+_STAGES: tuple[Stage, ...] = ("photometric", "geometric")
+
 # A depth is kept when so many sources confirm it, and a point of the cloud when so many maps do.
 _CONFIRMED = 2
 _FUSED = 3
@@ -64,7 +69,13 @@ logger = logging.getLogger(__name__)
 
 
 def dense(
-    path: Path, *, size: int = 1024, sources: int = 6, stereo: Stereo = "own", seed: int = 0
+    path: Path,
+    *,
+    size: int = 1024,
+    sources: int = 6,
+    stereo: Stereo = "own",
+    seed: int = 0,
+    cluster: str | None = None,
 ) -> DenseReport:
     """Estimate a depth map for every photograph of the map, fuse them, and measure the result.
 
@@ -77,6 +88,8 @@ def dense(
         sources: photographs that each is matched with, at most.
         stereo: our own PatchMatch, or COLMAP's where pycolmap has CUDA.
         seed: of every random choice; the same seed makes the same files.
+        cluster: whose cores make our own depth maps, as ``scene.cluster.crew`` takes it. Its nodes
+            see the scene under the path it has here, and write to it.
 
     Returns:
         Its figures, against the truth where the scene has depth.
@@ -88,10 +101,12 @@ def dense(
     """
     scene = Scene.open(path)
     with sole_writer(path):
-        return _make(scene, size, sources, stereo, seed)
+        return _make(scene, size, sources, stereo, seed, cluster)
 
 
-def _make(scene: Scene, size: int, sources: int, stereo: Stereo, seed: int) -> DenseReport:
+def _make(
+    scene: Scene, size: int, sources: int, stereo: Stereo, seed: int, cluster: str | None
+) -> DenseReport:
     path = scene.path
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, size) for i in sparse_map.images.values()}
@@ -115,13 +130,11 @@ def _make(scene: Scene, size: int, sources: int, stereo: Stereo, seed: int) -> D
     _write_model(pinhole_map, workspace)
     workspace.write_lists(pairs)
     maps = _Maps(pinhole_map, workspace, pairs, seed)
-    began = time.process_time()
+    seconds = None
     if stereo == "own":
-        pixels = maps.make()
+        seconds = _make_maps(maps, cluster)
     else:
         patch_match_stereo(workspace.path)
-        pixels = 0
-    seconds = (time.process_time() - began) / pixels * _UNIT if pixels else None
     known = 0
     for name in pairs:  # COLMAP would end the process where we say what is damaged
         known += np.count_nonzero(workspace.depth(name, "geometric"))
@@ -209,6 +222,24 @@ def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
         write_posed(posed, sparse_map, folder)
 
 
+def _make_maps(maps: _Maps, cluster: str | None) -> float | None:
+    """Make those that are missing; seconds per ``_UNIT`` pixels, None when none was."""
+    finished = len(maps) - sum(len(maps.missing(stage)) for stage in _STAGES)
+    pixels, seconds = 0, 0.0
+    with (
+        crew(cluster, maps) as workers,
+        progress_bar("depth maps", len(maps)) as advance,
+    ):
+        advance(finished)
+        for stage in _STAGES:
+            with closing(workers.spread(maps.missing(stage))) as made:
+                for size, took in made:
+                    pixels, seconds, finished = pixels + size, seconds + took, finished + 1
+                    advance(finished)
+    # Both maps of a photograph count as one.
+    return 2 * seconds / pixels * _UNIT if pixels else None
+
+
 class _Maps:
     """Makes the depth maps of a workspace that are not there yet."""
 
@@ -223,31 +254,27 @@ class _Maps:
         self.view = lru_cache(_CACHED)(self._read_view)
         self.first = lru_cache(_CACHED)(self._read_first)
 
-    @torch.inference_mode()
-    def make(self) -> int:
-        """Make all; first every one alone, then each against its sources.
+    def __reduce__(self) -> tuple[type[_Maps], tuple[object, ...]]:
+        """To a worker of a cluster, without what was read."""
+        return _Maps, (self._map, self._workspace, self._pairs, self._seed)
 
-        Returns:
-            Pixels of the maps made, both kinds together counting as one.
-        """
-        todo: list[tuple[Stage, str]] = [
-            (stage, name)
-            for stage in ("photometric", "geometric")
-            for name in self._pairs
-            if not self._workspace.has(name, stage)
-        ]
-        finished = 2 * len(self._pairs) - len(todo)
-        pixels = 0
-        with progress_bar("depth maps", 2 * len(self._pairs)) as advance:
-            for stage, name in todo:
-                advance(finished)
-                planes, depth = self._first(name) if stage == "photometric" else self._last(name)
-                normals = normals_of(planes, self.view(name).camera)
-                self._workspace.write(name, stage, depth.cpu().numpy(), normals.cpu().numpy())
-                finished += 1
-                pixels += depth.numel()
-            advance(finished)
-        return pixels // 2
+    def missing(self, stage: Stage) -> list[tuple[Stage, str]]:
+        """What is to be made at a stage; the second needs everything of the first."""
+        return [(stage, name) for name in self._pairs if not self._workspace.has(name, stage)]
+
+    def __len__(self) -> int:
+        """Of both stages."""
+        return 2 * len(self._pairs)
+
+    @torch.inference_mode()
+    def __call__(self, unit: tuple[Stage, str]) -> Iterator[tuple[int, float]]:
+        """Make one map: its pixels, and seconds of processor time."""
+        began = time.process_time()
+        stage, name = unit
+        planes, depth = self._first(name) if stage == "photometric" else self._last(name)
+        normals = normals_of(planes, self.view(name).camera)
+        self._workspace.write(name, stage, depth.cpu().numpy(), normals.cpu().numpy())
+        yield depth.numel(), time.process_time() - began
 
     @torch.inference_mode()
     def confirmations(self, name: str) -> NDArray[np.int64]:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from scene.camera import Camera
+from scene.cluster import crew
 from scene.colmap_files import read_model
 from scene.errors import InputError
 from scene.features import Features, unit_descriptors
@@ -35,6 +37,8 @@ ADJUSTMENTS = 4
 
 # Images per call of the extractor: enough to keep the cores busy, few enough to show progress.
 _CHUNK = 16
+# Images that a worker of a cluster is handed at once.
+_UNIT = 4
 # Every random choice of COLMAP is seeded: the same photographs make the same map.
 _SEED = 0
 # Nearest over second nearest descriptor distance, COLMAP's own default.
@@ -126,18 +130,22 @@ def extract_sift(
     names: Sequence[str],
     options: SiftOptions,
     on_progress: Progress | None = None,
+    threads: int = -1,
 ) -> dict[str, Features]:
-    """SIFT of many images on all cores.
+    """SIFT of many images.
 
     Args:
         root: folder the names are relative to.
         names: images.
         options: of the detector.
         on_progress: called with the number of images done.
+        threads: to use; -1 for as many as there are cores.
 
     Raises:
         InputError: an image is missing or cannot be read.
     """
+    native = options.native()
+    native.num_threads = threads
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
         database = Path(scratch) / "database.db"
         for start in range(0, len(names), _CHUNK):
@@ -146,7 +154,7 @@ def extract_sift(
                 database,
                 root,
                 chunk,
-                extraction_options=options.native(),
+                extraction_options=native,
                 device=pycolmap.Device.cpu,
             )
             if on_progress is not None:
@@ -381,6 +389,7 @@ def triangulate(
     options: SiftOptions,
     on_progress: Progress | None = None,
     database: Path | None = None,
+    cluster: str | None = None,
 ) -> tuple[SparseMap, dict[str, Features]]:
     """Build a map by triangulating SIFT matches with known poses, and write the model to ``out``.
 
@@ -393,6 +402,8 @@ def triangulate(
         on_progress: called with the number of images and pairs done.
         database: file that keeps features and matches, new or left by an interrupted call for the
             same photographs, pairs and options; None keeps none.
+        cluster: whose cores find the features, as ``scene.cluster.crew`` takes it; its nodes see
+            ``root`` under the same path.
 
     Returns:
         The map as written, and the features it was built from by image name.
@@ -403,7 +414,7 @@ def triangulate(
     """
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
         database = database or Path(scratch) / "database.db"
-        posed, features = _match_all(root, images, pairs, database, options, on_progress)
+        posed, features = _match_all(root, images, pairs, database, options, on_progress, cluster)
         return _triangulate(posed, database, root, out), features
 
 
@@ -430,6 +441,7 @@ def reconstruct(
     options: SiftOptions,
     on_progress: Progress | None = None,
     database: Path | None = None,
+    cluster: str | None = None,
 ) -> tuple[SparseMap, dict[str, Features]]:
     """Build a map by incremental structure from motion, calibration known and poses not.
 
@@ -446,6 +458,7 @@ def reconstruct(
         on_progress: called with the number of images and pairs done, then of images registered,
             then of adjustments.
         database: as ``triangulate``.
+        cluster: as ``triangulate``.
 
     Returns:
         The map as written, and the features it was built from by image name.
@@ -456,7 +469,7 @@ def reconstruct(
     """
     with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
         database = database or Path(scratch) / "database.db"
-        _, features = _match_all(root, images, pairs, database, options, on_progress)
+        _, features = _match_all(root, images, pairs, database, options, on_progress, cluster)
         matched, registered = len(images) + len(pairs), 2  # the pair every model starts from
 
         def report(done: int) -> None:
@@ -914,12 +927,13 @@ def _match_all(
     database: Path,
     options: SiftOptions,
     on_progress: Progress | None,
+    cluster: str | None,
 ) -> tuple[pycolmap.Reconstruction, dict[str, Features]]:
     """Fill a database with verified matches; the posed images as a model, and their features."""
     check_photographs(root, {image.name: image.camera for image in images})
     empty, ids = _posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
     _require_database(database, empty)
-    _fill_database(database, root, ids, pairs, options, _VERIFIED_PX, on_progress)
+    _fill_database(database, root, ids, pairs, options, _VERIFIED_PX, on_progress, cluster)
     features = _read_features(database, root)
     return _posed_model(images, {name: item.xy for name, item in features.items()})[0], features
 
@@ -932,6 +946,7 @@ def _fill_database(
     options: SiftOptions,
     max_error: float,
     on_progress: Progress | None,
+    cluster: str | None = None,
 ) -> None:
     """Extract, match and verify what a database of images does not hold yet."""
 
@@ -940,20 +955,23 @@ def _fill_database(
             on_progress(done)
 
     with pycolmap.Database.open(database) as db:
-        for start in range(0, len(ids), _CHUNK):
-            chunk = list(ids)[start : start + _CHUNK]
-            left = [name for name in chunk if not db.exists_keypoints(ids[name])]
-            features = extract_sift(root, left, options)
-            size = sum(item.descriptors.nbytes + 24 * len(item.xy) for item in features.values())
-            require_room(database, _ROOM + 2 * size)
-            with pycolmap.DatabaseTransaction(db):
-                for name, item in features.items():
-                    sift = pycolmap.FeatureExtractorType.SIFT
-                    native = pycolmap.FeatureDescriptors(sift, item.descriptors)
-                    db.write_descriptors(ids[name], native)
-                    shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
-                    db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
-            report(start + len(chunk))
+        left = [name for name in ids if not db.exists_keypoints(ids[name])]
+        done = len(ids) - len(left)
+        with closing(_find_features(root, left, options, cluster)) as found:
+            for features in found:
+                size = sum(
+                    item.descriptors.nbytes + 24 * len(item.xy) for item in features.values()
+                )
+                require_room(database, _ROOM + 2 * size)
+                with pycolmap.DatabaseTransaction(db):
+                    for name, item in features.items():
+                        sift = pycolmap.FeatureExtractorType.SIFT
+                        native = pycolmap.FeatureDescriptors(sift, item.descriptors)
+                        db.write_descriptors(ids[name], native)
+                        shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
+                        db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
+                done += len(features)
+                report(done)
     descriptors = {
         name: unit_descriptors(item.descriptors)
         for name, item in _read_features(database, root).items()
@@ -979,6 +997,23 @@ def _fill_database(
             pycolmap.verify_matches(database, pair_list, verification)
         report(len(ids) + start + len(chunk_of_pairs))
     pair_list.unlink(missing_ok=True)
+
+
+def _find_features(
+    root: Path, names: Sequence[str], options: SiftOptions, cluster: str | None
+) -> Generator[dict[str, Features], None, None]:
+    """SIFT of many images, some at a time."""
+    size = _CHUNK if cluster is None else _UNIT
+    chunks = [names[start : start + size] for start in range(0, len(names), size)]
+    threads = -1 if cluster is None else 1
+    with crew(cluster if chunks else None, partial(_sift_of, root, options, threads)) as workers:
+        yield from workers.spread(chunks)
+
+
+def _sift_of(
+    root: Path, options: SiftOptions, threads: int, names: Sequence[str]
+) -> Iterator[dict[str, Features]]:
+    yield extract_sift(root, names, options, threads=threads)
 
 
 def _require_database(database: Path, model: pycolmap.Reconstruction) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from scene.bundle import COVISIBILITY, MANIFEST, Scene, finish
 from scene.camera import Camera
+from scene.cluster import crew
 from scene.covisibility import write_covisibility
 from scene.errors import InputError
 from scene.files import remove_partial, sole_writer, write_text
@@ -50,31 +53,35 @@ from simulate.planner import plan_session
 from simulate.render.disk import bytes_needed, require_space
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
+from simulate.render.remote import frame_files, render_remotely
 
 _CONFIG = ".config.json"
 _RENDERED = ".rendered"
 
+_Renderer = Callable[[RenderJob, Path, Callable[[int], None]], None]
 
-def simulate(config: SimulateConfig, out: Path, jobs: int = 1) -> Scene:
+
+def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | None = None) -> Scene:
     """Render a scene into ``out``, or go on where an interrupted run stopped.
 
     Args:
         config: of the scene.
         out: folder, new or left by a run of the same configuration.
-        jobs: rendering processes.
+        jobs: rendering processes, on this machine.
+        cluster: whose cores render instead, as `scene.cluster.crew` takes it.
 
     Returns:
         The finished scene, still without a map.
 
     Raises:
-        InputError: ``out`` holds something else, cannot be written or is written by another run, or
-            rendering failed.
+        InputError: ``out`` holds something else, cannot be written or is written by another run,
+            rendering failed, or there is no such cluster.
     """
     with sole_writer(out):
-        return _simulate(config, out, jobs)
+        return _simulate(config, out, jobs, cluster)
 
 
-def _simulate(config: SimulateConfig, out: Path, jobs: int) -> Scene:
+def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None) -> Scene:
     finished = _finished(out, config)
     if finished is not None:
         return finished
@@ -91,8 +98,9 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int) -> Scene:
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
     write_text(out / _CONFIG, config.model_dump_json())
     remove_partial(out)
-    for name, session, flight in zip(names, config.sessions, planned, strict=True):
-        _make_session(out / "sessions", name, session, config, flight, jobs)
+    with _renderer(jobs, cluster) as renderer:
+        for name, session, flight in zip(names, config.sessions, planned, strict=True):
+            _make_session(out / "sessions", name, session, config, flight, renderer)
     write_json(out / "objects.json", _objects(base, every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
     scene = Scene(out, _manifest(config, worlds))
@@ -102,6 +110,16 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int) -> Scene:
     scene = finish(out, scene.manifest.model_copy(update=pixels))
     (out / _CONFIG).unlink()
     return scene
+
+
+@contextmanager
+def _renderer(jobs: int, cluster: str | None) -> Iterator[_Renderer]:
+    """What renders the missing frames of a job: processes of this machine, or of a cluster."""
+    if cluster is None:
+        yield lambda job, folder, on_frame: render(job, folder, jobs, on_frame)
+        return
+    with crew(cluster, frame_files) as workers:
+        yield partial(render_remotely, workers)
 
 
 def _left(
@@ -244,7 +262,7 @@ def _make_session(
     session: SessionConfig,
     config: SimulateConfig,
     planned: _Planned,
-    jobs: int,
+    renderer: _Renderer,
 ) -> None:
     """Render and pack one session, unless its ``frames.h5``, written last, is there."""
     folder = root / name
@@ -264,7 +282,7 @@ def _make_session(
             advance(done)
 
         try:
-            render(job, rendered, jobs, on_frame)
+            renderer(job, rendered, on_frame)
         except RenderError as error:
             raise InputError(str(error)) from error
         except OSError as error:

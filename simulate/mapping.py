@@ -39,7 +39,7 @@ _MAX_NEIGHBOURS = 20
 _FOLLOWING = 4
 
 
-def build_map(path: Path, method: Method = "triangulate") -> MapReport:
+def build_map(path: Path, method: Method = "triangulate", cluster: str | None = None) -> MapReport:
     """Build the map of a finished scene from its map frames and record it in the manifest.
 
     An older map is replaced once the new one is whole. The model is in world metres; the features
@@ -50,6 +50,8 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
         path: of the scene.
         method: triangulation with the exact poses, or structure from motion that finds its own and
             is then aligned to them.
+        cluster: whose cores find the features, as ``scene.cluster.crew`` takes it. Its nodes see
+            the scene under the path it has here.
 
     Returns:
         The map's figures against the truth.
@@ -60,10 +62,10 @@ def build_map(path: Path, method: Method = "triangulate") -> MapReport:
     """
     scene = Scene.open(path)
     with sole_writer(path):
-        return _build(scene, method)
+        return _build(scene, method, cluster)
 
 
-def _build(scene: Scene, method: Method) -> MapReport:
+def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
     path = scene.path
     images, seen = _map_frames(scene)
     names = [image.name for image in images]
@@ -84,7 +86,7 @@ def _build(scene: Scene, method: Method) -> MapReport:
             progress_bar("map", steps) as advance,
         ):
             sparse_map, features = build(
-                scene.images_root, images, pairs, folder, _SIFT, advance, database
+                scene.images_root, images, pairs, folder, _SIFT, advance, database, cluster
             )
             write_features(folder / FEATURES, features)
         scene = finish(path, scene.manifest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.mapping import build_map
 from simulate.render.libraries import require_libraries
+from tests.two_nodes import TwoNodes
 
 # The same examples in every run and on every machine, however slow it is.
 settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=50)
@@ -71,3 +73,13 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 def rendered_copy(rendered: Scene, tmp_path: Path) -> Path:
     """A copy of the rendered scene to break."""
     return Path(shutil.copytree(rendered.path, tmp_path / "copy"))
+
+
+@pytest.fixture(scope="session")
+def two_nodes() -> Iterator[TwoNodes]:
+    """A Ray cluster on this machine."""
+    nodes = TwoNodes()
+    try:
+        yield nodes
+    finally:
+        nodes.end()

@@ -39,6 +39,7 @@ ADAPTERS = {
     "bmesh": "simulate.render.blender",
     "mathutils": "simulate.render.blender",
     "pycolmap": "scene.colmap",
+    "ray": "scene.cluster",
 }
 
 

@@ -29,9 +29,11 @@ from scene.projection import Intrinsics
 _SPACING = 1.7
 _TURN_DEGREES = 6.0
 _MOST_SHIFTS = 17
+# Steps after which those of the hypotheses that have met go on as one.
+_TOGETHER = 4
 # How much larger than others the steps are that end a hypothesis on the coarsest level.
 _ROUGH = 8
-# Cells of the next level.
+# Cells of a level. Poses so near to each other end in one place on it.
 _SAME_PLACE = 0.5
 # Cells of the finest level from which the cost of chance is taken.
 _CHANCE_CELLS = 256
@@ -149,8 +151,13 @@ def align_from_many(
         small_metres=_ROUGH * options.small_metres,
         small_degrees=_ROUGH * options.small_degrees,
     )
-    found = align(levels[:1], points, intrinsics, starts, damping[:1], rough, mask)
-    iterations = found.iterations.sum(-1)
+    short = replace(rough, iterations=min(_TOGETHER, options.iterations))
+    begun = align(levels[:1], points, intrinsics, starts, damping[:1], short, mask)
+    iterations = begun.iterations.sum(-1)
+    begun = _best(begun, levels[0], options.scale, starts.translation.shape[1])
+    begun = _distinct(begun, local, levels[0])
+    found = align(levels[:1], points, intrinsics, begun.pose, damping[:1], rough, mask)
+    iterations = iterations + found.iterations.sum(-1)
     if levels[1:]:
         begun = _best(found, levels[0], options.scale, reach.finalists)
         begun = _distinct(begun, local, levels[1])
@@ -176,7 +183,7 @@ def _best(found: Alignment, level: Level, scale: float, count: int) -> Alignment
 
 def _distinct(found: Alignment, local: Local, level: Level) -> Alignment:
     """Of alignments (B, K), the best first, those that show the points elsewhere than the ones
-    before them: starts half a cell of a level apart end in one place.
+    before them, in cells of the level that they go on to.
 
     As many are left of every query as of the one with most.
     """

@@ -10,7 +10,8 @@ import sys
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
 from itertools import count
 from pathlib import Path
 
@@ -27,7 +28,7 @@ _APT_PACKAGES = (
 
 
 # What Blender leaks, if it leaks, ends with its process: after so many frames, ...
-_FRAMES_PER_PROCESS = 200
+FRAMES_PER_PROCESS = 200
 # ... or when it holds so much more than after its first frame.
 _MAY_GROW_BYTES = 1_000_000_000
 
@@ -54,6 +55,20 @@ def render(
         InputError: an unknown preset or condition, or no sun at the origin that day.
         RenderError: a process died; the frames finished before remain.
     """
+    with closing(rendering(job, out_dir, jobs)) as frames:
+        for frame in frames:
+            if on_frame is not None:
+                on_frame(frame)
+
+
+def rendering(
+    job: RenderJob, out_dir: Path, jobs: int = 1, threads: int | None = None
+) -> Generator[int, None, None]:
+    """Do what `render` does; yield the number of each frame as it is finished.
+
+    `threads` are those of each process, which share the processors where it is None. One process
+    alone finishes frames in the order of their numbers.
+    """
     condition(job.condition, job.origin)
     preset(job.preset)
     out_dir.mkdir(parents=True, exist_ok=True)
@@ -61,8 +76,9 @@ def render(
     if not missing:
         return
     jobs = max(1, min(jobs, len(missing)))
-    threads = 0 if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
-    size = min(_FRAMES_PER_PROCESS, math.ceil(len(missing) / jobs))
+    if threads is None:
+        threads = 0 if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
+    size = min(FRAMES_PER_PROCESS, math.ceil(len(missing) / jobs))
     shares = deque(missing[k : k + size] for k in range(0, len(missing), size))
     with tempfile.TemporaryDirectory(prefix="render-") as scratch:
         rays = None
@@ -85,7 +101,7 @@ def render(
             path.write_text(chunk.model_dump_json())
             return _Child(path)
 
-        _work_off(shares, jobs, start, out_dir, on_frame)
+        yield from _work_off(shares, jobs, start, out_dir)
 
 
 def _lens_rays(lens: str) -> NDArray[np.float64]:
@@ -149,10 +165,10 @@ def _work_off(
     jobs: int,
     start: Callable[[list[int]], _Child],
     out_dir: Path,
-    on_frame: Callable[[int], None] | None,
-) -> None:
-    """Keep `jobs` processes at work until no share is left, each share with a process of its own;
-    RenderError as soon as one has failed. What a process leaves of its share goes to another."""
+) -> Iterator[int]:
+    """Keep `jobs` processes at work until no share is left, each share with a process of its own,
+    and yield the frames they finish; RenderError as soon as one has failed. What a process leaves
+    of its share goes to another."""
     lines: queue.Queue[tuple[_Child, str | None]] = queue.Queue()
     running: dict[_Child, list[int]] = {}
     try:
@@ -164,8 +180,7 @@ def _work_off(
                 child.listen(lines)
             child, line = lines.get()
             if line is not None:
-                if on_frame is not None:
-                    on_frame(FrameDone.model_validate_json(line).frame)
+                yield FrameDone.model_validate_json(line).frame
                 continue
             child.check()
             share = running.pop(child)

@@ -111,7 +111,7 @@ def test_a_package_of_another_version(
 def test_who_does_not_render_needs_nothing_for_it(
     loads: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    without(monkeypatch, "bpy", "pytest")
+    without(monkeypatch, "bpy", "pytest", "ray")
     monkeypatch.setattr(doctor, "missing_packages", lambda: ["libxi6"])
     monkeypatch.setattr(shutil, "which", lambda name: None)
     diagnosis = doctor.doctor()
@@ -119,6 +119,9 @@ def test_who_does_not_render_needs_nothing_for_it(
     assert diagnosis.ok
     assert found["bpy"].state == "absent"
     assert "objconnect[simulate]" in found["bpy"].fix
+    assert found["ray"].state == "absent"
+    assert "objconnect[cluster]" in found["ray"].fix
+    assert "ray for cluster" not in found
     assert found["Blender's libraries"].state == "absent"
     assert found["Blender's libraries"].fix == "sudo apt-get install -y libxi6"
     assert found["Chromium"].fix == "sudo apt-get install -y chromium"

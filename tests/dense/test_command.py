@@ -109,8 +109,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
             dense(rendered_copy, size=SIZE)
     assert Scene.open(rendered_copy).changed_files() == []
     stereo = rendered_copy / UNFINISHED / "stereo"
-    assert len(list(stereo.glob("depth_maps/*.bin"))) == 6
-    assert len(list(stereo.glob("normal_maps/*.bin"))) == 7
+    assert len(list((stereo / "depth_maps").rglob("*.bin"))) == 6
+    assert len(list((stereo / "normal_maps").rglob("*.bin"))) == 7
     assert not list(stereo.rglob(".*"))
     written.clear()
 
@@ -127,8 +127,12 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     (rendered_copy / UNFINISHED / "stereo" / ".half.bin.abcd1234").write_bytes(b"half")
     written.clear()
     monkeypatch.setattr(Workspace, "write", lambda *a: (written.append(a[1]), write(*a)))
+
+    def full_after_the_last_map(_: Path) -> SimpleNamespace:
+        return SimpleNamespace(free=1000 if len(written) == 24 - 15 else 2**40)
+
     with monkeypatch.context() as patch:
-        patch.setattr("scene.files.shutil.disk_usage", lambda _: SimpleNamespace(free=1000))
+        patch.setattr("scene.files.shutil.disk_usage", full_after_the_last_map)
         with pytest.raises(WriteError, match="dense.*fused.* are needed"):
             dense(rendered_copy, size=SIZE)
     dense(rendered_copy, size=SIZE)

@@ -1,0 +1,82 @@
+"""The line on a cluster that loses a node: scene, map, results and depth as undisturbed."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from benchmark.datasets import open_datasets
+from benchmark.evaluate import evaluate
+from benchmark.registry import create
+from benchmark.results import QueryResult, Results
+from dense.command import dense
+from scene.bundle import Scene
+from simulate.command import simulate
+from simulate.config import SimulateConfig
+from simulate.mapping import build_map
+from tests.two_nodes import TwoNodes
+
+TINY = SimulateConfig.model_validate(
+    {
+        "seed": 5,
+        "area": 120,
+        "size": 96,
+        "spp": 1,
+        "sensor": {"full_well_e": 8000, "read_noise_e": 6},
+        "sessions": [
+            {"condition": "summer-noon", "flight": "nadir", "role": "map", "frames": 6},
+        ],
+    }
+)
+
+
+def without_clock(results: Results) -> tuple[QueryResult, ...]:
+    return tuple(query.model_copy(update={"seconds": {}}) for query in results.queries)
+
+
+def test_a_scene(two_nodes: TwoNodes, tmp_path: Path) -> None:
+    alone = simulate(TINY, tmp_path / "alone")
+    out = tmp_path / "cluster"
+    with two_nodes.killed_at_work(when=lambda: any(out.rglob("0*.npz"))):
+        spread = simulate(TINY, out, cluster=two_nodes.address)
+    assert spread.manifest.sha256 == alone.manifest.sha256
+    assert spread.manifest.pixels_sha256 == alone.manifest.pixels_sha256
+    assert spread.changed_files() == []
+    assert not list(out.rglob(".*")), "nothing of the rendering is left behind"
+
+
+def test_a_map(two_nodes: TwoNodes, rendered: Scene, rendered_copy: Path) -> None:
+    shutil.rmtree(rendered_copy / "map")
+    with two_nodes.killed_at_work():
+        build_map(rendered_copy, cluster=two_nodes.address)
+    assert Scene.open(rendered_copy).manifest.sha256 == rendered.manifest.sha256
+
+
+@pytest.mark.parametrize("method", ["sift", "objconnect"])
+def test_results(two_nodes: TwoNodes, rendered: Scene, tmp_path: Path, method: str) -> None:
+    (dataset,) = open_datasets(rendered.path)
+    alone = evaluate(dataset, create(method, {}), tmp_path / "alone")
+    with two_nodes.killed_at_work():
+        spread = evaluate(
+            dataset,
+            create(method, {}),
+            tmp_path / "spread",
+            cache=tmp_path / "cache",
+            cluster=two_nodes.address,
+        )
+    assert without_clock(spread) == without_clock(alone)
+    assert spread.summary.recall == alone.summary.recall
+    assert spread.summary.peak_memory_mb is not None
+
+
+def test_depth_maps(two_nodes: TwoNodes, rendered: Scene, tmp_path: Path) -> None:
+    scenes = [Path(shutil.copytree(rendered.path, tmp_path / name)) for name in ("one", "two")]
+    dense(scenes[0], size=64)
+    with two_nodes.killed_at_work():
+        report = dense(scenes[1], size=64, cluster=two_nodes.address)
+    assert report.cpu_seconds_per_map is not None
+    digests = [Scene.open(scene).manifest.sha256 for scene in scenes]
+    assert digests[0] == digests[1]
+    assert any(name.startswith("dense/") for name in digests[0])

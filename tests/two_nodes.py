@@ -1,0 +1,103 @@
+"""A Ray cluster of two nodes on this machine, of which one can be killed at its work."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from scene.cluster import _ray
+
+# A busy machine takes longer to start a node than Ray waits.
+_ATTEMPTS = 4
+_STORE_BYTES = 100 << 20
+
+
+class TwoNodes:
+    """Two nodes of one core each, beside a head that does no work.
+
+    Attributes:
+        address: of the head.
+    """
+
+    def __init__(self) -> None:
+        self._ray = _ray()
+        from ray.cluster_utils import Cluster
+
+        head = {"num_cpus": 0, "object_store_memory": _STORE_BYTES, "include_dashboard": False}
+        self._cluster = _patiently(lambda: Cluster(initialize_head=True, head_node_args=head))
+        self.address = str(self._cluster.address)
+
+    def have(self, count: int) -> None:
+        """See that there are so many nodes; only between runs."""
+        while len(self._cluster.worker_nodes) > count:
+            self._cluster.remove_node(next(iter(self._cluster.worker_nodes)))
+        while len(self._cluster.worker_nodes) < count:
+            _patiently(lambda: self._cluster.add_node(num_cpus=1, object_store_memory=_STORE_BYTES))
+
+    @contextmanager
+    def killed_at_work(self, when: Callable[[], bool] = lambda: True) -> Iterator[None]:
+        """Kill a node inside, once it is at work and `when` says so.
+
+        Raises:
+            AssertionError: none was.
+        """
+        self.have(2)
+        over, killed = threading.Event(), threading.Event()
+
+        def watch() -> None:
+            while not over.is_set():
+                node = self._at_work() if when() else None
+                if node is not None:
+                    self._cluster.remove_node(node, allow_graceful=False)
+                    killed.set()
+                    return
+                time.sleep(0.02)
+
+        watcher = threading.Thread(target=watch)
+        watcher.start()
+        try:
+            yield
+        finally:
+            over.set()
+            watcher.join()
+        assert killed.is_set(), "no node was at work"
+
+    def end(self) -> None:
+        self._cluster.shutdown()
+
+    def _at_work(self) -> Any:
+        """A node whose worker is at a unit, and which this process does not hang on."""
+        own = self._ray._private.worker.global_worker.node
+        if own is None:
+            return None
+        for node in self._cluster.worker_nodes:
+            (raylet,) = node.all_processes["raylet"]
+            if node.unique_id != own.unique_id and _has_unit(raylet.process.pid):
+                return node
+        return None
+
+
+def _has_unit(raylet: int) -> bool:
+    """Whether a worker of a node is at a unit: Ray gives its process the name of the function."""
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == raylet and (process / "cmdline").read_bytes().startswith(b"ray::_do"):
+                return True
+        except (OSError, ProcessLookupError):
+            continue
+    return False
+
+
+def _patiently(start: Callable[[], Any]) -> Any:
+    for attempt in range(_ATTEMPTS):
+        try:
+            return start()
+        except Exception:
+            if attempt == _ATTEMPTS - 1:
+                raise
+    raise AssertionError
