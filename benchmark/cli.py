@@ -725,15 +725,15 @@ def supplement(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Weights of an object-connect network, to look at its centres too; segments of "
-            "the photographs alone otherwise.",
+            help="Weights of an object-connect network, to look at its centres too; what "
+            "stands out in the photographs alone otherwise.",
         ),
     ] = None,
     masks: Annotated[
         Path | None,
         typer.Option(
             metavar="MASKS",
-            help="Objects of the map's photographs, in place of segments: as of diagnose.",
+            help="Objects of the map's photographs, to look at these alone: as of diagnose.",
         ),
     ] = None,
     remove: Annotated[

@@ -10,6 +10,7 @@ from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.journal import Journal
 from benchmark.memory import peak_megabytes, reset_peak
 from benchmark.pictures import median_query, query_overlay
+from benchmark.registry import create, known
 from benchmark.results import (
     TOTAL,
     DatasetId,
@@ -106,7 +108,11 @@ _Ask = Callable[[Sequence[BenchmarkQuery]], Generator[_Answer, None, None]]
 
 
 class _Run:
-    """A method at work on a data set; picklable until it is prepared, for workers to do that."""
+    """A method at work on a data set.
+
+    Before it is prepared it goes to workers, who make a method we know anew by its name and
+    configuration: libraries' own objects in it cannot travel.
+    """
 
     def __init__(
         self, dataset: Dataset, localizer: Localizer, start: Start, cache: Path | None
@@ -114,6 +120,19 @@ class _Run:
         self._dataset, self._localizer = dataset, localizer
         self._start, self._cache = start, cache
         self._ask: Ask | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        localizer = self._localizer
+        if localizer.name not in known():
+            return self.__dict__
+        recipe = (localizer.name, localizer.config.model_dump())
+        return self.__dict__ | {"_localizer": None, "_recipe": recipe}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        recipe = state.pop("_recipe", None)
+        self.__dict__.update(state)
+        if recipe is not None:
+            self._localizer = create(*recipe)
 
     @cached_property
     def sparse_map(self) -> SparseMap:

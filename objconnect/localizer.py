@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from baselines.featuremetric.localizer import FeaturemetricConfig, FeaturemetricLocalizer
 from baselines.weights import shipped
 from objconnect.network import read_network
 
 
 class ObjConnectConfig(FeaturemetricConfig):
-    """Options of the objconnect localizer, which looks around its start too."""
+    """Options of the objconnect localizer, which looks around its start too, and at more
+    photographs: what snow hides in one may be seen in another."""
 
+    references: int = Field(8, ge=1)
     multistart: bool = True
 
 

@@ -11,7 +11,7 @@ from objconnect.masks import given_masks
 from objconnect.network import read_network
 from objconnect.supplement.config import SupplementConfig
 from objconnect.supplement.map import add_to_map
-from objconnect.supplement.sweeping import supplement_points
+from objconnect.supplement.small import supplement_points
 from scene.bundle import Scene
 
 
@@ -49,7 +49,7 @@ def supplement(
 
     Args:
         path: of a finished scene with its map.
-        weights: of an object-connect network, whose centres are looked at too; None: segments
+        weights: of an object-connect network, whose centres are looked at too; None: spots
             alone.
         masks: of objects of the map's photographs: see ``given_masks``.
 

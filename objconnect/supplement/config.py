@@ -18,10 +18,15 @@ class SupplementConfig(Config):
         reprojection_px: a detection belongs to a point that projects this close to it.
         views: photographs that must agree on a point.
         angle_deg: least angle between two of the rays that made it.
-        above_m: least height of a swept point above the ground around it.
+        above_m: least height of a place above the ground around it.
         below_m: largest height likewise.
-        together_m: places that two photographs were swept to are one when this close.
-        apart_m: least distance of a swept point from the map's own points.
+        clear_m: least height of a place that only the comparison with the ground confirms.
+        clearly: cost of such a place, as a share of that of the ground under it.
+        together_m: how far from its height the least cost may be.
+        strong: mean strength of spots that confirm a place by themselves ...
+        nearly_all: ... in this share of the photographs that have it in the picture ...
+        hardly: ... at this share of the cost of the ground.
+        apart_m: least distance of a place from the map's own points.
     """
 
     neighbours: int = Field(12, ge=1)
@@ -30,7 +35,12 @@ class SupplementConfig(Config):
     reprojection_px: float = Field(2.0, gt=0)
     views: int = Field(3, ge=2)
     angle_deg: float = Field(3.0, gt=0, lt=90)
-    above_m: float = Field(0.4, gt=0)
-    below_m: float = Field(3.0, gt=0)
-    together_m: float = Field(0.4, gt=0)
+    above_m: float = Field(0.22, gt=0)
+    below_m: float = Field(3.2, gt=0)
+    clear_m: float = Field(0.3, gt=0)
+    clearly: float = Field(0.8, gt=0, lt=1)
+    together_m: float = Field(0.25, gt=0)
+    strong: float = Field(12.0, gt=0)
+    nearly_all: float = Field(0.8, gt=0, le=1)
+    hardly: float = Field(0.97, gt=0, le=1)
     apart_m: float = Field(0.5, ge=0)

@@ -13,8 +13,9 @@ from typer.testing import CliRunner
 from benchmark.cli import app
 from objconnect.config import ObjConnectNetConfig
 from objconnect.network import ObjConnectNet
-from objconnect.supplement.segments import find
-from objconnect.supplement.standing import heights, nearest
+from objconnect.supplement.raised import HEIGHTS, stands_out
+from objconnect.supplement.spots import find
+from objconnect.supplement.standing import Ground, heights, nearest
 from scene.bundle import Scene
 from scene.files import sha256_of
 from scene.images import read_rgb
@@ -40,17 +41,60 @@ def test_the_nearest_are_the_nearest() -> None:
     np.testing.assert_allclose(off, np.sort(every, axis=1)[:, :4], atol=1e-5)
 
 
-def test_a_network_says_how_sure_places_are_and_what_they_look_like(rendered: Scene) -> None:
+def test_rays_meet_the_ground_at_a_height(rendered: Scene) -> None:
+    rng = np.random.default_rng(2)
+    cloud = rng.uniform(-200, 200, (3000, 3))
+    cloud[:, 2] = 0.1 * cloud[:, 0] - 0.05 * cloud[:, 1]
+    ground = Ground.of(cloud)
+    image = rendered.sparse_map().images[rendered.splits.map[0]]
+    xy = rng.uniform(20, 100, (50, 2))
+    places = ground.under(image, xy, 1.5)
+    expected = 0.1 * places[:, 0] - 0.05 * places[:, 1] + 1.5
+    np.testing.assert_allclose(places[:, 2], expected, atol=0.02)
+    seen = image.camera.project(image.pose.transform(torch.from_numpy(places)))
+    np.testing.assert_allclose(seen.xy.numpy(), xy, atol=0.05)
+
+
+def test_spots_are_where_they_are_and_differ_from_what_is_around() -> None:
+    rgb = np.full((80, 120, 3), 90, np.uint8)
+    rgb[30:33, 50:53] = [200, 40, 40]
+    rgb[60:62, 100:102] = [240, 240, 240]
+    found = find(rgb)
+    for place, lighter in ((51.5, 31.5), False), ((101.0, 61.0), True):
+        off = np.linalg.norm(found.xy - place, axis=1)
+        nearest_spot = off.argmin()
+        assert off[nearest_spot] < 0.3
+        assert found.strength[nearest_spot] > 10
+        assert (found.look[nearest_spot, 0] > 20) == lighter
+    # Nothing else stands out.
+    off = np.linalg.norm(found.xy[:, None] - [[51.5, 31.5], [101.0, 61.0]], axis=2).min(1)
+    assert (off < 8).all()
+
+
+def test_places_stand_out_where_photographs_agree_above_the_ground() -> None:
+    above = 1.0 + np.abs(HEIGHTS - 0.9)
+    on_it = 1.0 + np.abs(HEIGHTS)
+    share, off = stands_out(np.stack([above, on_it, np.full(len(above), np.nan)]), np.full(3, 1.0))
+    assert share[0] < 0.65
+    assert off[0] < 0.15
+    assert share[1] == 1
+    assert off[1] > 0.9
+    assert np.isinf(share[2])
+
+
+def test_a_network_says_how_sure_spots_are_and_what_they_look_like(rendered: Scene) -> None:
     torch.manual_seed(0)
     config = ObjConnectNetConfig(width=0.125, steps=(8, 8, 8, 8), strides=(16, 4), dims=(8, 8))
     network = ObjConnectNet(config).eval()
     name = rendered.splits.map[0]
     rgb = read_rgb(rendered.images_root / name)
-    plain, seen = find(rgb), find(rgb, network)
+    plain, seen = find(rgb).detections, find(rgb, network).detections
     assert len(plain.xy) > 200
     assert len(seen.xy) > len(plain.xy)
-    np.testing.assert_allclose(np.linalg.norm(seen.descriptors, axis=1), 1, atol=1e-5)
-    assert ((seen.confidence > 0) & (seen.confidence < 1)).all()
+    lengths = np.linalg.norm(seen.descriptors, axis=1)
+    np.testing.assert_allclose(lengths[seen.confidence > 0], 1, atol=1e-5)
+    assert (seen.confidence > 0).mean() > 0.9
+    assert (seen.confidence < 1).all()
     masks = np.full(rgb.shape[:2], -1, np.int64)
     masks[100:140, 50:120] = 0
     inside = find(rgb, masks=masks).xy
