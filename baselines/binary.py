@@ -52,9 +52,9 @@ class Binary(Extractor):
         centre of the first pixel."""
         return np.array([point.pt for point in keypoints]) + 0.5
 
-    def unit(self, features: Features) -> Tensor:
+    def unit(self, descriptors: NDArray[np.uint8]) -> Tensor:
         """Bits as signs; see ``unit_bits``."""
-        return unit_bits(features)
+        return unit_bits(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
         """The ratio is of Hamming distances, which are squared distances of the signs."""

@@ -8,21 +8,24 @@ their epipolar lines in all photographs together.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
 from baselines.features import Extractor, map_features
 from baselines.rays import Rays
-from baselines.retrieval import References
+from baselines.retrieval import OnDemand, References
 from baselines.sampson import Matches, refine
 from baselines.sift import Sift
 from scene.colmap import estimate_relative_pose
 from scene.config import Config
 from scene.features import Features
+from scene.held import MEGABYTE, Held
 from scene.localizer import Estimate, Query, Status, Stopwatch, fault
 from scene.pose import Pose
 from scene.sparse_map import MapImage, SparseMap
@@ -42,6 +45,7 @@ class EpipolarConfig(Config):
         agree_deg: by how much references may differ on the query's attitude and direction.
         least_angle_deg: rays that cross at less do not say where.
         max_features: per image.
+        memory_mb: that features of the map may take in memory; what is beyond stays on disk.
         seed: of RANSAC.
     """
 
@@ -52,7 +56,20 @@ class EpipolarConfig(Config):
     agree_deg: float = Field(5.0, gt=0)
     least_angle_deg: float = Field(5.0, gt=0)
     max_features: int = Field(8192, ge=100)
+    memory_mb: int = Field(1024, ge=1)
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Keypoints of a photograph of the map, (N, 2), and their descriptors, of unit length."""
+
+    xy: NDArray[np.float32]
+    unit: Tensor
+
+    @property
+    def nbytes(self) -> int:
+        return self.xy.nbytes + self.unit.nbytes
 
 
 class EpipolarLocalizer:
@@ -68,10 +85,18 @@ class EpipolarLocalizer:
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Extract the features of the map's photographs."""
         self._map = sparse_map
-        self._features = map_features(sparse_map, images, self._sift, cache)
-        self._units = {name: self._sift.unit(f) for name, f in self._features.items()}
-        described = [self._units[name].numpy() for name in sparse_map.names]
-        self._references = References.build(sparse_map, described)
+        features, unit = map_features(sparse_map, images, self._sift, cache), self._sift.unit
+
+        def seen(name: str) -> _Seen:
+            found = features[name]
+            return _Seen(found.xy, unit(found.descriptors))
+
+        def described(row: int) -> NDArray[np.float32]:
+            return unit(features[sparse_map.names[row]].descriptors).numpy()
+
+        self._seen = Held(seen, self.config.memory_mb * MEGABYTE)
+        count = len(sparse_map.names)
+        self._references = References.build(sparse_map, OnDemand(described, count))
 
     def localize(self, query: Query) -> Estimate:
         """Extract, choose references, find relative poses, intersect, refine."""
@@ -80,7 +105,7 @@ class EpipolarLocalizer:
         clock = Stopwatch()
         with clock.stage("features"):
             features = self._sift(query.image)
-            unit = self._sift.unit(features)
+            unit = self._sift.unit(features.descriptors)
         with clock.stage("retrieval"):
             rows = self._references.choose(query, self.config.references, unit.numpy)
             references = [self._map.images[self._map.names[row]] for row in rows]
@@ -111,11 +136,12 @@ class EpipolarLocalizer:
         self, query: Query, features: Features, unit: Tensor, image: MapImage
     ) -> tuple[Matches, Pose] | None:
         """Matches to one photograph and ``query_from_reference``; None where too few agree."""
-        matches = self._sift.match(unit, self._units[image.name], self.config.ratio)
+        seen = self._seen(image.name)
+        matches = self._sift.match(unit, seen.unit, self.config.ratio)
         if len(matches) < self.config.min_inliers:
             return None
         here = features.xy[matches[:, 0]].astype(np.float64)
-        there = self._features[image.name].xy[matches[:, 1]].astype(np.float64)
+        there = seen.xy[matches[:, 1]].astype(np.float64)
         relative = estimate_relative_pose(
             there, here, image.camera, query.camera, self.config.max_error_px, self.config.seed
         )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +15,15 @@ from torch import Tensor
 
 from baselines.views import north, view
 from scene.camera import Camera
-from scene.features import Features, read_features, unit_descriptors, write_features
+from scene.features import FeatureFile, Features, unit_descriptors, written_features
 from scene.files import sha256_of
 from scene.images import check_photographs, read_rgb
 from scene.matching import match
 from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
+
+# Photographs whose features are in memory at once while they are extracted.
+_TOGETHER = 64
 
 
 class Extractor(ABC):
@@ -73,9 +78,9 @@ class Extractor(ABC):
             on_progress(done)
         return found
 
-    def unit(self, features: Features) -> Tensor:
-        """Descriptors as (N, D) float32 of unit length, which ``match`` and retrieval take."""
-        return unit_descriptors(features)
+    def unit(self, descriptors: NDArray[Any]) -> Tensor:
+        """As (N, D) float32 of unit length, which ``match`` and retrieval take."""
+        return unit_descriptors(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
         """Mutual nearest neighbours of ``unit`` descriptors under the ratio test, (K, 2) rows."""
@@ -84,39 +89,49 @@ class Extractor(ABC):
 
 def map_features(
     sparse_map: SparseMap, images: Path, extractor: Extractor, cache: Path | None
-) -> dict[str, Features]:
-    """Features of the map's photographs, read from the cache when it holds them.
+) -> FeatureFile:
+    """Features of the map's photographs, extracted unless the cache holds them.
 
     Args:
         sparse_map: whose photographs.
         images: folder of the photographs.
         extractor: of the features.
-        cache: folder of files named by a digest of photographs and extractor, or None.
+        cache: folder of files named by a digest of photographs and extractor; None for a file that
+            goes with what is returned.
 
     Raises:
         InputError: a photograph is missing, broken, or not of its camera's size.
     """
+    if cache is None:
+        with tempfile.TemporaryDirectory(prefix=f"{extractor.name}-") as folder:
+            return map_features(sparse_map, images, extractor, Path(folder))
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     angles = {}
     if not extractor.turned:
         angles = {n: north(sparse_map.images[n].cam_from_world[:3, :3]) for n in sparse_map.names}
-    path = None
-    if cache is not None:
-        photographs = [(name, sha256_of(images / name)) for name in sparse_map.names]
-        parts = f"{photographs} {extractor.options} {extractor.weights_sha256} {angles or ''}"
-        key = hashlib.sha256(parts.encode()).hexdigest()
-        path = cache / f"{extractor.name}-{key[:16]}.h5"
-        if path.is_file():
-            return read_features(path)
-    with progress_bar(f"{extractor.name} map features", len(sparse_map.names)) as advance:
-        if extractor.turned:
-            features = extractor.of_photographs(images, sparse_map.names, advance)
-        else:
-            features = {}
-            for name, angle in angles.items():
+    names = sparse_map.names
+    photographs = [(name, sha256_of(images / name)) for name in names]
+    parts = f"{photographs} {extractor.options} {extractor.weights_sha256} {angles or ''}"
+    key = hashlib.sha256(parts.encode()).hexdigest()
+    path = cache / f"{extractor.name}-{key[:16]}.h5"
+    if path.is_file():
+        return FeatureFile(path)
+    bar = progress_bar(f"{extractor.name} map features", len(names))
+    with bar as advance, written_features(path) as add:
+        for first in range(0, len(names), _TOGETHER):
+            some = names[first : first + _TOGETHER]
+            if extractor.turned:
+
+                def advanced(done: int, before: int = first) -> None:
+                    advance(before + done)
+
+                found = extractor.of_photographs(images, some, advanced)
+                for name in some:
+                    add(name, found[name])
+                continue
+            for done, name in enumerate(some, first + 1):
                 camera = sparse_map.images[name].camera
-                features[name] = extractor.seen(read_rgb(images / name, camera), camera, angle)
-                advance(len(features))
-    if path is not None:
-        write_features(path, features)
-    return features
+                rgb = read_rgb(images / name, camera)
+                add(name, extractor.seen(rgb, camera, angles[name]))
+                advance(done)
+    return FeatureFile(path)

@@ -8,10 +8,10 @@ elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -33,6 +33,30 @@ _LEAST_HEIGHT = 2.0
 # Cosine from the plumb line of the flattest view followed to the ground.
 _LEAST_DROP = 0.3
 _TRAINING_DESCRIPTORS = 40_000
+# Vectors of larger maps are described by what they share with those of so many photographs.
+_LANDMARKS = 512
+
+
+class Described(Protocol):
+    """Per photograph its descriptors (n, D) of unit length, in memory or read one by one."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, row: int, /) -> NDArray[np.float32]: ...
+
+
+@dataclass(frozen=True)
+class OnDemand:
+    """Descriptors of ``count`` photographs that are read when they are asked for."""
+
+    read: Callable[[int], NDArray[np.float32]]
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, row: int) -> NDArray[np.float32]:
+        return self.read(row)
 
 
 @dataclass(frozen=True)
@@ -41,40 +65,52 @@ class VladIndex:
 
     Attributes:
         words: (K, D) visual words.
-        vectors: (N, K*D) unit vectors, one per photograph.
+        basis: (K*D, L) orthonormal, of the space that the VLADs of L photographs span.
+        vectors: (N, L) VLADs in that space, one per photograph. No photograph's loses anything by
+            it where L is N; beyond it is Nystrom's approximation (Williams and Seeger, NIPS 2000).
     """
 
     words: NDArray[np.float32]
+    basis: NDArray[np.float32]
     vectors: NDArray[np.float32]
 
     @staticmethod
-    def build(descriptors: Sequence[NDArray[np.float32]]) -> VladIndex:
+    def build(descriptors: Described) -> VladIndex:
         """Cluster the descriptors of all photographs and describe each by its residuals.
 
         Args:
-            descriptors: per photograph (n, D), unit length.
+            descriptors: of each photograph; those of one are in memory at a time.
         """
         some = _some(descriptors)
         # Photographs without a single keypoint have no words, and look alike.
         words = _cluster(some, min(_WORDS, len(some))) if len(some) else some
-        vectors = np.stack([_vlad(d, words) for d in descriptors])
-        return VladIndex(words, vectors)
+        count = len(descriptors)
+        spread = np.linspace(0, count - 1, min(count, _LANDMARKS)).astype(int)
+        landmarks = np.stack([_vlad(descriptors[int(row)], words) for row in spread])
+        basis = np.asarray(np.linalg.qr(landmarks.T)[0], np.float32)
+        vectors = [_vlad(descriptors[row], words) @ basis for row in range(count)]
+        return VladIndex(words, basis, np.stack(vectors))
 
     def rank(self, descriptors: NDArray[np.float32], k: int) -> NDArray[np.int64]:
         """Rows of the ``k`` most similar photographs, best first."""
-        similarity = self.vectors @ _vlad(descriptors, self.words)
+        similarity = self.vectors @ (_vlad(descriptors, self.words) @ self.basis)
         return _least(-similarity, k)
 
 
-def _some(descriptors: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """Descriptors to find words in: all or, of many, some, without a second copy of all."""
-    ends = np.cumsum([len(d) for d in descriptors])
+def _some(descriptors: Described) -> NDArray[np.float32]:
+    """Descriptors to find words in: all or, of many, some."""
+    every = range(len(descriptors))
+    ends = np.cumsum([len(descriptors[row]) for row in every])
     if ends[-1] <= _TRAINING_DESCRIPTORS:
-        return np.concatenate(descriptors)
+        return np.concatenate([descriptors[row] for row in every])
     rows = np.random.default_rng(0).choice(ends[-1], _TRAINING_DESCRIPTORS, replace=False)
     whose = np.searchsorted(ends, rows, "right")
-    # Negative: counted from the end of a photograph's own.
-    return np.stack([descriptors[k][row - ends[k]] for k, row in zip(whose, rows, strict=True)])
+    some = np.empty((len(rows), descriptors[int(whose[0])].shape[1]), np.float32)
+    for row in np.unique(whose):
+        taken = np.flatnonzero(whose == row)
+        # Negative: counted from the end of a photograph's own.
+        some[taken] = descriptors[int(row)][rows[taken] - ends[row]]
+    return some
 
 
 def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
@@ -175,9 +211,8 @@ class References:
     index: VladIndex
 
     @staticmethod
-    def build(sparse_map: SparseMap, descriptors: Sequence[NDArray[np.float32]]) -> References:
-        """Index the photographs by their descriptors, per photograph (n, D) of unit length in the
-        order of ``sparse_map.names``."""
+    def build(sparse_map: SparseMap, descriptors: Described) -> References:
+        """Index the photographs by their descriptors, in the order of ``sparse_map.names``."""
         index = VladIndex.build(descriptors)
         return References(sparse_map.names, Viewpoints(sparse_map), index)
 

@@ -5,7 +5,10 @@ One pipeline for every kind of local feature; a method is an extractor and a con
 
 from __future__ import annotations
 
-from functools import cache
+import hashlib
+import tempfile
+from dataclasses import dataclass
+from functools import cache as cached
 from pathlib import Path
 
 import numpy as np
@@ -16,18 +19,21 @@ from pydantic import Field
 from baselines.features import Extractor, map_features
 from baselines.lifting import interpolated_points, observed_points
 from baselines.resolution import metres_per_pixel, of_map, scale_to
-from baselines.retrieval import References
+from baselines.retrieval import OnDemand, References
+from baselines.shelf import Shelf, written_shelf
 from baselines.starts import starts
 from baselines.views import north
 from scene.colmap import estimate_absolute_pose
 from scene.config import Config
 from scene.errors import InputError
-from scene.features import Features
+from scene.features import FeatureFile, Features
+from scene.held import MEGABYTE, Held
 from scene.localizer import Estimate, Query, Status, Stopwatch, fault
 from scene.pose import Pose
 from scene.sparse_map import SparseMap
 
 _MIN_MATCHES = 4
+_FORMAT = 1
 # Pictures are magnified by so much at most: there is no more to be seen in them.
 _LARGEST = 2.0
 
@@ -41,6 +47,7 @@ class StructureConfig(Config):
         max_error_px: inlier threshold of PnP.
         min_inliers: fewer count as a failure.
         max_features: per image.
+        memory_mb: that features of the map may take in memory; what is beyond stays on disk.
         use_gnss: let a position prior of known sigma take part in the refinement.
         seed: of RANSAC.
     """
@@ -50,6 +57,7 @@ class StructureConfig(Config):
     max_error_px: float = Field(4.0, gt=0)
     min_inliers: int = Field(12, ge=4)
     max_features: int = Field(8192, ge=100)
+    memory_mb: int = Field(1024, ge=1)
     use_gnss: bool = True
     seed: int = 0
 
@@ -81,34 +89,56 @@ class StructureLocalizer:
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Extract the features of the map's photographs and tie them to its points."""
+        if cache is None:
+            with tempfile.TemporaryDirectory(prefix=f"{self.name}-") as folder:
+                self.prepare(sparse_map, images, Path(folder))
+            return
         features = map_features(sparse_map, images, self._extractor, cache)
-        descriptors = [self._extractor.unit(features[name]) for name in sparse_map.names]
-        # Points that keypoints carry: those of the map, or one for each keypoint.
-        tables, end = [sparse_map.xyz], len(sparse_map.xyz)
-        # Only keypoints with a 3D point can vote for a pose.
-        self._lifted: list[tuple[NDArray[np.int64], torch.Tensor]] = []
-        for name, unit in zip(sparse_map.names, descriptors, strict=True):
-            image, xy = sparse_map.images[name], features[name].xy
-            if self._interpolate:
-                points = interpolated_points(xy, image, sparse_map.xyz)
-                kept = np.flatnonzero(np.isfinite(points).all(1))
-                rows = np.arange(end, end + len(kept))
-                tables.append(points[kept])
-                end += len(kept)
-            else:
-                carried = observed_points(xy, image)
-                kept = np.flatnonzero(carried >= 0)
-                rows = carried[kept]
-            self._lifted.append((rows, unit[kept]))
-        if not any(len(rows) for rows, _ in self._lifted) and _is_observed(sparse_map):
-            raise InputError(
-                f"no keypoint of the photographs in {images} lies where the map has a point: they "
-                "are not the photographs the map was built from, or were resized since"
-            )
-        self._xyz = np.concatenate(tables)
+        key = f"{_FORMAT} {features.path.name} {sparse_map.sha256} {self._interpolate}"
+        path = cache / f"{self.name}-points-{hashlib.sha256(key.encode()).hexdigest()[:16]}.h5"
+        if not path.is_file():
+            self._write_lifted(path, sparse_map, features, images)
         self._map = sparse_map
+        shelf, unit = Shelf(path), self._extractor.unit
+
+        def lifted(row: int) -> _Lifted:
+            descriptors = unit(shelf.read(row, "descriptors"))
+            return _Lifted(shelf.read(row, "point"), shelf.read(row, "xyz"), descriptors)
+
+        def described(row: int) -> NDArray[np.float32]:
+            return unit(features[sparse_map.names[row]].descriptors).numpy()
+
+        self._lifted = Held(lifted, self.config.memory_mb * MEGABYTE)
         self._resolution = of_map(sparse_map, lambda camera: 1.0)
-        self._references = References.build(sparse_map, [unit.numpy() for unit in descriptors])
+        self._references = References.build(sparse_map, OnDemand(described, len(shelf)))
+
+    def _write_lifted(
+        self, path: Path, sparse_map: SparseMap, features: FeatureFile, images: Path
+    ) -> None:
+        """Keep the keypoints that have a 3D point: only these can vote for a pose.
+
+        Points are those of the map, or one for each keypoint.
+        """
+        end, carried = len(sparse_map.xyz), 0
+        with written_shelf(path) as add:
+            for name in sparse_map.names:
+                image, found = sparse_map.images[name], features[name]
+                if self._interpolate:
+                    xyz = interpolated_points(found.xy, image, sparse_map.xyz)
+                    kept = np.flatnonzero(np.isfinite(xyz).all(1))
+                    points, xyz = np.arange(end, end + len(kept)), xyz[kept]
+                    end += len(kept)
+                else:
+                    rows = observed_points(found.xy, image)
+                    kept = np.flatnonzero(rows >= 0)
+                    points, xyz = rows[kept], sparse_map.xyz[rows[kept]]
+                carried += len(kept)
+                add({"point": points, "xyz": xyz, "descriptors": found.descriptors[kept]})
+            if not carried and _is_observed(sparse_map):
+                raise InputError(
+                    f"no keypoint of the photographs in {images} lies where the map has a point: "
+                    "they are not the photographs the map was built from, or were resized since"
+                )
 
     def localize(self, query: Query) -> Estimate:
         """Extract, choose references, match, lift and solve.
@@ -120,7 +150,7 @@ class StructureLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
 
-        @cache
+        @cached
         def as_taken() -> Features:
             with clock.stage("features"):
                 return self._extractor(query.image)
@@ -130,7 +160,9 @@ class StructureLocalizer:
             as_taken()
         with clock.stage("retrieval"):
             chosen = self._references.choose(
-                query, self.config.references, lambda: self._extractor.unit(as_taken()).numpy()
+                query,
+                self.config.references,
+                lambda: self._extractor.unit(as_taken().descriptors).numpy(),
             )
         if not len(chosen):
             return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
@@ -139,13 +171,14 @@ class StructureLocalizer:
         found = []
         for start in starts(query.prior, self._map, chosen):
             with clock.stage("features"):
-                features = self._seen(query, start)
+                features = self._seen(query, chosen, start)
             found.append(self._solved(query, features, chosen, clock))
         return max(found, key=lambda estimate: estimate.inliers)
 
-    def _seen(self, query: Query, start: Pose) -> Features:
+    def _seen(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
         """Features of the query, seen as the photographs were, if a start is right."""
-        own = metres_per_pixel(start, query.camera, self._map.xyz)
+        around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
+        own = metres_per_pixel(start, query.camera, around)
         scale = scale_to(self._resolution, own, _LARGEST)
         angle = north(start.rotation.numpy())
         return self._extractor.seen(query.image, query.camera, angle, scale)
@@ -155,15 +188,16 @@ class StructureLocalizer:
     ) -> Estimate:
         """Match, lift and solve."""
         with clock.stage("matching"):
-            keypoints, rows = self._correspondences(self._extractor.unit(features), chosen)
-        if len(rows) < _MIN_MATCHES:
-            reason = f"{len(rows)} matches to the map, {_MIN_MATCHES} are needed"
+            unit = self._extractor.unit(features.descriptors)
+            keypoints, xyz = self._correspondences(unit, chosen)
+        if len(xyz) < _MIN_MATCHES:
+            reason = f"{len(xyz)} matches to the map, {_MIN_MATCHES} are needed"
             return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
         with clock.stage("pose"):
             gnss = query.prior if self.config.use_gnss else None
             result = estimate_absolute_pose(
                 features.xy[keypoints].astype(np.float64),
-                self._xyz[rows],
+                xyz,
                 query.camera,
                 self.config.max_error_px,
                 gnss.position if gnss else None,
@@ -172,7 +206,7 @@ class StructureLocalizer:
             )
         inliers = int(result.inliers.sum()) if result else 0
         if result is None or inliers < self.config.min_inliers:
-            reason = f"{inliers} of {len(rows)} matches agree, {self.config.min_inliers} are needed"
+            reason = f"{inliers} of {len(xyz)} matches agree, {self.config.min_inliers} are needed"
             return Estimate(Status.FAILED, inliers=inliers, seconds=clock.seconds, reason=reason)
         return Estimate(
             Status.OK,
@@ -184,15 +218,36 @@ class StructureLocalizer:
 
     def _correspondences(
         self, descriptors: torch.Tensor, references: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Unique (query keypoint, point) pairs over all references, (K,) rows of each."""
-        found = []
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Unique pairs over all references: rows of the query's keypoints (K,) and their points
+        (K, 3)."""
+        found, places = [], []
         for reference in references:
-            rows, lifted = self._lifted[reference]
-            pairs = self._extractor.match(descriptors, lifted, self.config.ratio)
-            found.append(np.stack([pairs[:, 0], rows[pairs[:, 1]]], -1))
-        unique = np.unique(np.concatenate(found), axis=0)
-        return unique[:, 0], unique[:, 1]
+            lifted = self._lifted(int(reference))
+            pairs = self._extractor.match(descriptors, lifted.unit, self.config.ratio)
+            found.append(np.stack([pairs[:, 0], lifted.points[pairs[:, 1]]], -1))
+            places.append(lifted.xyz[pairs[:, 1]])
+        unique, first = np.unique(np.concatenate(found), axis=0, return_index=True)
+        return unique[:, 0], np.concatenate(places)[first]
+
+
+@dataclass(frozen=True)
+class _Lifted:
+    """Keypoints of a photograph of the map that have a 3D point, N of them.
+
+    Attributes:
+        points: (N,) numbers of their points; one may be seen in several photographs.
+        xyz: (N, 3) the points, world metres.
+        unit: (N, D) descriptors, of unit length.
+    """
+
+    points: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    unit: torch.Tensor
+
+    @property
+    def nbytes(self) -> int:
+        return self.points.nbytes + self.xyz.nbytes + self.unit.nbytes
 
 
 def _is_observed(sparse_map: SparseMap) -> bool:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
@@ -38,16 +37,26 @@ def shipped(method: str) -> Path:
     return path
 
 
-# Training scripts keep their arguments and scores beside the tensors. A score is NumPy's number: a
-# function that makes it of bytes, under the names it has had, and the types of the number.
+class _Number:
+    """Stands for a number of NumPy's or its type, as training scripts keep their scores.
+
+    NumPy's own types take any state that a file gives them, and crash on a damaged one.
+    """
+
+    def __init__(self, *_: object) -> None:
+        """Whatever the file says, nobody looks at it."""
+
+    def __setstate__(self, _: object) -> None:
+        """Likewise."""
+
+
+# Training scripts keep their arguments and scores beside the tensors. A score is made by a function
+# of the type and bytes, under the names it has had.
 _PLAIN: Final[list[Any]] = [
-    *(
-        (np.float64(0).__reduce__()[0], f"numpy.{core}.multiarray.scalar")
-        for core in ("core", "_core")
-    ),
+    (_Number, "numpy.core.multiarray.scalar"),
+    (_Number, "numpy._core.multiarray.scalar"),
+    (_Number, "numpy.dtype"),
     Namespace,
-    np.dtype,
-    *(type(np.dtype(kind)) for kind in ("f4", "f8", "i4", "i8", "?")),
 ]
 
 

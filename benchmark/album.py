@@ -207,7 +207,9 @@ def read_album(path: Path, sha256: str) -> Album | None:
                 str(attribute(part, "name")): Entry(
                     camera=Camera.parse(str(attribute(part, "camera")).split()),
                     photograph=array(part, "photograph").tobytes(),
-                    neighbour=attribute(part, "neighbour") if "neighbour" in part.attrs else None,
+                    neighbour=(
+                        str(attribute(part, "neighbour")) if "neighbour" in part.attrs else None
+                    ),
                     world=array(part, "world").reshape(-1, 3),
                     truth=array(part, "truth").reshape(-1, 2),
                     seen=array(part, "seen").reshape(-1, 2),

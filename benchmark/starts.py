@@ -14,9 +14,10 @@ from typing import Final, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from baselines.features import map_features
-from baselines.retrieval import VladIndex
+from baselines.retrieval import OnDemand, VladIndex
 from baselines.sift import Sift, SiftConfig
 from benchmark.datasets import BenchmarkQuery, Dataset
 from scene.errors import InputError
@@ -153,10 +154,14 @@ def _similar(
     sift = Sift(SiftConfig().max_features)
     features = map_features(sparse_map, dataset.images, sift, cache)
     names = sparse_map.names
-    index = VladIndex.build([sift.unit(features[name]).numpy() for name in names])
+
+    def described(row: int) -> NDArray[np.float32]:
+        return sift.unit(features[names[row]].descriptors).numpy()
+
+    index = VladIndex.build(OnDemand(described, len(names)))
 
     def similar(query: BenchmarkQuery) -> tuple[str, ...]:
-        descriptors = sift.unit(sift(read_rgb(query.image, query.camera)))
+        descriptors = sift.unit(sift(read_rgb(query.image, query.camera)).descriptors)
         return tuple(names[row] for row in index.rank(descriptors.numpy(), top))
 
     return similar

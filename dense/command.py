@@ -32,7 +32,14 @@ from scene.camera import Camera
 from scene.cluster import crew
 from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
 from scene.errors import InputError
-from scene.files import folder_written_whole, read_text, remove_partial, sole_writer, write_text
+from scene.files import (
+    folder_written_whole,
+    read_text,
+    remove_partial,
+    require_room,
+    sole_writer,
+    write_text,
+)
 from scene.images import read_rgb
 from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
@@ -48,6 +55,8 @@ _STAGES: tuple[Stage, ...] = ("photometric", "geometric")
 # A depth is kept when so many sources confirm it, and a point of the cloud when so many maps do.
 _CONFIRMED = 2
 _FUSED = 3
+# Bytes of a point of the fused cloud with the count of its list, and of a pixel listed there.
+_POINT_BYTES, _LISTED_BYTES = 31, 4
 # Depth maps of the picture for people.
 _SHOWN = 3
 # Seconds are told for a map of so many pixels.
@@ -126,9 +135,12 @@ def _make(
         seconds = _make_maps(maps, cluster)
     else:
         patch_match_stereo(workspace.path)
+    known = 0
     for name in pairs:  # COLMAP would end the process where we say what is damaged
-        workspace.depth(name, "geometric")
+        known += np.count_nonzero(workspace.depth(name, "geometric"))
         workspace.normals(name, "geometric")
+    # Nor does it say that the disk is full. A point is of _FUSED pixels or more, each listed once.
+    require_room(workspace.cloud, known // _FUSED * _POINT_BYTES + known * _LISTED_BYTES)
     xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, _FUSED)
     truth = read_truth(scene, pinhole_map)
     shown = [tuple(pairs)[k] for k in np.linspace(0, len(pairs) - 1, _SHOWN + 2).astype(int)[1:-1]]

@@ -37,6 +37,11 @@ def read_label_png(path: Path, count: int) -> Labels:
     try:
         with Image.open(path, formats=("PNG",)) as image:
             _check_size(image.width, image.height, f"label picture {path}")
+            if not image.tile:
+                raise InputError(f"label picture {path} is damaged: it has no pixels")
+            # Chunks claim up to 4 GB, and what decodes them asks for it at once.
+            image.verify()
+        with Image.open(path, formats=("PNG",)) as image:
             mode, values = image.mode, np.asarray(image)
     except FileNotFoundError:
         raise InputError(f"label picture {path} does not exist") from None

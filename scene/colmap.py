@@ -973,7 +973,8 @@ def _fill_database(
                 done += len(features)
                 report(done)
     descriptors = {
-        name: unit_descriptors(item) for name, item in _read_features(database, root).items()
+        name: unit_descriptors(item.descriptors)
+        for name, item in _read_features(database, root).items()
     }
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = _SEED

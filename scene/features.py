@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import written_whole
-from scene.hdf5 import array, groups
+from scene.hdf5 import array, group, groups
 
 
 @dataclass(frozen=True)
@@ -34,18 +35,37 @@ class Features:
     descriptors: NDArray[Any]
 
 
-def unit_descriptors(features: Features) -> Tensor:
+def unit_descriptors(descriptors: NDArray[Any]) -> Tensor:
     """Descriptors that are vectors as (N, D) float32 of unit length, ready to match."""
-    return torch.nn.functional.normalize(torch.from_numpy(features.descriptors).float(), dim=-1)
+    return torch.nn.functional.normalize(torch.from_numpy(descriptors).float(), dim=-1)
 
 
-def unit_bits(features: Features) -> Tensor:
+def unit_bits(descriptors: NDArray[np.uint8]) -> Tensor:
     """Descriptors that are bits as (N, 8 D) float32 of unit length.
 
     Bits are signs, so that the squared distance of two is 4 / (8 D) of their Hamming distance.
     """
-    bits = torch.from_numpy(np.unpackbits(features.descriptors, axis=1))
+    bits = torch.from_numpy(np.unpackbits(descriptors, axis=1))
     return torch.nn.functional.normalize(2 * bits.float() - 1, dim=-1)
+
+
+@contextmanager
+def written_features(path: Path) -> Iterator[Callable[[str, Features], None]]:
+    """Write a file of features, whole or not at all, by what it gives: a function that adds those
+    of an image.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+
+        def add(name: str, item: Features) -> None:
+            # Names hold slashes, which HDF5 would take for groups.
+            group = file.create_group(name.replace("/", "\\"))
+            group["xy"], group["scale"] = item.xy, item.scale
+            group["descriptors"] = item.descriptors
+
+        yield add
 
 
 def write_features(path: Path, features: Mapping[str, Features]) -> None:
@@ -54,27 +74,50 @@ def write_features(path: Path, features: Mapping[str, Features]) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+    with written_features(path) as add:
         for name, item in features.items():
-            # Names hold slashes, which HDF5 would take for groups.
-            group = file.create_group(name.replace("/", "\\"))
-            group["xy"], group["scale"] = item.xy, item.scale
-            group["descriptors"] = item.descriptors
+            add(name, item)
+
+
+class FeatureFile(Mapping[str, Features]):
+    """What ``write_features`` wrote, read image by image when asked for, and not kept.
+
+    The file stays open, so that it may be removed meanwhile. Threads may share it.
+
+    Raises:
+        InputError: missing or damaged file; also when features are read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = h5py.File(path, "r")
+            self._groups = {name.replace("\\", "/"): name for name, _ in groups(self._file)}
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._groups)
+
+    def __getitem__(self, name: str) -> Features:
+        stored = self._groups[name]
+        try:
+            found = group(self._file, stored)
+            return Features(*(array(found, part) for part in ("xy", "scale", "descriptors")))
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def _damaged(self, error: Exception) -> InputError:
+        return InputError(f"feature file {self.path} is missing or damaged: {error}")
 
 
 def read_features(path: Path) -> dict[str, Features]:
-    """Read what ``write_features`` wrote.
+    """Read all that ``write_features`` wrote.
 
     Raises:
         InputError: missing or damaged file.
     """
-    try:
-        with h5py.File(path, "r") as file:
-            return {
-                name.replace("\\", "/"): Features(
-                    *(array(group, part) for part in ("xy", "scale", "descriptors"))
-                )
-                for name, group in groups(file)
-            }
-    except HDF5_DAMAGE as error:
-        raise InputError(f"feature file {path} is missing or damaged: {error}") from None
+    return dict(FeatureFile(path))

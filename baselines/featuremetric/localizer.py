@@ -27,10 +27,11 @@ from baselines.align.residuals import Level
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Precision
 from baselines.featuremetric.references import references
 from baselines.resolution import metres_per_pixel, scale_to
-from baselines.retrieval import References
+from baselines.retrieval import OnDemand, References
 from baselines.starts import starts
 from baselines.views import View, north
 from scene.config import Config
+from scene.held import MEGABYTE
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, fault
 from scene.pose import Pose
 from scene.projection import Intrinsics
@@ -38,7 +39,6 @@ from scene.sparse_map import SparseMap
 
 # The coarsest level has a cell for so many pixels; an image must have one at least.
 _LEAST_SIDE: Final = 16
-_MEGABYTE: Final = 2**20
 # Poses of pictures of nothing cost 0.98 of chance and more, those of right ones 0.7 to 0.9.
 _BETTER: Final = 0.95
 
@@ -125,12 +125,12 @@ class FeaturemetricLocalizer:
             self.name,
             f"{self.weights_sha256} {config.longest} {config.precision}",
             cache,
-            config.memory_mb * _MEGABYTE,
+            config.memory_mb * MEGABYTE,
         )
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.
-        coarse = [self._observations[row].features[0] for row in range(len(self._observations))]
-        self._retrieval = References.build(sparse_map, [c.astype(np.float32) for c in coarse])
+        described = OnDemand(self._observations.coarse, len(self._observations))
+        self._retrieval = References.build(sparse_map, described)
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:

@@ -6,14 +6,12 @@ Only features at points are needed of the photographs, and these are few.
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from threading import Lock
 from typing import Any, Final
 
-import h5py
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -21,10 +19,10 @@ from numpy.typing import NDArray
 from baselines.featuremetric.corners import all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
+from baselines.shelf import Shelf, written_shelf
 from baselines.views import View, north
-from scene.errors import HDF5_DAMAGE, InputError
-from scene.files import sha256_of, written_whole
-from scene.hdf5 import array, attribute, dataset, group
+from scene.files import sha256_of
+from scene.held import Held
 from scene.images import check_photographs, read_rgb
 from scene.pose import Pose
 from scene.progress import progress_bar
@@ -75,48 +73,27 @@ class ReferenceFeatures:
     """
 
     def __init__(self, path: Path, memory: int) -> None:
-        self._path = path
-        self._memory = memory
-        self._held: OrderedDict[int, Observations] = OrderedDict()
-        self._bytes = 0
-        self._lock = Lock()
-        try:
-            with h5py.File(path) as file:
-                self._ends = array(file, "ends")
-                self._levels = int(attribute(file, "levels"))
-                self.metres_per_pixel = float(attribute(file, "metres_per_pixel"))
-        except HDF5_DAMAGE as error:
-            raise InputError(f"{path} is damaged ({error}): delete it") from None
+        self._shelf = Shelf(path)
+        levels = range(int(self._shelf.attribute("levels")))
+        names = ("xyz", "confidence", *(f"features/{level}" for level in levels))
+        self._held = Held(partial(_read, self._shelf, names), memory)
+        self.metres_per_pixel = float(self._shelf.attribute("metres_per_pixel"))
 
     def __len__(self) -> int:
-        return len(self._ends)
+        return len(self._shelf)
 
     def __getitem__(self, photograph: int) -> Observations:
         """Of a photograph by its row in ``SparseMap.names``."""
-        with self._lock:
-            if photograph in self._held:
-                self._held.move_to_end(photograph)
-                return self._held[photograph]
-            found = self._held[photograph] = self._read(photograph)
-            self._bytes += found.nbytes
-            while self._bytes > self._memory and len(self._held) > 1:
-                _, oldest = self._held.popitem(last=False)
-                self._bytes -= oldest.nbytes
-            return found
+        return self._held(photograph)
 
-    def _read(self, photograph: int) -> Observations:
-        first = int(self._ends[photograph - 1]) if photograph else 0
-        part = slice(first, int(self._ends[photograph]))
-        try:
-            with h5py.File(self._path) as file:
-                features = group(file, "features")
-                return Observations(
-                    dataset(file, "xyz")[part],
-                    tuple(dataset(features, str(level))[part] for level in range(self._levels)),
-                    dataset(file, "confidence")[part],
-                )
-        except HDF5_DAMAGE as error:
-            raise InputError(f"{self._path} is damaged ({error}): delete it") from None
+    def coarse(self, photograph: int) -> NDArray[np.float32]:
+        """The features of a photograph's coarsest level alone, (N, C), which are not kept."""
+        return self._shelf.read(photograph, "features/0").astype(np.float32)
+
+
+def _read(shelf: Shelf, names: Sequence[str], photograph: int) -> Observations:
+    xyz, confidence, *features = (shelf.read(photograph, name) for name in names)
+    return Observations(xyz, tuple(features), confidence)
 
 
 def references(
@@ -176,41 +153,23 @@ def write_references(
 
     ``beside`` are further points (N, 3) of each photograph.
     """
-    config = extract.network.config
     posed = [sparse_map.images[each] for each in sparse_map.names]
     wanted = of_map(sparse_map, lambda camera: min(1.0, extract.largest_scale(camera)))
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
-        file.attrs["levels"] = len(config.strides)
-        file.attrs["metres_per_pixel"] = wanted
-        xyz = file.create_dataset("xyz", (0, 3), np.float64, maxshape=(None, 3))
-        shape = (0, len(config.strides))
-        confidence = file.create_dataset("confidence", shape, np.float16, maxshape=(None, shape[1]))
-        features = [
-            file.create_dataset(f"features/{level}", (0, dim), np.float16, maxshape=(None, dim))
-            for level, dim in enumerate(config.dims)
-        ]
-        ends = []
-        with progress_bar(f"{name} map features", len(posed)) as advance:
-            for done, (image, further) in enumerate(zip(posed, beside, strict=True), 1):
-                rgb = read_rgb(images / image.name, image.camera)
-                own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
-                scale = scale_to(wanted, own, extract.largest_scale(image.camera))
-                looked = extract(rgb, image.camera, north(image.cam_from_world[:3, :3]), scale)
-                placed = np.concatenate([_sure(image, sparse_map), further])
-                seen = observe(*looked, image.pose, placed, points)
-                _append(xyz, seen.xyz)
-                _append(confidence, seen.confidence)
-                for dataset, values in zip(features, seen.features, strict=True):
-                    _append(dataset, values)
-                ends.append(len(xyz))
-                advance(done)
-        file["ends"] = np.array(ends, np.int64)
-
-
-def _append(dataset: h5py.Dataset, values: NDArray[Any]) -> None:
-    end = len(dataset)
-    dataset.resize(end + len(values), axis=0)
-    dataset[end:] = values
+    levels = len(extract.network.config.strides)
+    with (
+        written_shelf(path, levels=levels, metres_per_pixel=wanted) as add,
+        progress_bar(f"{name} map features", len(posed)) as advance,
+    ):
+        for done, (image, further) in enumerate(zip(posed, beside, strict=True), 1):
+            rgb = read_rgb(images / image.name, image.camera)
+            own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+            scale = scale_to(wanted, own, extract.largest_scale(image.camera))
+            looked = extract(rgb, image.camera, north(image.cam_from_world[:3, :3]), scale)
+            placed = np.concatenate([_sure(image, sparse_map), further])
+            seen = observe(*looked, image.pose, placed, points)
+            features = {f"features/{level}": of for level, of in enumerate(seen.features)}
+            add({"xyz": seen.xyz, "confidence": seen.confidence, **features})
+            advance(done)
 
 
 def observe(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +13,7 @@ from baselines.training.loop import LOG, Trainable, join, train_loop
 from baselines.training.planes import PlanePairs
 from baselines.training.rendered import RenderedPairs
 from scene.bundle import Scene
+from scene.files import sole_writer
 
 CARD: Final = "card.md"
 
@@ -38,7 +40,8 @@ def train(
         the file of the weights.
 
     Raises:
-        InputError: a scene is unfinished, distorted or overlaps nowhere; ``out`` holds another run.
+        InputError: a scene is unfinished, distorted or overlaps nowhere; ``out`` holds another run
+            or one that is under way; a process that makes pairs died.
     """
     scenes = [Scene.open(path) for path in data]
     looked_at = [Scene.open(path) for path in validation]
@@ -49,7 +52,9 @@ def train(
         planes = PlanePairs(config.photographs, size, points, config.strength)
     chosen = RenderedPairs(looked_at, size, points, 0.0) if looked_at else None
     described = {"method": method, "scenes": [scene.manifest.seed for scene in scenes]}
-    weights = train_loop(make(config), config, rendered, planes, chosen, out, described)
-    if join().rank == 0:
-        write_card(out / CARD, method, config, scenes, looked_at, weights, out / LOG)
+    first = join().rank == 0
+    with sole_writer(out) if first else nullcontext():
+        weights = train_loop(make(config), config, rendered, planes, chosen, out, described)
+        if first:
+            write_card(out / CARD, method, config, scenes, looked_at, weights, out / LOG)
     return weights

@@ -116,7 +116,8 @@ def train_loop(
         the file of the weights.
 
     Raises:
-        InputError: ``out`` belongs to another run, or cannot be written.
+        InputError: ``out`` belongs to another run, or cannot be written; a process that makes pairs
+            died.
     """
     rank, world = join()
     device = torch.device("cuda", rank % torch.cuda.device_count()) if _gpu() else _CPU
@@ -128,7 +129,8 @@ def train_loop(
     peaks = [group["lr"] for group in optimizer.param_groups]
     first = _restore(out / _CHECKPOINT, network, optimizer, device)
     borders = sorted({0, round(config.warm_up * config.steps), config.steps})
-    with _log(out / LOG, first, rank) as log, progress_bar("training", config.steps) as advance:
+    bar = progress_bar("training", config.steps)
+    with _naming_the_dead(), _log(out / LOG, first, rank) as log, bar as advance:
         for begin, end in pairwise(borders):
             share = config.photograph_share * (1 if begin == 0 else 0.5)
             sources = [rendered, photographs] if photographs else [rendered]
@@ -218,6 +220,20 @@ def _loader(drawn: _Drawn, stretch: _Stretch, workers: int) -> DataLoader[Pair]:
         multiprocessing_context="spawn" if workers else None,
         prefetch_factor=3 if workers else None,
     )
+
+
+@contextmanager
+def _naming_the_dead() -> Iterator[None]:
+    """One line for a process that makes pairs and died, wherever torch's handler says so."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        raise InputError(
+            f"a process that makes pairs died ({str(error).splitlines()[0]}): the same command "
+            "goes on from the last checkpoint; where memory ran out, with fewer workers"
+        ) from error
 
 
 def _step(method: Trainable, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:

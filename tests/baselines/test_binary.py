@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from baselines.binary import Akaze, Binary, Orb
-from scene.features import Features, unit_bits
+from scene.features import unit_bits
 from scene.images import read_rgb
 
 GATE = Path(__file__).parents[1] / "data" / "gate" / "images" / "map" / "images"
@@ -46,7 +46,7 @@ def test_matches_are_those_of_hamming_distance(
 ) -> None:
     noisy = cv2.GaussianBlur(photograph, (0, 0), 0.7).astype(np.uint8)
     a, b = extract(photograph), extract(noisy)
-    pairs = extract.match(extract.unit(a), extract.unit(b), 0.8)
+    pairs = extract.match(extract.unit(a.descriptors), extract.unit(b.descriptors), 0.8)
     bits = [np.unpackbits(f.descriptors, axis=1).astype(np.int64) for f in (a, b)]
     hamming = (bits[0][:, None] != bits[1][None]).sum(-1)
     best, rows = hamming.argmin(1), np.arange(len(hamming))
@@ -62,7 +62,7 @@ def test_matches_are_those_of_hamming_distance(
 def test_bits_of_unit_length_keep_hamming_distance() -> None:
     rng = np.random.default_rng(0)
     packed = rng.integers(0, 256, (5, 61), dtype=np.uint8)
-    unit = unit_bits(Features(np.zeros((5, 2), np.float32), np.ones(5, np.float32), packed))
+    unit = unit_bits(packed)
     bits = np.unpackbits(packed, axis=1)
     hamming = (bits[:, None] != bits[None]).sum(-1)
     squared = np.square(unit.numpy()[:, None] - unit.numpy()[None]).sum(-1)
@@ -73,7 +73,7 @@ def test_bits_of_unit_length_keep_hamming_distance() -> None:
 def test_a_blank_photograph_has_no_features(extract: Binary) -> None:
     features = extract(np.full((120, 160, 3), 90, np.uint8))
     assert features.xy.shape == (0, 2)
-    assert len(extract.unit(features)) == 0
+    assert len(extract.unit(features.descriptors)) == 0
 
 
 @pytest.mark.parametrize("extract", [Orb(150), Akaze(150, 1e-4)], ids=["orb", "akaze"])

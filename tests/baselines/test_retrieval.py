@@ -73,6 +73,17 @@ def test_a_map_of_fewer_descriptors_than_words() -> None:
     assert sorted(index.rank(few[1], 2)) == [0, 1]
 
 
+def test_a_map_of_more_photographs_than_landmarks(
+    photographs: list[NDArray[np.float32]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fewer numbers a photograph, which is still found again by half of it."""
+    monkeypatch.setattr("baselines.retrieval._LANDMARKS", 8)
+    index = VladIndex.build(photographs)
+    assert index.vectors.shape == (12, 8)
+    found = [int(index.rank(each[:75], 1)[0]) for each in photographs]
+    assert np.mean(np.array(found) == np.arange(12)) > 0.7
+
+
 def map_of(poses: dict[str, NDArray[np.float64]], ground: NDArray[np.float64]) -> SparseMap:
     camera = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
     nothing, none = np.zeros((0, 2)), np.zeros(0, np.int64)

@@ -43,6 +43,17 @@ def test_checkpoint_of_a_training_script(tmp_path: Path) -> None:
     assert set(read_weights(path).tensors) == set(weights.tensors)
 
 
+def test_the_type_of_a_number_is_damaged(tmp_path: Path) -> None:
+    """NumPy's own would end the process."""
+    path = tmp_path / "w.pth"
+    content = {"model": {"w": torch.ones(2)}, "score": np.float64(0.5)}
+    torch.save(content, path, _use_new_zipfile_serialization=False)
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"NNNJ", b"NJ"))
+    assert path.read_bytes() != whole
+    assert set(read_weights(path).tensors) == {"w"}
+
+
 def test_code_is_refused(tmp_path: Path) -> None:
     path, made = tmp_path / "checkpoint_best.tar", tmp_path / "made"
     torch.save({"model": {"a": torch.zeros(2)}, "eval": _Runs(made)}, path)

@@ -138,3 +138,12 @@ def test_text_of_variable_length_is_not_read(album: Album, tmp_path: Path) -> No
         file.attrs["dataset_sha256"] = album.sha256
     with pytest.raises(InputError, match="album .* is damaged .*variable length"):
         read_album(path, album.sha256)
+
+
+def test_a_neighbour_that_is_no_name(album: Album, tmp_path: Path) -> None:
+    path = tmp_path / ALBUM
+    write_album(path, album)
+    with h5py.File(path, "r+") as file:
+        next(iter(file["queries"].values())).attrs["neighbour"] = [1, 2, 3]
+    with pytest.raises(InputError, match="lacks a map photograph"):
+        read_album(path, album.sha256)

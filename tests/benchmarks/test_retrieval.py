@@ -16,8 +16,8 @@ from scene.localizer import Prior, Query
 from scene.sparse_map import MapImage, SparseMap
 
 CAMERA = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
-# Metres between photographs of a survey, points of each of them, numbers of SIFT's VLAD.
-SPACING, POINTS, LENGTH = 20.0, 300, 64 * 128
+# Metres between photographs of a survey, points of each of them.
+SPACING, POINTS = 20.0, 30
 BOTH = pytest.mark.parametrize("photographs", [100, 10_000])
 
 
@@ -35,9 +35,11 @@ def survey(photographs: int) -> References:
     ground = rng.uniform(0, 1, (count, 3)) * [SPACING * side, SPACING * side, 3]
     zeros = np.zeros(count)
     sparse_map = SparseMap(images, ground, np.zeros((count, 3), np.uint8), zeros, zeros.astype(int))
-    vectors = rng.standard_normal((photographs, LENGTH), np.float32)
     words = rng.standard_normal((64, 128), np.float32)
-    return References(sparse_map.names, Viewpoints(sparse_map), VladIndex(words, vectors))
+    basis = rng.standard_normal((words.size, min(photographs, 512)), np.float32)
+    vectors = rng.standard_normal((photographs, basis.shape[1]), np.float32)
+    index = VladIndex(words, basis, vectors)
+    return References(sparse_map.names, Viewpoints(sparse_map), index)
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ from dense.undistort import pinhole_of, undistorted_map
 from dense.workspace import Workspace
 from scene.bundle import Scene
 from scene.colmap import PosedImage, write_posed
-from scene.errors import InputError
+from scene.errors import InputError, WriteError
 from scene.files import sole_writer
 from scene.sparse_map import SparseMap
 
@@ -87,12 +90,32 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     rendered_copy: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Stopped by a full disk among the first maps, by a signal among the last, and by a full disk
+    before they are fused."""
     undisturbed, _ = scene_and_report
-    written = []
-    write = Workspace.write
+    written: list[str] = []
+    write, write_bytes = Workspace.write, Path.write_bytes
+
+    def write_until_full(path: Path, data: bytes) -> int:
+        if len(written) == 13:  # six photometric maps are done, and the normals of the seventh
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if "stereo" in path.parts:
+            written.append(path.name)
+        return write_bytes(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("dense.workspace.Path.write_bytes", write_until_full)
+        with pytest.raises(WriteError, match="No space left"):
+            dense(rendered_copy, size=SIZE)
+    assert Scene.open(rendered_copy).changed_files() == []
+    stereo = rendered_copy / UNFINISHED / "stereo"
+    assert len(list((stereo / "depth_maps").rglob("*.bin"))) == 6
+    assert len(list((stereo / "normal_maps").rglob("*.bin"))) == 7
+    assert not list(stereo.rglob(".*"))
+    written.clear()
 
     def write_until_tired(workspace: Workspace, name: str, *rest: object) -> None:
-        if len(written) == 15:  # three geometric maps are done
+        if len(written) == 15 - 6:  # three geometric maps are done
             raise KeyboardInterrupt
         written.append(name)
         write(workspace, name, *rest)  # type: ignore[arg-type]
@@ -104,6 +127,14 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     (rendered_copy / UNFINISHED / "stereo" / ".half.bin.abcd1234").write_bytes(b"half")
     written.clear()
     monkeypatch.setattr(Workspace, "write", lambda *a: (written.append(a[1]), write(*a)))
+
+    def full_after_the_last_map(_: Path) -> SimpleNamespace:
+        return SimpleNamespace(free=1000 if len(written) == 24 - 15 else 2**40)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("scene.files.shutil.disk_usage", full_after_the_last_map)
+        with pytest.raises(WriteError, match="dense.*fused.* are needed"):
+            dense(rendered_copy, size=SIZE)
     dense(rendered_copy, size=SIZE)
     assert len(written) == 24 - 15
     assert digests(rendered_copy) == digests(undisturbed.path)

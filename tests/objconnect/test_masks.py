@@ -126,6 +126,19 @@ def test_label_pictures_of_absurd_size(tmp_path: Path) -> None:
         read_label_png(path, 8)
 
 
+def test_label_pictures_that_claim_gigabytes(tmp_path: Path) -> None:
+    path = tmp_path / "labels.png"
+    Image.fromarray(np.ones((6, 8), np.uint16)).save(path)
+    data = path.read_bytes()
+    at = data.index(b"IDAT")
+    path.write_bytes(data[: at - 4] + (2**31).to_bytes(4, "big") + data[at:])
+    with pytest.raises(InputError, match=r"labels\.png is damaged"):
+        read_label_png(path, 8)
+    path.write_bytes(data[: at - 4] + data[-12:])
+    with pytest.raises(InputError, match="no pixels"):
+        read_label_png(path, 8)
+
+
 def test_label_pictures(tmp_path: Path) -> None:
     path = tmp_path / "labels.png"
     values = np.array([[0, 300, 300], [2, 0, 0]])

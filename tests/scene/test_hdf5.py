@@ -41,6 +41,13 @@ def virtual(file: h5py.File, name: str, secret: Path) -> None:
     file.create_virtual_dataset(name, layout)
 
 
+def of_itself(file: h5py.File, name: str, secret: Path) -> None:
+    """The library follows it without end, until the process dies."""
+    layout = h5py.VirtualLayout((3,), "f8")
+    layout[...] = h5py.VirtualSource(".", f"{file.name}/{name}", (3,))
+    file.create_virtual_dataset(name, layout)
+
+
 def soft_link(file: h5py.File, name: str, secret: Path) -> None:
     file[name] = h5py.SoftLink("/gps_sigma")
 
@@ -68,8 +75,8 @@ def empty(file: h5py.File, name: str, secret: Path) -> None:
 
 Spoil = Callable[[h5py.File, str, Path], None]
 SPOILERS = [
-    *(external_link, external_bytes, virtual, soft_link, huge, huge_chunk, variable_length),
-    *(a_group, empty),
+    *(external_link, external_bytes, virtual, of_itself, soft_link, huge, huge_chunk),
+    *(variable_length, a_group, empty),
 ]
 
 

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +22,7 @@ from baselines.weights import read_weights
 from benchmark.registry import TRAINABLE, trainable
 from scene.bundle import Scene
 from scene.errors import InputError
+from scene.files import sole_writer
 
 ROOT = Path(__file__).parents[3]
 TINY = TrainConfig(
@@ -83,6 +86,33 @@ def test_a_killed_run_resumes_to_the_same_weights(rendered: Scene, tmp_path: Pat
         assert torch.allclose(found[name], tensor, atol=1e-5), name
     steps = [json.loads(line)["step"] for line in (broken / LOG).read_text().splitlines()]
     assert steps == list(range(TINY.steps))
+
+
+class _Bereaved(PixlocTraining):
+    """Kills the processes that make pairs in the middle of a run."""
+
+    def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
+        if progress >= 0.5:
+            for child in multiprocessing.active_children():
+                os.kill(child.pid or 0, signal.SIGKILL)
+        return super().loss(batch, progress)
+
+
+def test_a_killed_maker_of_pairs_is_one_line(rendered: Scene, tmp_path: Path) -> None:
+    """At step 4, when pairs of the next two are made or on their way: those of the last are not."""
+    config = TINY.model_copy(update={"steps": 8, "workers": 1, "warm_up": 0.0})
+    with pytest.raises(InputError, match="makes pairs died .*the same command goes on"):
+        train("pixloc", _Bereaved, [rendered.path], tmp_path, config)
+    assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["done"] in (4, 6)
+    assert read_weights(train("pixloc", PixlocTraining, [rendered.path], tmp_path, config)).tensors
+    steps = [json.loads(line)["step"] for line in (tmp_path / LOG).read_text().splitlines()]
+    assert sorted(set(steps)) == list(range(8))
+
+
+def test_two_trainings_do_not_write_one_folder(rendered: Scene, tmp_path: Path) -> None:
+    with sole_writer(tmp_path), pytest.raises(InputError, match="another run is writing"):
+        train("pixloc", PixlocTraining, [rendered.path], tmp_path, TINY)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_folder_of_another_run_is_refused(rendered: Scene, tmp_path: Path) -> None:
