@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from baselines.views import north
 from scene.localizer import Prior
-from scene.pose import Pose
+from scene.pose import Pose, so3_exp
 from scene.sparse_map import SparseMap
 
 # An altitude that is known worse than this share of the height above ground is none.
 _NO_ALTITUDE: Final = 0.2
 _SAME_HEADING: Final = math.radians(45)
+_TURN: Final = math.radians(30)
 
 
 def starts(prior: Prior | None, sparse_map: SparseMap, chosen: NDArray[np.int64]) -> list[Pose]:
@@ -46,6 +47,24 @@ def starts(prior: Prior | None, sparse_map: SparseMap, chosen: NDArray[np.int64]
         rotations = [pose.rotation for pose in _distinct(posed)]
     centre = torch.from_numpy(position)
     return [Pose(rotation, -rotation @ centre) for rotation in rotations]
+
+
+def every_way(begun: Sequence[Pose]) -> list[Pose]:
+    """These, and the first of them turned about the vertical until every heading is near one's.
+
+    For what guides no further than some degrees, where nobody knows the heading.
+    """
+    first = begun[0]
+    centre = first.centre()
+    headings = [north(pose.rotation.numpy()) for pose in begun]
+    poses = list(begun)
+    for turn in torch.arange(_TURN, math.tau - 1e-9, _TURN, dtype=torch.float64):
+        rotation = first.rotation @ so3_exp(turn * torch.tensor([0, 0, 1], dtype=torch.float64))
+        heading = north(rotation.numpy())
+        if all(abs(math.remainder(heading - other, math.tau)) > _TURN / 4 for other in headings):
+            headings.append(heading)
+            poses.append(Pose(rotation, -rotation @ centre))
+    return poses
 
 
 def _distinct(posed: Sequence[Pose]) -> list[Pose]:

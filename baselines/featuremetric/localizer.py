@@ -24,11 +24,12 @@ from baselines.align.aligner import Alignment, align
 from baselines.align.descent import Options
 from baselines.align.hypotheses import Reach, align_from_many
 from baselines.align.residuals import Level
+from baselines.align.sampling import per_axis
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Precision
 from baselines.featuremetric.references import references
 from baselines.resolution import metres_per_pixel, scale_to
 from baselines.retrieval import OnDemand, References
-from baselines.starts import starts
+from baselines.starts import every_way, starts
 from baselines.views import View, north
 from scene.config import Config
 from scene.held import MEGABYTE
@@ -39,8 +40,9 @@ from scene.sparse_map import SparseMap
 
 # The coarsest level has a cell for so many pixels; an image must have one at least.
 _LEAST_SIDE: Final = 16
-# Poses of pictures of nothing cost 0.98 of chance and more, those of right ones 0.7 to 0.9.
-_BETTER: Final = 0.95
+# Poses of pictures of nothing cost 0.98 of chance and more, 0.95 where little is in view; those of
+# right ones 0.64 to 0.87.
+_BETTER: Final = 0.93
 
 # Variance of a pose in parts of what alignment alone says, which knows neither what the map is off
 # nor shadows and snow that pull all points one way: so it was on town 102, kept for such choices.
@@ -49,6 +51,8 @@ _DOUBT: Final = 3.0
 _COMPARED: Final = 512
 # A grid of starts that is spread wider has gaps.
 _FARTHEST: Final = Reach(40.0, 30.0)
+# Degrees of attitude to look around each of the headings tried, which are 30 apart.
+_BETWEEN_HEADINGS: Final = 25.0
 
 _Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
 
@@ -146,6 +150,8 @@ class FeaturemetricLocalizer:
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             begin = starts(query.prior, self._map, chosen)
+            if self.config.multistart and _heading_unknown(query.prior):
+                begin = every_way(begin)
         tried = [self._attempt(query, chosen, start, clock) for start in begin]
         best = min(tried, key=lambda attempt: (bool(attempt.reason), attempt.fit))
         found, view = best.found, best.view
@@ -281,6 +287,10 @@ class FeaturemetricLocalizer:
         )
 
 
+def _heading_unknown(prior: Prior | None) -> bool:
+    return prior is not None and prior.cam_from_world_rotation is None
+
+
 def _reach(prior: Prior | None) -> Reach:
     """How far a prior may be off: two of its standard deviations, where they are known."""
     usual = Reach()
@@ -291,7 +301,8 @@ def _reach(prior: Prior | None) -> Reach:
         # An axis that was not measured is infinitely unsure: nothing says how far to look.
         known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
         metres = max([metres, *(2 * float(sigma) for sigma in known)])
-    degrees = max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0))
+    between = _BETWEEN_HEADINGS if _heading_unknown(prior) else usual.degrees
+    degrees = max(between, 2 * (prior.attitude_sigma_deg or 0.0))
     return Reach(min(metres, _FARTHEST.metres), min(degrees, _FARTHEST.degrees))
 
 
@@ -301,10 +312,24 @@ def _fit(problem: _Problem, pose: Pose) -> float:
     still = replace(options, iterations=0)
     judge = len(levels) // 2
     level, held_back = levels[judge], damping[judge]
-    # Neighbours in the list are of different parts of the picture, and may still look alike.
-    others = torch.roll(level.reference, level.reference.shape[1] // 2, 1)
-    ours, theirs = (
-        align([each], points, intrinsics, pose, [held_back], still).cost
-        for each in (level, replace(level, reference=others))
-    )
-    return float(ours) / max(float(theirs), 1e-12)
+    projected = intrinsics.project(pose.transform(points))
+    size = torch.tensor(level.features.shape[:1:-1], dtype=points.dtype)
+    cells = projected.xy / per_axis(level.stride, points)
+    seen = (projected.valid & (cells > 1).all(-1) & (cells < size - 1).all(-1))[0]
+    if not bool(seen.any()):
+        return math.inf
+    # Those seen change places among themselves, and keep how far they are trusted: where all of the
+    # picture looks the same, so do they. Neighbours in the list are of different parts of it.
+    order = torch.nonzero(seen)[:, 0]
+    other = torch.roll(order, len(order) // 2)
+
+    def cost(which: torch.Tensor) -> float:
+        trust = level.reference_confidence
+        chosen = replace(
+            level,
+            reference=level.reference[:, which],
+            reference_confidence=None if trust is None else trust[:, which],
+        )
+        return float(align([chosen], points[:, order], intrinsics, pose, [held_back], still).cost)
+
+    return cost(order) / max(cost(other), 1e-12)

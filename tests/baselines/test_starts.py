@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from baselines.prior import PriorConfig, PriorLocalizer
-from baselines.starts import starts
+from baselines.starts import every_way, starts
 from baselines.views import north
 from scene.camera import Camera
 from scene.localizer import Prior, Query, Status
@@ -94,3 +94,15 @@ def test_the_floor_is_the_first_start(sparse_map: SparseMap) -> None:
     assert floor.localize(replace(query, prior=None)).status is Status.FAILED
     assert floor.localize(replace(query, references=())).status is Status.FAILED
     assert "not finite" in floor.localize(replace(query, prior=Prior(POSITION * np.nan))).reason
+
+
+def test_no_heading_is_far_from_one_that_is_tried(sparse_map: SparseMap) -> None:
+    begun = starts(Prior(POSITION), sparse_map, EVERY)
+    poses = every_way(begun)
+    assert poses[: len(begun)] == begun
+    tried = np.array(headings(poses))
+    apart = (np.arange(360)[:, None] - tried + 180) % 360 - 180
+    assert np.abs(apart).min(1).max() <= 23
+    assert len(poses) <= 12 + len(begun)
+    for pose in poses:
+        np.testing.assert_allclose(pose.centre().numpy(), POSITION)

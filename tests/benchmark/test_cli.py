@@ -357,8 +357,8 @@ def test_simulate_hands_over_what_was_given(
     result = invoke(*words, "--frames", 8, *sessions, "--json")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["sessions"] == ["summer-noon-nadir-map"]
-    ((settings, out, jobs),) = calls
-    assert (out, jobs) == (tmp_path / "scene", 2)
+    ((settings, out, jobs, cluster),) = calls
+    assert (out, jobs, cluster) == (tmp_path / "scene", 2, None)
     assert (settings.seed, settings.spp, settings.frames) == (7, 9, 8)
     assert [(s.condition, s.flight.kind, s.role) for s in settings.sessions] == [
         ("summer-noon", "nadir", "map"),
