@@ -34,7 +34,9 @@ from scene.progress import progress_bar
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
 
-Count = Annotated[int, Field(ge=0)]
+# Beyond it a file's numbers are no counts, and some that JSON can say no floats either.
+_MOST = 10**12
+Count = Annotated[int, Field(ge=0, le=_MOST)]
 
 
 class Size(NamedTuple):
@@ -70,7 +72,7 @@ class Level(_File):
 
     prior_t_m: float = Field(ge=0)
     prior_r_deg: float = Field(ge=0)
-    queries: int = Field(ge=1)
+    queries: int = Field(ge=1, le=_MOST)
     failed: Count
     fallback: Count
     correct: dict[str, Count]

@@ -108,7 +108,15 @@ def test_sizes_from_words() -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"queries": 0}, {"correct": {}}, {"failed": 3}, {"prior_t_m": -1}, {"colour": 1}]
+    "change",
+    [
+        {"queries": 0},
+        {"queries": 10**400},
+        {"correct": {}},
+        {"failed": 3},
+        {"prior_t_m": -1},
+        {"colour": 1},
+    ],
 )
 def test_counts_that_contradict_themselves(
     made_flight: Path, tmp_path: Path, change: dict[str, object]
