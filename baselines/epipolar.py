@@ -25,7 +25,7 @@ from baselines.sift import Sift
 from scene.colmap import estimate_relative_pose
 from scene.config import Config
 from scene.features import Features
-from scene.held import MEGABYTE, Held
+from scene.held import Held, room
 from scene.localizer import Estimate, Query, Status, Stopwatch, fault
 from scene.pose import Pose
 from scene.sparse_map import MapImage, SparseMap
@@ -45,7 +45,8 @@ class EpipolarConfig(Config):
         agree_deg: by how much references may differ on the query's attitude and direction.
         least_angle_deg: rays that cross at less do not say where.
         max_features: per image.
-        memory_mb: that features of the map may take in memory; what is beyond stays on disk.
+        memory_mb: for the whole process: features of the map stay in memory as far as there is room
+            below it (``scene.held.room``).
         seed: of RANSAC.
     """
 
@@ -56,7 +57,7 @@ class EpipolarConfig(Config):
     agree_deg: float = Field(5.0, gt=0)
     least_angle_deg: float = Field(5.0, gt=0)
     max_features: int = Field(8192, ge=100)
-    memory_mb: int = Field(1024, ge=1)
+    memory_mb: int = Field(2048, ge=1)
     seed: int = 0
 
 
@@ -94,7 +95,7 @@ class EpipolarLocalizer:
         def described(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._seen = Held(seen, self.config.memory_mb * MEGABYTE)
+        self._seen = Held(seen, room(self.config.memory_mb))
         count = len(sparse_map.names)
         self._references = References.build(sparse_map, OnDemand(described, count))
 

@@ -27,7 +27,7 @@ from scene.colmap import estimate_absolute_pose
 from scene.config import Config
 from scene.errors import InputError
 from scene.features import FeatureFile, Features
-from scene.held import MEGABYTE, Held
+from scene.held import Held, room
 from scene.localizer import Estimate, Query, Status, Stopwatch, fault
 from scene.pose import Pose
 from scene.sparse_map import SparseMap
@@ -47,7 +47,8 @@ class StructureConfig(Config):
         max_error_px: inlier threshold of PnP.
         min_inliers: fewer count as a failure.
         max_features: per image.
-        memory_mb: that features of the map may take in memory; what is beyond stays on disk.
+        memory_mb: for the whole process: features of the map stay in memory as far as there is room
+            below it (``scene.held.room``).
         use_gnss: let a position prior of known sigma take part in the refinement.
         seed: of RANSAC.
     """
@@ -57,7 +58,7 @@ class StructureConfig(Config):
     max_error_px: float = Field(4.0, gt=0)
     min_inliers: int = Field(12, ge=4)
     max_features: int = Field(8192, ge=100)
-    memory_mb: int = Field(1024, ge=1)
+    memory_mb: int = Field(2048, ge=1)
     use_gnss: bool = True
     seed: int = 0
 
@@ -108,7 +109,7 @@ class StructureLocalizer:
         def described(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._lifted = Held(lifted, self.config.memory_mb * MEGABYTE)
+        self._lifted = Held(lifted, room(self.config.memory_mb))
         self._resolution = of_map(sparse_map, lambda camera: 1.0)
         self._references = References.build(sparse_map, OnDemand(described, len(shelf)))
 

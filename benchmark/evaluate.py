@@ -18,7 +18,6 @@ import torch
 from benchmark.album import ALBUM, keep_album
 from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.journal import Journal
-from benchmark.memory import peak_megabytes, reset_peak
 from benchmark.pictures import median_query, query_overlay
 from benchmark.registry import create, known
 from benchmark.results import (
@@ -35,6 +34,7 @@ from benchmark.uncertainty import normalised_error
 from scene.cluster import crew, shares
 from scene.errors import InputError
 from scene.localizer import Estimate, Localizer, Query, Status
+from scene.memory import peak_megabytes, reset_peak
 from scene.pose import Pose
 from scene.progress import progress_bar
 from scene.sparse_map import SparseMap

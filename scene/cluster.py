@@ -188,19 +188,23 @@ def _require_answer(address: str) -> None:
 def shares(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
     """Divide items into units, large ones first: nobody waits long for the last one to be done.
 
+    Every round is of as many equal units as there are cores, of half of what is left between them;
+    the last round takes all (Hummel et al., "Factoring", CACM 1992).
+
     Args:
         items: in order.
         cores: to share among.
         least: items that are worth a unit, where there are enough for every core.
         most: items of a unit.
     """
-    least = max(1, min(least, math.ceil(len(items) / cores)))
-    units = []
+    units: list[Sequence[Item]] = []
     start = 0
     while start < len(items):
-        size = min(most, max(least, math.ceil((len(items) - start) / (2 * cores))))
-        units.append(items[start : start + size])
-        start += size
+        each = math.ceil((len(items) - start) / cores)
+        size = min(most, each if each <= 2 * least else math.ceil(each / 2))
+        end = min(len(items), start + cores * size)
+        units += [items[first : min(end, first + size)] for first in range(start, end, size)]
+        start = end
     return units
 
 

@@ -7,6 +7,8 @@ from collections.abc import Callable, Hashable
 from threading import Lock
 from typing import Final, Generic, Protocol, TypeVar
 
+from scene.memory import resident_bytes
+
 MEGABYTE: Final = 2**20
 
 
@@ -17,6 +19,14 @@ class _Sized(Protocol):
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V", bound=_Sized)
+
+
+def room(bound_mb: int) -> int:
+    """Bytes that values may take so that the whole process, as it is now, stays below a bound.
+
+    Half of what is left below it: the other half is for what a query needs while it is asked.
+    """
+    return max(0, (bound_mb * MEGABYTE - resident_bytes()) // 2)
 
 
 class Held(Generic[K, V]):

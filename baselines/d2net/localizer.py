@@ -32,13 +32,15 @@ class D2NetConfig(StructureConfig):
 
     Attributes:
         weights: file of weights, ours or a checkpoint of the authors; None for those shipped.
-        scales: sizes of the levels of the pyramid, small to large.
-        max_edge: larger images are made so large (px) first.
+        scales: sizes of the levels of the pyramid, small to large. A keypoint is about as exact as
+            a cell is large, four pixels of its level: at twice the size poses are twice as exact.
+        max_edge: no image and no level is made larger (px); where the largest would be, all levels
+            become smaller alike.
     """
 
     weights: Path | None = None
-    scales: tuple[float, ...] = Field((1.0,), min_length=1)
-    max_edge: int = Field(1600, ge=64)
+    scales: tuple[float, ...] = Field((2.0,), min_length=1)
+    max_edge: int = Field(2048, ge=64)
     # The authors match mutual nearest neighbours without a ratio test; it pays over repeated roofs.
     ratio: float = Field(0.9, gt=0, le=1)
     max_error_px: float = Field(8.0, gt=0)
@@ -71,7 +73,7 @@ class D2NetExtractor(Extractor):
             rgb = np.asarray(cv2.resize(rgb, smaller.tolist(), interpolation=cv2.INTER_AREA))
         image = torch.from_numpy(rgb.astype(np.float32, order="C") / 255).permute(2, 0, 1)
         with torch.inference_mode():
-            found = detect(self._network, image.to(self._device), self._config.scales)
+            found = detect(self._network, image.to(self._device), self._scales(smaller.max()))
             strongest = found.scores.argsort(descending=True, stable=True)
             xy, scale, descriptors = (
                 values[strongest].cpu().numpy()
@@ -83,6 +85,12 @@ class D2NetExtractor(Extractor):
         magnified = (size / smaller).astype(np.float32)
         # Half precision moves a descriptor by less than a thousandth, and halves the cache.
         return Features(xy * magnified, scale * magnified.max(), descriptors.astype(np.float16))
+
+    def _scales(self, edge: int) -> list[float]:
+        """Of the levels of an image with that longer side (px)."""
+        wanted = self._config.scales
+        fitting = min(1.0, self._config.max_edge / (edge * wanted[-1]))
+        return [scale * fitting for scale in wanted]
 
 
 def _has_contrast(rgb: NDArray[np.uint8], xy: NDArray[np.float32]) -> NDArray[np.bool_]:

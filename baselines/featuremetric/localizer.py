@@ -32,7 +32,6 @@ from baselines.retrieval import OnDemand, References
 from baselines.starts import every_way, starts
 from baselines.views import View, north
 from scene.config import Config
-from scene.held import MEGABYTE
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, fault
 from scene.pose import Pose
 from scene.projection import Intrinsics
@@ -69,7 +68,8 @@ class FeaturemetricConfig(Config):
         iterations: at most, per level.
         multistart: look around the start too, for priors beyond the reach of the features.
         precision: of the convolutions.
-        memory_mb: that features of the map may take in memory; what is beyond stays on disk.
+        memory_mb: for the whole process: features of the map stay in memory as far as there is room
+            below it (``scene.held.room``).
     """
 
     weights: Path | None = None
@@ -80,7 +80,7 @@ class FeaturemetricConfig(Config):
     iterations: int = Field(100, ge=1)
     multistart: bool = False
     precision: Precision = "float32"
-    memory_mb: int = Field(1024, ge=1)
+    memory_mb: int = Field(2048, ge=1)
 
 
 class _Attempt(NamedTuple):
@@ -129,7 +129,7 @@ class FeaturemetricLocalizer:
             self.name,
             f"{self.weights_sha256} {config.longest} {config.precision}",
             cache,
-            config.memory_mb * MEGABYTE,
+            config.memory_mb,
         )
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.
@@ -246,7 +246,10 @@ class FeaturemetricLocalizer:
         # The view must not fall below what the network needs.
         least = _LEAST_SIDE / min(camera.width, camera.height)
         scale = max(scale_to(self._observations.metres_per_pixel, own, largest), least)
-        return self._extract(query.image, camera, north(start.rotation.numpy()), scale)
+        view, maps = self._extract(query.image, camera, north(start.rotation.numpy()), scale)
+        # Once for all problems that are made of them.
+        unit = torch.nn.functional.normalize
+        return view, [replace(each, features=unit(each.features, dim=1)) for each in maps]
 
     def _problem(
         self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose, count: int
@@ -270,7 +273,7 @@ class FeaturemetricLocalizer:
             reference = np.concatenate([seen.features[number] for seen in observed])[kept]
             levels.append(
                 Level(
-                    torch.nn.functional.normalize(level.features, dim=1),
+                    level.features,
                     level.stride,
                     torch.from_numpy(reference).float()[None],
                     level.confidence,

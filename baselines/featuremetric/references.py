@@ -22,7 +22,7 @@ from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
 from baselines.shelf import Shelf, written_shelf
 from baselines.views import View, north
 from scene.files import sha256_of
-from scene.held import Held
+from scene.held import Held, room
 from scene.images import check_photographs, read_rgb
 from scene.pose import Pose
 from scene.progress import progress_bar
@@ -105,7 +105,7 @@ def references(
     name: str,
     key: str,
     cache: Path,
-    memory: int,
+    memory_mb: int,
 ) -> ReferenceFeatures:
     """Observations of a map's photographs, from the cache where it holds them.
 
@@ -118,7 +118,7 @@ def references(
         name: of the method, to call files and progress by.
         key: of everything else that decides the features: weights and options.
         cache: folder of files named by a digest of all of it.
-        memory: bytes that observations in memory may take.
+        memory_mb: for the whole process; observations stay in memory as far as there is room.
 
     Raises:
         InputError: a photograph is missing, broken, or not of its camera's size.
@@ -137,7 +137,7 @@ def references(
             kept = file("corners", corners, extract.longest)
             beside = all_corners(sparse_map, images, corners, extract.longest, kept)
         write_references(path, sparse_map, images, extract, points, beside, name)
-    return ReferenceFeatures(path, memory)
+    return ReferenceFeatures(path, room(memory_mb))
 
 
 def write_references(

@@ -15,7 +15,7 @@ from objconnect.segmentation import NOTHING, Labels, at_pixels, segment
 from objconnect.supplement.association import Detections
 
 # Radii of spots (px), and how much wider what they are held against is.
-_SIGMAS: Final = (0.8, 1.3, 2.1)
+SIGMAS: Final = (0.8, 1.3, 2.1)
 _WIDER: Final = 2.5
 _COLOUR_SIGMA: Final = 0.7
 # Difference from around (units of CIE L*a*b*), and how many of a photograph at most.
@@ -70,12 +70,12 @@ def find(
     lab = in_lab(rgb)
     contrast = np.stack(
         [cv2.GaussianBlur(lab, (0, 0), s) - cv2.GaussianBlur(lab, (0, 0), s * _WIDER)
-         for s in _SIGMAS]
+         for s in SIGMAS]
     )  # fmt: skip
     strength = np.linalg.norm(contrast, axis=-1)
     found = [_peaks(s) for s in strength]
     xy = np.concatenate(found)
-    radius = np.repeat(np.arange(len(_SIGMAS)), [len(each) for each in found])
+    radius = np.repeat(np.arange(len(SIGMAS)), [len(each) for each in found])
     image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
     labels = None if masks is None else torch.from_numpy(masks)[None]
     if network is not None:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.supplement.spots import Spots
+from objconnect.supplement.spots import SIGMAS, Spots
 from objconnect.supplement.standing import Ground
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage
@@ -102,7 +102,7 @@ def _chart(spots: Spots, shape: tuple[int, int]) -> NDArray[np.int32]:
     """By radius and cell of the picture, the nearest spot within reach, -1 for none."""
     reach = int(_CELLS * _BESIDE_PX) + 1
     steps = [(x, y) for x in range(-reach, reach + 1) for y in range(-reach, reach + 1)]
-    chart = np.full((3, *(_CELLS * side + 2 * reach for side in shape)), -1, np.int32)
+    chart = np.full((len(SIGMAS), *(_CELLS * side + 2 * reach for side in shape)), -1, np.int32)
     column, row = np.floor(spots.xy * _CELLS).astype(int).T + reach
     number = np.arange(len(column))
     # The nearer overwrite the farther.

@@ -19,6 +19,7 @@ import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
+from scene.memory import resident_bytes
 from simulate.camera.pinhole import PinholeCamera
 from simulate.camera.resample import Cast, resample
 from simulate.look import ground
@@ -34,7 +35,7 @@ from simulate.place.change import changed_world
 from simulate.place.presets import preset
 from simulate.place.world import World, WorldObject, class_lookup
 from simulate.render.job import Board, FrameDone, RenderChunk, frame_path
-from simulate.render.process import end_with, resident_bytes
+from simulate.render.process import end_with, keep_to_one_core
 
 _SENSOR_MM = 36.0
 # Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by
@@ -51,6 +52,8 @@ def main(chunk_path: str) -> None:
     reports = _claim_stdout()
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
     end_with(chunk.parent)
+    if chunk.threads == 1:
+        keep_to_one_core()
     job = chunk.job
     world = None
     if job.board is not None:

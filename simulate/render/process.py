@@ -1,25 +1,17 @@
-"""What a rendering process knows of itself: its memory, and whether it is still wanted."""
+"""What a rendering process knows of itself: its core, and whether it is still wanted."""
 
 from __future__ import annotations
 
 import ctypes
 import os
-import resource
+import random
 import signal
+import socket
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
-
-
-def resident_bytes() -> int:
-    """Memory held now; where the system does not say, the most that was ever held."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except OSError:
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak * (1 if sys.platform == "darwin" else 1024)
-    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def end_with(parent: int) -> None:
@@ -32,3 +24,29 @@ def end_with(parent: int) -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:
             sys.exit("the process that wanted these frames has ended")
+
+
+def keep_to_one_core() -> None:
+    """Let this process run on one core alone, which no other such process takes until it ends.
+
+    Told to render with one thread, Blender keeps a second that looks for work without rest: it
+    takes a core, does nothing, and slows down whoever else renders on the machine. On one core it
+    gives way. Cores are marked as taken by names of the kernel's that end with their owner. Where
+    all are taken, and where the system is not Linux, nothing happens.
+    """
+    if sys.platform != "linux":
+        return
+    cores = list(os.sched_getaffinity(0))
+    random.shuffle(cores)  # containers on one machine may share its cores and not its names
+    for core in cores:
+        mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            mark.bind(f"\0objconnect-renders-on-{core}")
+        except OSError:
+            mark.close()
+            continue
+        for thread in Path("/proc/self/task").iterdir():  # later ones follow who starts them
+            with suppress(ProcessLookupError):  # one that has ended meanwhile
+                os.sched_setaffinity(int(thread.name), {core})
+        mark.detach()
+        return

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import mmap
 import os
 import struct
 import subprocess
@@ -32,12 +31,12 @@ from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.maps import MapExtractor
 from baselines.sift import Sift
 from baselines.structure import StructureLocalizer
-from benchmark.memory import peak_megabytes, reset_peak
 from benchmark.registry import create
 from scene.camera import Camera
 from scene.colmap import read_map
 from scene.features import Features
 from scene.localizer import Localizer, Prior, Query, Status
+from scene.memory import peak_megabytes, reset_peak, resident_bytes
 
 # Metres: between photographs, between repetitions, above the ground, of a pixel of the ground.
 SPACING, APART, HEIGHT, TEXEL = 20.0, 400.0, 80.0, 0.5
@@ -188,12 +187,6 @@ class _Once:
         return found
 
 
-def megabytes() -> float:
-    """Resident memory now, in 1e6 bytes."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * mmap.PAGESIZE / 1e6
-
-
 def measure(folder: Path, repetitions: int, method: str, options: dict[str, str]) -> dict[str, Any]:
     """What preparing and asking costs this process."""
     torch.set_num_threads(1)
@@ -202,9 +195,9 @@ def measure(folder: Path, repetitions: int, method: str, options: dict[str, str]
     if not (folder / "sparse").is_dir():
         write_map(folder, flight, repetitions)
     reset_peak()
-    before, began = megabytes(), time.process_time()
+    before, began = resident_bytes(), time.process_time()
     localizer = localizer_of(folder, flight, method, options)
-    prepared, prepare_s = megabytes(), time.process_time() - began
+    prepared, prepare_s = resident_bytes(), time.process_time() - began
     seconds, found = [], 0
     for query in queries(texture, repetitions, QUERIES):
         began = time.process_time()
@@ -216,9 +209,9 @@ def measure(folder: Path, repetitions: int, method: str, options: dict[str, str]
         "prepare_s": round(prepare_s, 1),
         "query_s": round(float(np.median(seconds[QUERIES // 5 :])), 4),
         "found": f"{found} of {QUERIES}",
-        "before_mb": round(before),
-        "prepared_mb": round(prepared),
-        "asked_mb": round(megabytes()),
+        "before_mb": round(before / 1e6),
+        "prepared_mb": round(prepared / 1e6),
+        "asked_mb": round(resident_bytes() / 1e6),
         "peak_mb": round(peak_megabytes() or 0),
     }
 
@@ -228,7 +221,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--method", default="sift")
     parser.add_argument("--photographs", type=int, nargs="+", default=[100, 10_000])
-    parser.add_argument("--set", nargs="*", default=["memory_mb=64"], metavar="KEY=VALUE")
+    parser.add_argument("--set", nargs="*", default=["memory_mb=1024"], metavar="KEY=VALUE")
     parser.add_argument("--one", action="store_true", help="measure here, in this process")
     given = parser.parse_args()
     options = dict(each.split("=", 1) for each in given.set)

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from skimage.segmentation import find_boundaries
 
 from baselines.align.aligner import align
-from baselines.align.descent import Options
 from baselines.align.hypotheses import Reach, align_from_many
 from baselines.starts import starts
 from benchmark.datasets import open_datasets
@@ -39,8 +38,7 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
         chosen = localizer._retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
         (start,) = starts(query.prior, dataset.load_map(), chosen)
         view, maps = localizer._look(query, chosen, start)
-        from_world = view.pose(start)
-        points, levels = localizer._levels(view, maps, chosen, from_world)
+        problem = localizer._problem(view, maps, chosen, start, localizer.config.points)
     network, _ = read_network(weights)
     image = torch.from_numpy(view.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
 
@@ -66,16 +64,14 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
     figure.colorbar(shown, ax=axes[0, 1], shrink=0.7)
     axes[0, 1].set_title("confidence of places (stride 4)")
 
-    world = torch.from_numpy(points)
-    batch = Pose(from_world.rotation[None], from_world.translation[None])
-    place = world[None], view.camera.intrinsics(), batch, localizer._damping, Options(100)
+    (world,), batch = problem[1], problem[3]
     true = view.camera.project(view.pose(wanted.reference).transform(world))
     for axis, title, found in (
-        (axes[1, 0], "one start", align(levels, *place)),
-        (axes[1, 1], "many starts", align_from_many(levels, *place, Reach())),
+        (axes[1, 0], "one start", align(*problem)),
+        (axes[1, 1], "many starts", align_from_many(*problem, Reach())),
     ):
         stations = [batch, *found.by_level]
-        names = ("start", *(f"stride {level.stride}" for level in levels))
+        names = ("start", *(f"stride {level.stride}" for level in problem[0]))
         for pose, name, colour in zip(
             stations, names, ("red", "orange", "yellow", "cyan"), strict=True
         ):

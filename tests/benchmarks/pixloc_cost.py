@@ -1,8 +1,10 @@
 """What one query costs pixloc, objconnect and the code of PixLoc's authors: seconds and memory.
 
-``python -m tests.benchmarks.pixloc_cost [CHECKOUT]`` runs each in processes of its own, with one
-thread and with two, on the same photographs, camera and start. CHECKOUT is github.com/cvg/pixloc at
-commit 65a51a7; omegaconf and tqdm must be importable. The methods:
+``python -m tests.benchmarks.pixloc_cost [--checkout CHECKOUT] [--scene SCENE]`` runs each in
+processes of its own, with one thread and with two, on the same photographs, camera and start: over
+made ground 20 m below, or for a scene's first query of another condition than the map's, with a
+start wrong by 3 m and 5 degrees. CHECKOUT is github.com/cvg/pixloc at commit 65a51a7; omegaconf and
+tqdm must be importable. The methods:
 
 - pixloc, objconnect: as shipped, everything at its default;
 - full: pixloc with the authors' network at full width (untrained), as many iterations as theirs;
@@ -13,12 +15,14 @@ Everything a query takes is counted, preparing the map is not.
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from time import perf_counter, process_time
 from types import SimpleNamespace
@@ -31,10 +35,13 @@ from PIL import Image
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
 from baselines.weights import write_weights
-from benchmark.memory import peak_megabytes, reset_peak
+from benchmark.datasets import open_datasets
+from benchmark.starts import moved_prior
 from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
 from scene.camera import Camera
 from scene.localizer import Prior, Query, Status
+from scene.memory import peak_megabytes, reset_peak
+from scene.pose import Pose
 from scene.sparse_map import SparseMap
 from tests.baselines.pixloc import official
 from tests.baselines.pixloc.made_map import looking_down, photograph, write_map
@@ -51,27 +58,64 @@ Run = Callable[[], object]
 
 @dataclass(frozen=True)
 class Ground:
-    """A map of smooth ground, and a query over it.
+    """A map, and a query of the same camera over it.
 
     Attributes:
         images: folder of all photographs.
         sparse_map: the map.
-        query: to localize.
+        query: to localize, with position and attitude.
+        kept: folder where methods keep what they know of the map.
     """
 
     images: Path
     sparse_map: SparseMap
     query: Query
+    kept: Path
 
     @staticmethod
     def write(folder: Path) -> Ground:
-        """With the photographs in a folder."""
+        """Smooth ground, with the photographs in a folder."""
         images = folder / "images"
         sparse_map = write_map(images, CAMERA)
         image = photograph(TRUTH, CAMERA)
         Image.fromarray(image).save(images / "query.png")
         prior = Prior(START.centre().numpy(), None, START.rotation.numpy(), None)
-        return Ground(images, sparse_map, Query("query.png", image, CAMERA, prior))
+        return Ground(images, sparse_map, Query("query.png", image, CAMERA, prior), folder)
+
+    @staticmethod
+    def of_scene(scene: Path, kept: Path) -> Ground:
+        """The first query of another condition than the map's; it starts 3 m, 5 degrees off.
+
+        Of the map the ten nearest photographs: more are not looked at, and need not be prepared.
+        """
+        dataset = open_datasets(scene)[0]
+        other = next(q for q in dataset.queries if q.condition not in dataset.map_conditions)
+        prior = moved_prior(other.reference, other.name, 3.0, 5.0)
+        whole = Ground(dataset.images, dataset.load_map(), other.load(prior), kept)
+        some = {name: whole.sparse_map.images[name] for name in whole.nearest(10)}
+        return replace(whole, sparse_map=replace(whole.sparse_map, images=some))
+
+    @property
+    def start(self) -> Pose:
+        """Where methods begin."""
+        prior = self.query.prior
+        assert prior is not None and prior.cam_from_world_rotation is not None
+        rotation = torch.from_numpy(prior.cam_from_world_rotation)
+        return Pose(rotation, -rotation @ torch.from_numpy(prior.position))
+
+    def nearest(self, count: int) -> list[str]:
+        """The photographs nearest to the start."""
+        there = self.start.centre()
+
+        def away(name: str) -> float:
+            return float((self.sparse_map.images[name].pose.centre() - there).norm())
+
+        return sorted(self.sparse_map.images, key=away)[:count]
+
+    @property
+    def references(self) -> list[str]:
+        """As many of them as a query of pixloc has."""
+        return self.nearest(PixlocConfig().references)
 
 
 def made(method: str, ground: Ground) -> Run:
@@ -84,10 +128,10 @@ def made(method: str, ground: Ground) -> Run:
     elif method == "objconnect":
         localizer = ObjConnectLocalizer(ObjConnectConfig())
     else:
-        path, network = ground.images / "full.safetensors", official.ours()
+        path, network = ground.kept / "full.safetensors", official.ours()
         write_weights(path, network, network.config.model_dump())
         localizer = PixlocLocalizer(PixlocConfig(weights=path, iterations=_ITERATIONS))
-    localizer.prepare(ground.sparse_map, ground.images, ground.images)
+    localizer.prepare(ground.sparse_map, ground.images, ground.kept)
 
     def run() -> object:
         estimate = localizer.localize(ground.query)
@@ -105,7 +149,7 @@ def lower_bound(ground: Ground) -> Run:
 
     @torch.inference_mode()
     def run() -> object:
-        for _ in range(1 + len(ground.sparse_map.names)):
+        for _ in range(1 + len(ground.references)):
             network(image)
         return None
 
@@ -122,21 +166,23 @@ def _authors(ground: Ground) -> Run:
         FeatureExtractor,
     )
     from pixloc.pixlib.geometry import Camera as Lens  # type: ignore[import-not-found]
-    from pixloc.pixlib.geometry import Pose
+    from pixloc.pixlib.geometry import Pose as Stance
     from pixloc.utils.colmap import Image as View  # type: ignore[import-not-found]
 
-    camera = {"model": CAMERA.model, "params": np.array(CAMERA.params)}
-    camera |= {"width": CAMERA.width, "height": CAMERA.height}
+    own = ground.query.camera
+    camera = {"model": own.model, "params": np.array(own.params)}
+    camera |= {"width": own.width, "height": own.height}
     model = Model3D.__new__(Model3D)
     model.cameras, model.dbs = {1: camera}, {}
     sparse_map = ground.sparse_map
-    share = PixlocConfig().points // len(sparse_map.names)
+    share = PixlocConfig().points // len(ground.references)
     seen: dict[int, set[int]] = {}
-    for number, name in enumerate(sparse_map.names):
+    for number, name in enumerate(ground.references):
         image = sparse_map.images[name]
+        rows = image.point_rows[image.point_rows >= 0]
         quaternion, t = image.pose.quaternion().numpy(), image.pose.translation.numpy()
         model.dbs[number] = View(number, quaternion, t, 1, name, image.xy, image.point_rows)
-        for row in np.random.default_rng(0).permutation(image.point_rows)[:share]:
+        for row in np.random.default_rng(0).permutation(rows)[:share]:
             seen.setdefault(int(row), set()).add(number)
     model.points3D = {row: SimpleNamespace(xyz=xyz) for row, xyz in enumerate(sparse_map.xyz)}
 
@@ -147,7 +193,7 @@ def _authors(ground: Ground) -> Run:
     extractor = FeatureExtractor(refiner.extractor, cpu, {})
     paths = SimpleNamespace(reference_images=ground.images, query_images=ground.images)
     peer = PoseRefiner(cpu, list(refiner.optimizer), model, extractor, paths, {})
-    start = Pose.from_Rt(START.rotation.numpy(), START.translation.numpy())
+    start = Stance.from_Rt(ground.start.rotation.numpy(), ground.start.translation.numpy())
     lens = Lens.from_colmap(camera)
 
     @torch.no_grad()
@@ -159,38 +205,45 @@ def _authors(ground: Ground) -> Run:
     return run
 
 
-def _measure(method: str, threads: int, checkout: Path | None) -> None:
+def _measure(given: argparse.Namespace) -> None:
     """Print seconds and megabytes of a method as one line of JSON; for a process of its own."""
-    torch.set_num_threads(threads)
-    if checkout:
-        official.load(checkout)
-    with tempfile.TemporaryDirectory() as folder:
-        ground = Ground.write(Path(folder))
-        run = made(method, ground)
-        reset_peak()
+    torch.set_num_threads(given.threads)
+    if given.checkout:
+        official.load(given.checkout)
+    kept = given.kept
+    run = made(given.one, Ground.of_scene(given.scene, kept) if given.scene else Ground.write(kept))
+    reset_peak()
+    run()
+    processor, wall = process_time(), perf_counter()
+    for _ in range(_RUNS):
         run()
-        processor, wall = process_time(), perf_counter()
-        for _ in range(_RUNS):
-            run()
-        spent = (process_time() - processor) / _RUNS, (perf_counter() - wall) / _RUNS
+    spent = (process_time() - processor) / _RUNS, (perf_counter() - wall) / _RUNS
     print(json.dumps([*spent, peak_megabytes()]))
 
 
-def main(checkout: Path | None) -> None:
+def main() -> None:
     """Measure all methods and print a table."""
+    words = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    words.add_argument("--checkout", type=Path)
+    words.add_argument("--scene", type=Path)
+    words.add_argument("--one", choices=METHODS, help=argparse.SUPPRESS)
+    words.add_argument("--threads", type=int, help=argparse.SUPPRESS)
+    words.add_argument(
+        "--kept", type=Path, help="cache of an evaluation of the scene, to begin with"
+    )
+    given = words.parse_args()
+    if given.one:
+        _measure(given)
+        return
     print("method      threads  processor s  wall s  peak MB")
-    for threads in (1, 2):
-        for method in METHODS if checkout else METHODS[:-1]:
-            words = [method, str(threads), *([str(checkout)] if checkout else [])]
-            command = [sys.executable, "-m", "tests.benchmarks.pixloc_cost", "--one", *words]
-            done = subprocess.run(command, capture_output=True, text=True, check=True)
+    with tempfile.TemporaryDirectory() as kept:
+        for threads, method in product((1, 2), METHODS if given.checkout else METHODS[:-1]):
+            command = [sys.executable, "-m", "tests.benchmarks.pixloc_cost", *sys.argv[1:]]
+            command += ["--one", method, "--threads", str(threads), "--kept", kept]
+            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
             processor, wall, peak = json.loads(done.stdout.splitlines()[-1])
             print(f"{method:12s}{threads:6d}{processor:13.2f}{wall:9.2f}{peak:9.0f}", flush=True)
 
 
 if __name__ == "__main__":
-    arguments = sys.argv[1:]
-    if arguments[:1] == ["--one"]:
-        _measure(arguments[1], int(arguments[2]), Path(arguments[3]) if arguments[3:] else None)
-    else:
-        main(Path(arguments[0]) if arguments else None)
+    main()

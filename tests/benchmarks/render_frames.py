@@ -19,6 +19,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from scene.memory import resident_bytes
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
 from simulate.render.blender import (
@@ -31,7 +32,6 @@ from simulate.render.blender import (
     _set_up_render,
 )
 from simulate.render.job import RenderJob, frame_path
-from simulate.render.process import resident_bytes
 
 
 def main(job_path: str, out: str) -> None:

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from scene.held import Held
+from scene.held import MEGABYTE, Held, room
+from scene.memory import resident_bytes
 
 
 def test_the_last_used_stay_within_the_bound() -> None:
@@ -24,3 +26,14 @@ def test_the_last_used_stay_within_the_bound() -> None:
     # One alone may be larger: it is needed.
     assert len(held(200)) == 200
     assert (len(held), held.nbytes) == (1, 200)
+
+
+def test_half_of_what_is_left_below_a_bound_is_for_values() -> None:
+    resident = resident_bytes() / MEGABYTE
+    bound = round(resident) + 200
+    assert room(bound) / MEGABYTE == pytest.approx(100, abs=10)
+    # What is taken meanwhile is not there any more.
+    taken = np.ones(100 * MEGABYTE, np.uint8)
+    assert room(bound) / MEGABYTE == pytest.approx(50, abs=10)
+    assert taken.all()
+    assert room(1) == 0

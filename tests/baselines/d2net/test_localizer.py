@@ -153,6 +153,15 @@ def test_keypoints_of_a_large_picture_are_in_its_own_pixels(weights: Path) -> No
     assert there.descriptors.dtype == np.float16
 
 
+def test_no_level_is_larger_than_the_largest_image(weights: Path) -> None:
+    network, digest = read_network(weights)
+    rgb = read_rgb(IMAGES / "map/images/000000.jpg")
+    assert max(rgb.shape) == 256
+    bounded = D2NetExtractor(network, digest, D2NetConfig(scales=(1.0, 2.0), max_edge=256))(rgb)
+    halved = D2NetExtractor(network, digest, D2NetConfig(scales=(0.5, 1.0)))(rgb)
+    np.testing.assert_array_equal(bounded.xy, halved.xy)
+
+
 def test_the_strongest_keypoints_are_kept(weights: Path) -> None:
     network, digest = read_network(weights)
     rgb = read_rgb(IMAGES / "map/images/000000.jpg")
