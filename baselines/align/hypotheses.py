@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -46,12 +47,14 @@ class Reach:
     Attributes:
         metres: the largest error of position to expect, in any direction.
         degrees: the largest error of attitude.
+        heading: of the turn about the camera's axis, in degrees, where it is larger than that.
         refined: hypotheses that are refined beside the prior itself, on the coarsest level.
         finalists: that go on from there to the finest.
     """
 
     metres: float = 8.0
     degrees: float = 10.0
+    heading: float = 0.0
     refined: int = 8
     finalists: int = 2
 
@@ -71,9 +74,10 @@ def around(start: Pose, distance: Tensor, reach: Reach, spacing_degrees: float) 
     shift = 1.2 * torch.hypot(aside, torch.full_like(aside, turn))
     steps = math.ceil(math.degrees(float(shift.max())) / spacing_degrees)
     shifts = min(2 * steps + 1, _MOST_SHIFTS)
-    yaws = 2 * math.ceil(0.6 * reach.degrees / _TURN_DEGREES) + 1
-    unit = torch.linspace(-1, 1, shifts, dtype=torch.float64, device=distance.device)
-    yaw = 0.6 * turn * torch.linspace(-1, 1, yaws, dtype=torch.float64, device=distance.device)
+    heading = max(0.6 * reach.degrees, reach.heading)
+    yaws = 2 * math.ceil(heading / _TURN_DEGREES) + 1
+    ranged = partial(torch.linspace, -1, 1, dtype=torch.float64, device=distance.device)
+    unit, yaw = ranged(shifts), math.radians(heading) * ranged(yaws)
     x, y, z = (t.flatten() for t in torch.meshgrid(unit, unit, yaw, indexing="ij"))
     x, y = shift[:, None] * x, shift[:, None] * y
     # The share of a shift that errors of attitude have, the rest being the position's.

@@ -49,9 +49,9 @@ _DOUBT: Final = 3.0
 # Points by which starts are compared; the one kept is aligned to all.
 _COMPARED: Final = 512
 # A grid of starts that is spread wider has gaps.
-_FARTHEST: Final = Reach(40.0, 30.0)
-# Degrees of attitude to look around each of the headings tried, which are 30 apart.
-_BETWEEN_HEADINGS: Final = 25.0
+_FARTHEST: Final = Reach(metres=40.0, degrees=30.0)
+# Degrees to look to either side of each of the headings tried, which are 30 apart.
+_BETWEEN_HEADINGS: Final = 15.0
 
 _Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
 
@@ -304,9 +304,12 @@ def _reach(prior: Prior | None) -> Reach:
         # An axis that was not measured is infinitely unsure: nothing says how far to look.
         known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
         metres = max([metres, *(2 * float(sigma) for sigma in known)])
-    between = _BETWEEN_HEADINGS if _heading_unknown(prior) else usual.degrees
-    degrees = max(between, 2 * (prior.attitude_sigma_deg or 0.0))
-    return Reach(min(metres, _FARTHEST.metres), min(degrees, _FARTHEST.degrees))
+    degrees = max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0))
+    return Reach(
+        min(metres, _FARTHEST.metres),
+        min(degrees, _FARTHEST.degrees),
+        _BETWEEN_HEADINGS if _heading_unknown(prior) else 0.0,
+    )
 
 
 def _fit(problem: _Problem, pose: Pose) -> float:

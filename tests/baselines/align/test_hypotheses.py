@@ -8,6 +8,7 @@ import torch
 
 from baselines.align.descent import Options
 from baselines.align.hypotheses import Reach, align_from_many, around
+from scene.pose import Pose
 from tests.baselines.align.problems import DAMPING, Small, batch, small, stacked
 from tests.baselines.align.world import PINHOLE, looking_down, wrong
 
@@ -39,6 +40,25 @@ def test_narrow_reach_asks_less() -> None:
         for metres, degrees in ((1, 1), (8, 10), (30, 20))
     ]
     assert sizes == [27, 243, 17 * 17 * 5]
+
+
+def test_an_unknown_heading_turns_the_picture_and_takes_no_shift_from_the_position() -> None:
+    start, distance = stacked([looking_down(0)]), torch.tensor([80.0])
+    level, turned = (
+        around(start, distance, Reach(20, 10, heading=heading), 3.5) for heading in (0.0, 15.0)
+    )
+    assert turned.translation.shape[1] == level.translation.shape[1] // 3 * 7
+
+    def farthest(poses: Pose) -> float:
+        return float((poses.centre() - start.centre()[:, None]).norm(dim=-1).max())
+
+    def headings(poses: Pose) -> torch.Tensor:
+        relative = poses.rotation @ start.rotation[:, None].mT
+        return torch.rad2deg(torch.atan2(relative[..., 1, 0], relative[..., 0, 0]))
+
+    assert farthest(turned) == pytest.approx(farthest(level), rel=0.02)
+    assert headings(level).abs().max() < 8
+    assert 14 < headings(turned).abs().max() < 17
 
 
 def test_many_starts_reach_what_one_does_not() -> None:
