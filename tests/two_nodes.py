@@ -37,6 +37,9 @@ class TwoNodes:
             self._cluster.remove_node(next(iter(self._cluster.worker_nodes)))
         while len(self._cluster.worker_nodes) < count:
             _patiently(lambda: self._cluster.add_node(num_cpus=1, object_store_memory=_STORE_BYTES))
+        # The head learns only after seconds of a node that was killed. Until then it may send a
+        # driver on this machine there, whose process Ray then ends without a word.
+        self._cluster.wait_for_nodes()
 
     @contextmanager
     def killed_at_work(self, when: Callable[[], bool] = lambda: True) -> Iterator[None]:
