@@ -405,6 +405,51 @@ def train(
 
 
 @app.command()
+def ablate(
+    plan: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PLAN", help="YAML of benchmark.ablation, as configs/ablation.yaml."
+        ),
+    ],
+    datasets: Annotated[
+        list[Path],
+        typer.Argument(metavar="DATASET", help="What evaluate takes: queries to answer."),
+    ],
+    data: Annotated[
+        list[Path], typer.Option(metavar="SCENE", help="Scene to learn from; repeat for several.")
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="OUT", help="Folder for training runs, results and table.")
+    ],
+    validation: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="SCENE", help="Scene to look at only; repeat for several."),
+    ] = None,
+    start: Annotated[
+        str, typer.Option(metavar="START", help="As evaluate takes it.")
+    ] = "error=3m,5deg",
+    as_json: Json = False,
+) -> None:
+    """Train variants of object-connect alike, ask them the same queries, and print one table."""
+    from benchmark.ablation import TABLE, Plan
+    from benchmark.ablation import ablate as run
+    from benchmark.datasets import open_datasets
+    from benchmark.starts import parse_start
+    from scene.config import load_config
+
+    settings = load_config(Plan, plan, {})
+    told = parse_start(start)
+    opened = [dataset for path in datasets for dataset in open_datasets(path)]
+    _require_distinct_names(opened)
+    table = run(settings, data, validation or [], opened, out, told)
+    if as_json:
+        _print_json({"table": str(out / TABLE)})
+    else:
+        print(table, end="")
+
+
+@app.command()
 def regress(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that evaluate wrote.")],
     against: Annotated[
