@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.views import north
+from baselines.views import north, turned_by
 from scene.localizer import Prior
 from scene.pose import Pose, so3_exp
 from scene.sparse_map import SparseMap
@@ -19,6 +19,10 @@ from scene.sparse_map import SparseMap
 _NO_ALTITUDE: Final = 0.2
 _SAME_HEADING: Final = math.radians(45)
 _TURN: Final = math.radians(30)
+# A photograph that looks down at all (sine), and one that does so clearly aslant.
+_DOWN: Final = 0.5
+_ASLANT: Final = math.radians(10)
+_DOWNWARDS: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
 
 def starts(prior: Prior | None, sparse_map: SparseMap, chosen: NDArray[np.int64]) -> list[Pose]:
@@ -50,9 +54,10 @@ def starts(prior: Prior | None, sparse_map: SparseMap, chosen: NDArray[np.int64]
 
 
 def every_way(begun: Sequence[Pose]) -> list[Pose]:
-    """These, and the first of them turned about the vertical until every heading is near one's.
+    """These, and the first of them turned about the vertical until every heading is near one's;
+    where it looks down aslant, as many again that look straight down.
 
-    For what guides no further than some degrees, where nobody knows the heading.
+    For what guides no further than some degrees, where nobody knows the attitude.
     """
     first = begun[0]
     centre = first.centre()
@@ -64,6 +69,9 @@ def every_way(begun: Sequence[Pose]) -> list[Pose]:
         if all(abs(math.remainder(heading - other, math.tau)) > _TURN / 4 for other in headings):
             headings.append(heading)
             poses.append(Pose(rotation, -rotation @ centre))
+    if _DOWN < -float(first.rotation[2, 2]) < math.cos(_ASLANT):
+        straight = [torch.from_numpy(turned_by(-heading)) @ _DOWNWARDS for heading in headings]
+        poses += [Pose(rotation, -rotation @ centre) for rotation in straight]
     return poses
 
 

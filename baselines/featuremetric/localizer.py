@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -42,7 +43,7 @@ _LEAST_SIDE: Final = 16
 # Poses of pictures of nothing cost 0.98 of chance and more, 0.95 where little is in view; those of
 # right ones 0.64 to 0.87.
 _BETTER: Final = 0.93
-
+_CLEARLY: Final = 0.87
 # Variance of a pose in parts of what alignment alone says, which knows neither what the map is off
 # nor shadows and snow that pull all points one way: so it was on town 102, kept for such choices.
 _DOUBT: Final = 3.0
@@ -91,6 +92,11 @@ class _Attempt(NamedTuple):
     found: Alignment
     fit: float
     reason: str
+
+    @property
+    def pose(self) -> Pose:
+        """``cam_from_world`` of the photograph."""
+        return _pose(self.view, self.found)
 
 
 class FeaturemetricLocalizer:
@@ -152,7 +158,7 @@ class FeaturemetricLocalizer:
             begin = starts(query.prior, self._map, chosen)
             if self.config.multistart and _heading_unknown(query.prior):
                 begin = every_way(begin)
-        tried = [self._attempt(query, chosen, start, clock) for start in begin]
+        tried = self._tried(query, chosen, begin, clock)
         best = min(tried, key=lambda attempt: (bool(attempt.reason), attempt.fit))
         found, view = best.found, best.view
         seen, iterations = int(found.seen), sum(int(each.found.iterations) for each in tried)
@@ -168,12 +174,27 @@ class FeaturemetricLocalizer:
         covariance = view.photograph_covariance(_DOUBT * found.covariance[0].numpy())
         return Estimate(
             Status.OK,
-            view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0])),
+            best.pose,
             covariance if np.isfinite(covariance).all() else None,
             inliers=seen,
             iterations=iterations,
             seconds=clock.seconds,
         )
+
+    def _tried(
+        self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
+    ) -> list[_Attempt]:
+        """One start after the other, until one of several is clearly right; then once more from
+        the pose it found, from which the image is seen better turned and at a better scale."""
+        tried: list[_Attempt] = []
+        for start in begin:
+            tried.append(self._attempt(query, chosen, start, clock))
+            if len(begin) > 1 and tried[-1].fit < _CLEARLY:
+                there = tried[-1].pose
+                near = replace(query, prior=_known(there))
+                tried.append(self._attempt(near, self._chosen(near), there, clock))
+                break
+        return tried
 
     def _attempt(
         self, query: Query, chosen: NDArray[np.int64], start: Pose, clock: Stopwatch
@@ -204,9 +225,8 @@ class FeaturemetricLocalizer:
         points, and had other photographs beside it."""
         if found.failed[0]:
             return problem, found
-        there = view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0]))
-        prior = Prior(there.centre().numpy(), cam_from_world_rotation=there.rotation.numpy())
-        chosen = self._chosen(replace(query, prior=prior))
+        there = _pose(view, found)
+        chosen = self._chosen(replace(query, prior=_known(there)))
         after = self._problem(view, maps, chosen, there, self.config.points)
         levels, points, intrinsics, begin, damping, options = after
         # The coarsest level has no more to say of a pose that the finest one found.
@@ -288,6 +308,14 @@ class FeaturemetricLocalizer:
             self._damping,
             self._options,
         )
+
+
+def _pose(view: View, found: Alignment) -> Pose:
+    return view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0]))
+
+
+def _known(pose: Pose) -> Prior:
+    return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
 
 
 def _heading_unknown(prior: Prior | None) -> bool:

@@ -106,3 +106,19 @@ def test_no_heading_is_far_from_one_that_is_tried(sparse_map: SparseMap) -> None
     assert len(poses) <= 12 + len(begun)
     for pose in poses:
         np.testing.assert_allclose(pose.centre().numpy(), POSITION)
+
+
+@pytest.mark.parametrize(("tilt", "straight"), [(3.0, 0), (25.0, 12), (80.0, 0)])
+def test_where_photographs_look_down_aslant_straight_down_is_tried_too(
+    tilt: float, straight: int
+) -> None:
+    level = looking_down(20.0, 0.0)
+    lean = so3_exp(torch.tensor([np.radians(tilt), 0.0, 0.0], dtype=torch.float64))
+    rotation = lean @ level.rotation
+    poses = every_way([Pose(rotation, -rotation @ level.centre())])
+    down = [pose for pose in poses if float(pose.rotation[2, 2]) < -1 + 1e-12]
+    assert len(down) == straight
+    if down:
+        np.testing.assert_allclose(headings(down), headings(poses[:12]), atol=1e-9)
+        for pose in down:
+            np.testing.assert_allclose(pose.centre(), level.centre(), atol=1e-12)
