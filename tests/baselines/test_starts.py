@@ -74,6 +74,26 @@ def test_an_altitude_nobody_knows_is_the_photograph_s(
         np.testing.assert_allclose(pose.centre(), [3, 1, height], atol=1e-9)
 
 
+def test_where_photographs_are_at_several_heights_each_is_tried(sparse_map: SparseMap) -> None:
+    images = dict(sparse_map.images)
+    for name, height in (("1", 25.0), ("3", 27.0)):
+        image = images[name]
+        centre = torch.from_numpy(np.array([*image.centre[:2], height]))
+        lower = Pose(image.pose.rotation, -image.pose.rotation @ centre)
+        images[name] = replace(image, cam_from_world=lower.matrix().numpy())
+    climbing = replace(sparse_map, images=images)
+    attitude = looking_down(77.0, 0.0).rotation.numpy()
+    for sigma, altitudes in ((1.0, [35]), (np.inf, [FLOWN, 25])):
+        prior = Prior(POSITION, np.array([2.0, 2.0, sigma]), attitude)
+        found = starts(prior, climbing, EVERY)
+        centres = [pose.centre().numpy() for pose in found]
+        np.testing.assert_allclose(centres, [[3, 1, z] for z in altitudes], atol=1e-9)
+    unknown = starts(Prior(POSITION, np.array([2.0, 2.0, np.inf])), climbing, EVERY)
+    heights = [float(pose.centre()[2]) for pose in every_way(unknown)]
+    assert heights == sorted(heights, reverse=True)
+    assert heights.count(heights[0]) == heights.count(heights[-1]) >= 12
+
+
 def test_without_prior_at_the_photographs(sparse_map: SparseMap) -> None:
     found = starts(None, sparse_map, EVERY)
     centres = np.array([pose.centre().numpy() for pose in found])
