@@ -68,7 +68,8 @@ train = $(BIN)/objconnect train $(1) $(2:%=--data $(W)/%) --validation $(W)/town
   $(if $(4),--set weights=$(W)/$(4)/weights.safetensors) --out $(@D)
 learned = $(W)/$(1)/weights.safetensors
 
-weights: $(call learned,d2net) $(call learned,objconnect) $(call learned,objconnect-objects)
+weights: $(call learned,d2net) $(call learned,objconnect) $(call learned,objconnect-objects) \
+  $(call learned,supplement)
 
 $(W)/%/scene.json: | libraries
 	$(BIN)/objconnect simulate --config configs/train/scene.yaml --preset $(firstword $(subst -, ,$*)) \
@@ -94,3 +95,13 @@ $(call learned,objconnect): $(call learned,pixloc-upright) $(call place,$(NINE))
 
 $(call learned,objconnect-objects): $(call learned,pixloc-upright)
 	$(call train,objconnect,$(SIX),objconnect-objects,pixloc-upright)
+
+# Maps with their photographs: what places on small things are learned from.
+MAPPED := map-1001 map-1002 map-1003
+
+$(W)/map-%/map/points3D.bin: | libraries
+	$(BIN)/objconnect simulate --config configs/train/objects.yaml --preset town --seed $* --out $(W)/map-$*
+	$(BIN)/objconnect map $(W)/map-$*
+
+$(call learned,supplement): $(MAPPED:%=$(W)/%/map/points3D.bin) $(W)/map-102/map/points3D.bin
+	$(BIN)/python -m objconnect.supplement.learning $(MAPPED:%=$(W)/%) --validation $(W)/map-102 --out $@

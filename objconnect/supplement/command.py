@@ -10,6 +10,7 @@ from objconnect.diagnosis.command import Diagnosis, diagnose
 from objconnect.masks import given_masks
 from objconnect.network import read_network
 from objconnect.supplement.config import SupplementConfig
+from objconnect.supplement.judge import read_judge
 from objconnect.supplement.map import add_to_map
 from objconnect.supplement.small import supplement_points
 from scene.bundle import Scene
@@ -66,7 +67,8 @@ def supplement(
     network = None if weights is None else read_network(weights)[0]
     given = None if masks is None else dict(given_masks(masks, before.names))
     config = SupplementConfig()
-    points, detections = supplement_points(before, scene.images_root, config, network, given)
+    judge = read_judge()
+    points, detections = supplement_points(before, scene.images_root, config, judge, network, given)
     add_to_map(path, points, detections)
     observations = sum(len(point.rows) for point in points)
     return SupplementReport(len(points), observations, diagnose(path, masks))

@@ -20,12 +20,7 @@ class SupplementConfig(Config):
         angle_deg: least angle between two of the rays that made it.
         above_m: least height of a place above the ground around it.
         below_m: largest height likewise.
-        clear_m: least height of a place that only the comparison with the ground confirms.
-        clearly: cost of such a place, as a share of that of the ground under it.
-        together_m: how far from its height the least cost may be.
-        strong: mean strength of spots that confirm a place by themselves ...
-        nearly_all: ... in this share of the photographs that have it in the picture ...
-        hardly: ... at this share of the cost of the ground.
+        likely: least probability of being on a thing, as ``judge.Judge`` sees it.
         apart_m: least distance of a place from the map's own points.
     """
 
@@ -35,12 +30,7 @@ class SupplementConfig(Config):
     reprojection_px: float = Field(2.0, gt=0)
     views: int = Field(3, ge=2)
     angle_deg: float = Field(3.0, gt=0, lt=90)
-    above_m: float = Field(0.22, gt=0)
+    above_m: float = Field(0.1, gt=0)
     below_m: float = Field(3.2, gt=0)
-    clear_m: float = Field(0.3, gt=0)
-    clearly: float = Field(0.8, gt=0, lt=1)
-    together_m: float = Field(0.25, gt=0)
-    strong: float = Field(12.0, gt=0)
-    nearly_all: float = Field(0.8, gt=0, le=1)
-    hardly: float = Field(0.97, gt=0, le=1)
+    likely: float = Field(0.8, gt=0, lt=1)
     apart_m: float = Field(0.5, ge=0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -119,17 +119,29 @@ def _steepest(
     return tracks.view[order[first]], tracks.row[order[first]]
 
 
-def stands_out(
-    found: NDArray[np.float64], height: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of places (T, H) the least cost as a share of that at the ground, and how far the height of
-    it is from theirs (m), (T,) each."""
-    filled = np.where(np.isnan(found), np.inf, found)
-    least = filled.min(1)
-    on_ground = filled[:, _GROUND].min(1)
-    share = np.full(len(found), np.inf)
-    np.divide(least, np.maximum(on_ground, 1e-9), out=share, where=np.isfinite(least))
-    return share, np.abs(HEIGHTS[filled.argmin(1)] - height)
+class BesideGround(NamedTuple):
+    """Costs of T places beside those of the ground under them.
+
+    Attributes:
+        share: (T,) the least, as a share of that at the ground; infinite where nothing is known.
+        off: (T,) how far the height of the least is from the place's (m).
+        on_ground: (T,) cost there.
+        curve: (T, H) at ``HEIGHTS``, as shares of it.
+    """
+
+    share: NDArray[np.float64]
+    off: NDArray[np.float64]
+    on_ground: NDArray[np.float64]
+    curve: NDArray[np.float64]
+
+
+def costs_beside_ground(found: NDArray[np.float64], height: NDArray[np.float64]) -> BesideGround:
+    """Of costs (T, H) as ``costs`` gives them, and heights (T,) of the places above the ground."""
+    known = np.where(np.isnan(found), _DIFFERENT, found)
+    on_ground = known[:, _GROUND].min(1)
+    curve = known / np.maximum(on_ground, 1e-9)[:, None]
+    share = np.where(np.isnan(found).all(1), np.inf, curve.min(1))
+    return BesideGround(share, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, curve)
 
 
 def _looked_up(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from benchmark.cli import app
 from objconnect.config import ObjConnectNetConfig
 from objconnect.network import ObjConnectNet
-from objconnect.supplement.raised import HEIGHTS, stands_out
+from objconnect.supplement.raised import HEIGHTS, costs_beside_ground
 from objconnect.supplement.spots import find
 from objconnect.supplement.standing import Ground, heights, nearest
 from scene.bundle import Scene
@@ -71,15 +71,18 @@ def test_spots_are_where_they_are_and_differ_from_what_is_around() -> None:
     assert (off < 8).all()
 
 
-def test_places_stand_out_where_photographs_agree_above_the_ground() -> None:
+def test_costs_are_held_against_those_of_the_ground() -> None:
     above = 1.0 + np.abs(HEIGHTS - 0.9)
     on_it = 1.0 + np.abs(HEIGHTS)
-    share, off = stands_out(np.stack([above, on_it, np.full(len(above), np.nan)]), np.full(3, 1.0))
-    assert share[0] < 0.65
-    assert off[0] < 0.15
-    assert share[1] == 1
-    assert off[1] > 0.9
-    assert np.isinf(share[2])
+    costs = np.stack([above, on_it, np.full(len(above), np.nan)])
+    found = costs_beside_ground(costs, np.full(3, 1.0))
+    assert found.share[0] < 0.65
+    assert found.off[0] < 0.15
+    assert found.share[1] == 1
+    assert found.off[1] > 0.9
+    assert np.isinf(found.share[2])
+    np.testing.assert_allclose(found.curve[0], above / found.on_ground[0])
+    assert np.isfinite(found.curve).all()
 
 
 def test_a_network_says_how_sure_spots_are_and_what_they_look_like(rendered: Scene) -> None:
