@@ -13,6 +13,7 @@ import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -184,15 +185,17 @@ class FeaturemetricLocalizer:
     def _tried(
         self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
     ) -> list[_Attempt]:
-        """One start after the other, until one of several is clearly right; then once more from
-        the pose it found, from which the image is seen better turned and at a better scale."""
+        """All starts of one place, then those of the next, until one is clearly right. Then, where
+        there were several, once more from the pose found: from there the image is seen better
+        turned and at a better scale."""
         tried: list[_Attempt] = []
-        for start in begin:
-            tried.append(self._attempt(query, chosen, start, clock))
-            if len(begin) > 1 and tried[-1].fit < _CLEARLY:
-                there = tried[-1].pose
-                near = replace(query, prior=_known(there))
-                tried.append(self._attempt(near, self._chosen(near), there, clock))
+        for _, there in groupby(begin, lambda start: start.centre().round(decimals=6).tolist()):
+            tried += [self._attempt(query, chosen, start, clock) for start in there]
+            best = min(tried, key=lambda attempt: attempt.fit)
+            if best.fit < _CLEARLY:
+                if len(begin) > 1:
+                    near = replace(query, prior=_known(best.pose))
+                    tried.append(self._attempt(near, self._chosen(near), best.pose, clock))
                 break
         return tried
 
