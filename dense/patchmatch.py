@@ -3,7 +3,8 @@
 Red and black pixels of a checkerboard take turns, so that all of one colour are done at once
 (Galliani et al., Gipuma, ICCV 2015); a pixel asks the best of several neighbours in each of four
 regions (after Xu and Tao, ACMH, CVPR 2019). Coarse to fine: the first planes are found in a small
-picture, from the points of the sparse map and from chance.
+picture, from the points of the sparse map and from chance. The points are tried again in every
+larger one: what is a few pixels wide is not seen in the small ones.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
 from dense.photometry import Photometry, Window
-from dense.planes import moved, planes_through, resized
+from dense.planes import moved, planes_at_nearest, planes_through, resized
 from dense.warp import View
 
 # The first planes are sought in a picture whose long side has at most so many pixels.
@@ -75,16 +76,18 @@ def first_estimate(
     for factor in reversed(shrink):
         here, others = _shrunk(reference, factor), [_shrunk(view, factor) for view in sources]
         height, width = here.grey.shape
+        scale = np.array([width, height]) / reference.grey.shape[::-1]
+        points = seeds * [*scale, 1.0]
+        nearest = planes_at_nearest(points, height, width).to(here.grey.device)
         if planes is None:
-            scale = np.array([width, height]) / reference.grey.shape[::-1]
-            guesses = planes_through(seeds * [*scale, 1.0], height, width)
-            search = _Search(here, others, guesses[0][0], None, generator)
-            estimate = search.begin([guess.to(here.grey.device) for guess in guesses])
+            fitted = planes_through(points, height, width).to(here.grey.device)
+            search = _Search(here, others, fitted[0], None, generator)
+            estimate = search.begin(fitted, nearest)
             rounds, step = _FIRST_ROUNDS, 4.0
         else:
             planes = resized(planes, height, width)
             search = _Search(here, others, planes[0], None, generator)
-            estimate = search.evaluate(planes)
+            estimate = search.best_of([planes, nearest])
             rounds, step = _ROUNDS, 1.0
         estimate = search.run(estimate, rounds, step)
         planes = estimate.planes
@@ -149,19 +152,21 @@ class _Search:
             for chosen in ((rows + columns) % 2 == 0, (rows + columns) % 2 == 1)
         ]
 
-    def begin(self, seeded: Sequence[Tensor]) -> Estimate:
+    def begin(self, fitted: Tensor, nearest: Tensor) -> Estimate:
         """The best of four guesses per pixel: planes (3, H, W) from the seeds, and from chance."""
-        nearest = seeded[-1][0]
-        low, high = float(nearest.min()) * (1 - _MARGIN), float(nearest.max()) * (1 + _MARGIN)
-        random = []
+        inverse = nearest[0]
+        low, high = float(inverse.min()) * (1 - _MARGIN), float(inverse.max()) * (1 + _MARGIN)
+        guesses = [fitted, nearest]
         for _ in range(2):
             w = low + (high - low) * self._uniform(1)
             slope = (2 * self._uniform(2) - 1) * (_STEEPEST * self._pixel)
-            random.append(torch.cat([w, slope]))
-        tried = []
-        for guess in (*seeded, *random):
-            guess[0].clamp_(low, high)
-            tried.append(self.evaluate(guess))
+            guesses.append(torch.cat([w, slope]))
+        fitted[0].clamp_(low, high)
+        return self.best_of(guesses)
+
+    def best_of(self, guesses: Sequence[Tensor]) -> Estimate:
+        """The cheapest of some planes (3, H, W) at each pixel."""
+        tried = [self.evaluate(guess) for guess in guesses]
         cost, which = torch.stack([estimate.cost for estimate in tried]).min(0)
         planes = torch.stack([estimate.planes for estimate in tried])
         return Estimate(planes.gather(0, which.expand(1, 3, -1, -1))[0], cost)

@@ -8,6 +8,7 @@ the camera.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -57,8 +58,8 @@ def planes_of(depth: Tensor, normals: Tensor, camera: Camera) -> Tensor:
     return torch.stack([torch.ones_like(depth), nx / (fx * along), ny / (fy * along)]) / depth
 
 
-def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Two guesses at every pixel from points scattered over a picture.
+def planes_at_nearest(seeds: NDArray[np.float64], height: int, width: int) -> Tensor:
+    """At every pixel the depth of the nearest of some points, facing the camera.
 
     Args:
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of M >= 1 points.
@@ -66,8 +67,32 @@ def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> tuple
         width: of the picture.
 
     Returns:
-        The plane fitted to the nearest seeds, and the nearest seed's depth facing the camera; both
-        (3, height, width) float32.
+        planes: (3, height, width) float32.
+    """
+    column = seeds[:, 0].astype(int).clip(0, width - 1)
+    row = seeds[:, 1].astype(int).clip(0, height - 1)
+    free = np.ones((height, width), np.uint8)
+    free[row, column] = 0
+    _, label = cv2.distanceTransformWithLabels(
+        free, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    inverse = np.zeros(label.max() + 1, np.float32)
+    inverse[label[row, column]] = seeds[:, 2]
+    planes = torch.zeros(3, height, width)
+    planes[0] = torch.from_numpy(inverse[label])
+    return planes
+
+
+def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> Tensor:
+    """At every pixel the plane fitted to the nearest of some points.
+
+    Args:
+        seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of M >= 1 points.
+        height: of the picture.
+        width: of the picture.
+
+    Returns:
+        planes: (3, height, width) float32.
     """
     points = torch.from_numpy(seeds)
     y, x = torch.meshgrid(
@@ -77,7 +102,7 @@ def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> tuple
     )
     pixels = torch.stack([x, y], -1).reshape(-1, 2)
     count = min(_NEIGHBOURS, len(points))
-    fitted, nearest = [], []
+    fitted = []
     step = max(1, _DISTANCES // len(points))
     for start in range(0, len(pixels), step):
         chunk = pixels[start : start + step]
@@ -92,11 +117,4 @@ def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> tuple
         normal[:, 2, 2] += _RIDGE
         solved = torch.linalg.solve(normal, design.mT @ (weight * near[..., 2:]))[..., 0]
         fitted.append(torch.cat([solved[:, :1], solved[:, 1:] / scale[:, 0]], -1))
-        nearest.append(near[:, 0, 2])
-    level = torch.zeros(len(pixels), 3, dtype=points.dtype)
-    level[:, 0] = torch.cat(nearest)
-
-    def image(rows: Tensor) -> Tensor:
-        return rows.T.reshape(3, height, width).float()
-
-    return image(torch.cat(fitted)), image(level)
+    return torch.cat(fitted).T.reshape(3, height, width).float()

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dense.planes import planes_through
+from dense.planes import planes_at_nearest
 from scene.sparse_map import SparseMap
 
 # Two photographs look at the same side of things when they share so many points of the map.
@@ -50,7 +50,7 @@ def choose_sources(
     width, height = image.camera.width, image.camera.height
     # Planes at the centres of a coarse grid stand for the surface everywhere in the picture.
     scale = np.array([_GRID / width, _GRID / height, 1.0])
-    inverse = planes_through(seeds * scale, _GRID, _GRID)[1][0].double().reshape(-1, 1)
+    inverse = planes_at_nearest(seeds * scale, _GRID, _GRID)[0].double().reshape(-1, 1)
     steps = (torch.arange(_GRID, dtype=torch.float64) + 0.5) / _GRID
     xy = torch.cartesian_prod(steps * height, steps * width).flip(-1)
     rays, _ = image.camera.unproject(xy)

@@ -3,7 +3,14 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from dense.planes import moved, normals_of, planes_of, planes_through, resized
+from dense.planes import (
+    moved,
+    normals_of,
+    planes_at_nearest,
+    planes_of,
+    planes_through,
+    resized,
+)
 from tests.dense.made_views import CAMERA, PLANE, REFERENCE, inverse_depth_at
 
 
@@ -45,7 +52,7 @@ def test_planes_through_seeds_of_one_plane() -> None:
     rng = np.random.default_rng(0)
     rows, columns = rng.integers(0, 80, 60), rng.integers(0, 96, 60)
     seeds = np.column_stack([columns + 0.5, rows + 0.5, w[rows, columns].numpy()])
-    fitted, nearest = planes_through(seeds, 80, 96)
+    fitted, nearest = planes_through(seeds, 80, 96), planes_at_nearest(seeds, 80, 96)
     error = (fitted[0] / w - 1).abs()
     assert error.median() < 0.002
     assert error.max() < 0.05  # in the corners, beyond the seeds
@@ -54,6 +61,21 @@ def test_planes_through_seeds_of_one_plane() -> None:
 
 
 def test_a_single_seed_is_enough() -> None:
-    fitted, nearest = planes_through(np.array([[3.0, 4.0, 0.02]]), 8, 9)
+    seed = np.array([[3.0, 4.0, 0.02]])
+    fitted, nearest = planes_through(seed, 8, 9), planes_at_nearest(seed, 8, 9)
     assert torch.allclose(nearest[0], torch.tensor(0.02))
     assert torch.isfinite(fitted).all()
+
+
+def test_the_nearest_seed_is_the_nearest() -> None:
+    rng = np.random.default_rng(1)
+    rows, columns = rng.permutation(40)[:12], rng.permutation(50)[:12]
+    seeds = np.column_stack([columns + 0.5, rows + 0.5, rng.uniform(0.01, 0.02, 12)])
+    nearest = planes_at_nearest(seeds, 40, 50)
+    x, y = np.meshgrid(np.arange(50) + 0.5, np.arange(40) + 0.5)
+    away = np.hypot(x[..., None] - seeds[:, 0], y[..., None] - seeds[:, 1])
+    shown = np.abs(nearest[0].numpy()[..., None] - seeds[:, 2]).argmin(-1)
+    picked = np.take_along_axis(away, shown[..., None], -1)[..., 0]
+    # Distances are counted in steps of pixels: where two are about as far, either will do.
+    assert (picked <= 1.03 * away.min(-1) + 1e-6).all()
+    assert not nearest[1:].any()
