@@ -42,6 +42,33 @@ def photograph(x: float, y: float, tilt: float = 0.0) -> View:
     return View(_texture(world).float(), CAMERA, view.cam_from_world)
 
 
+# A square on a pole, facing the cameras: its middle, and half its side (m).
+_MIDDLE, _HALF = torch.tensor([2.0, -3.0, 34.0], dtype=torch.float64), 0.45
+
+
+def thing_in(view: View) -> tuple[Tensor, Tensor]:
+    """Inverse depth (H, W) of the plane with the square before it, and where the square is."""
+    pose = torch.from_numpy(view.cam_from_world)
+    rays, _ = view.camera.unproject(view.camera.pixel_grid())
+    directions = rays @ pose[:3, :3]
+    centre = -pose[:3, :3].T @ pose[:3, 3]
+    inverse = directions[..., 2] / (_MIDDLE[2] - centre[2])
+    met = centre + directions / inverse[..., None]
+    inside = ((met - _MIDDLE).abs()[..., :2] < _HALF).all(-1)
+    return torch.where(inside, inverse, inverse_depth_at(view)), inside
+
+
+def with_thing(view: View, camera: Camera) -> View:
+    """What another camera at the same place sees of the plane and of the square."""
+    blank = View(torch.zeros(camera.height, camera.width), camera, view.cam_from_world)
+    inverse, inside = thing_in(blank)
+    pose = torch.from_numpy(view.cam_from_world)
+    rays, _ = camera.unproject(camera.pixel_grid())
+    world = (rays / inverse[..., None] - pose[:3, 3]) @ pose[:3, :3]
+    grey = torch.where(inside, 0.9 + _texture(world) / 2, _texture(world))
+    return View(grey.float(), camera, view.cam_from_world)
+
+
 def _texture(world: Tensor) -> Tensor:
     """Waves in many directions, the shortest some five pixels long."""
     rng = np.random.default_rng(5)

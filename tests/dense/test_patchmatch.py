@@ -6,7 +6,14 @@ import torch
 from dense.consistency import agreeing
 from dense.patchmatch import consistent_estimate, first_estimate
 from dense.photometry import Photometry
-from tests.dense.made_views import REFERENCE, SOURCES, inverse_depth_at
+from tests.dense.made_views import (
+    CAMERA,
+    REFERENCE,
+    SOURCES,
+    inverse_depth_at,
+    thing_in,
+    with_thing,
+)
 
 TRUE = inverse_depth_at(REFERENCE)
 
@@ -70,3 +77,24 @@ def test_maps_of_the_sources_pull_and_confirm() -> None:
     assert right(estimate.planes) > 0.95
     after = agreeing(REFERENCE, SOURCES, estimate.planes[0], maps)
     assert (after >= 2).double().mean() > 0.9
+
+
+def test_a_thing_of_a_few_pixels_is_found_where_a_point_of_the_map_lies_on_it() -> None:
+    """At the smallest size it is two pixels wide: there the ground around it takes it."""
+    camera = CAMERA.resized(2 * CAMERA.width, 2 * CAMERA.height)
+    reference, *sources = [with_thing(view, camera) for view in (REFERENCE, *SOURCES)]
+    truth, thing = thing_in(reference)
+    rows, columns = torch.nonzero(thing, as_tuple=True)
+    assert thing.sum() == 25
+    rng = np.random.default_rng(0)
+    ground = np.column_stack([rng.integers(0, 160, 12), rng.integers(0, 192, 12)])
+    middle = [[int(rows.double().mean()), int(columns.double().mean())]]
+
+    def right_of_thing(pixels: np.ndarray) -> float:
+        row, column = pixels.T
+        seeds = np.column_stack([column + 0.5, row + 0.5, truth[row, column].numpy()])
+        found = first_estimate(reference, sources, seeds, torch.Generator().manual_seed(1))
+        return float(((found.planes[0] / truth - 1).abs() < 0.005)[thing].double().mean())
+
+    assert right_of_thing(np.concatenate([ground, middle])) > 0.5
+    assert right_of_thing(ground) < 0.2
