@@ -86,13 +86,7 @@ def planes_at_nearest(seeds: NDArray[np.float64], height: int, width: int) -> Te
 def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> Tensor:
     """At every pixel the plane fitted to the nearest of some points.
 
-    Args:
-        seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of M >= 1 points.
-        height: of the picture.
-        width: of the picture.
-
-    Returns:
-        planes: (3, height, width) float32.
+    Points and planes are as those of ``planes_at_nearest``.
     """
     points = torch.from_numpy(seeds)
     y, x = torch.meshgrid(

@@ -23,7 +23,8 @@ WITHIN = 0.005
 _VIEWS = 3
 # Another photograph sees the surface when its depth there is so close (relative) to the point's.
 _SAME = 0.01
-_GROUPS = ("all", "ground", "small", "medium", "large")
+GROUPS = ("all", "ground", "small", "medium", "large")
+"""What accuracy is told of: everything, and its parts."""
 
 
 @dataclass(frozen=True)
@@ -176,8 +177,8 @@ def report(
         cpu_seconds: spent on 512 x 512 pixels of depth maps, or None.
         truth: by photograph, empty where there is none.
     """
-    groups = _Groups(scene) if truth else None
-    parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in _GROUPS}
+    groups = Groups(scene) if truth else None
+    parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in GROUPS}
     for name in names:
         if groups is None or name not in truth:
             continue
@@ -187,7 +188,7 @@ def report(
         error = np.where(depth > 0, np.abs(depth / np.where(judged, true.depth, 1) - 1), np.inf)
         group = groups.of(true.instance)[judged]
         parts["all"].append(error[judged])
-        for k, label in enumerate(_GROUPS[1:]):
+        for k, label in enumerate(GROUPS[1:]):
             parts[label].append(error[judged][group == k])
     errors = {label: np.concatenate(found) for label, found in parts.items() if found}
     return DenseReport(
@@ -199,15 +200,16 @@ def report(
     )
 
 
-class _Groups:
+class Groups:
     """Pixels by what they show: 0 the ground, then the size classes in order."""
 
     def __init__(self, scene: Scene) -> None:
         self._table = np.zeros(1 << 16, np.uint8)
         for item in scene.objects.objects:
-            self._table[item.id] = _GROUPS.index(item.size_class) - 1
+            self._table[item.id] = GROUPS.index(item.size_class) - 1
 
     def of(self, instance: NDArray[np.uint16]) -> NDArray[np.uint8]:
+        """Rows of ``GROUPS[1:]`` of identifiers, of any shape."""
         return np.asarray(self._table[instance])
 
 

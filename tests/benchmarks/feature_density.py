@@ -24,12 +24,14 @@ from baselines.structure import StructureLocalizer
 from baselines.weights import shipped
 from benchmark.datasets import open_datasets
 from benchmark.registry import create
+from dense.report import GROUPS, Groups
 from scene.bundle import Scene
 from scene.localizer import Localizer
 from scene.sparse_map import MapImage
 
 _METHODS = ("sift", "d2net", "pixloc", "objconnect", "objects")
-_GROUPS = ("ground", "small", "medium", "large")
+_KINDS = GROUPS[1:]
+_SMALL = _KINDS.index("small")
 
 
 class _Places(NamedTuple):
@@ -70,18 +72,13 @@ def main(path: Path, cache: Path) -> None:
     """Print the table."""
     scene, (dataset, *_) = Scene.open(path), open_datasets(path)
     sparse_map = dataset.load_map()
-    kind = np.zeros(1 << 16, int)
-    for item in scene.objects.objects:
-        kind[item.id] = _GROUPS.index(item.size_class)
-    instances = {}
-    for session in scene.sessions:
-        names = scene.frames(session).names
-        with scene.dense(session) as layers:
-            for k, name in enumerate(names):
-                if name in sparse_map.images:
-                    instances[name] = layers.read("instance", k)
-    pixels = np.bincount(kind[np.stack(list(instances.values()))].ravel(), minlength=4)
-    print("places per 1000 px     all  " + "  ".join(f"{group:>7s}" for group in _GROUPS)
+    groups = Groups(scene)
+    instances = {
+        image.name: layers["instance"]
+        for image, layers in scene.mapped_layers(sparse_map, "instance")
+    }
+    pixels = np.bincount(groups.of(np.stack(list(instances.values()))).ravel(), minlength=4)
+    print("places per 1000 px     all  " + "  ".join(f"{group:>7s}" for group in _KINDS)
           + "  small to all  small things with one")  # fmt: skip
     for method in _METHODS:
         localizer = _made(method)
@@ -90,23 +87,24 @@ def main(path: Path, cache: Path) -> None:
         shown = met = 0
         for row, name in enumerate(sparse_map.names):
             image, instance = sparse_map.images[name], instances[name]
-            things = {int(i) for i in np.unique(instance) if kind[i] == 1}
+            seen = np.unique(instance)
+            things = set(seen[groups.of(seen) == _SMALL].tolist())
             for turn, places in enumerate(_places(localizer, row)):
                 on = _shown(image, places.xyz, instance)
-                counted = np.bincount(kind[on], places.weight, minlength=4)
+                counted = np.bincount(groups.of(on), places.weight, minlength=4)
                 if turn == len(totals):
                     totals.append(np.zeros(4))
                 totals[turn] += counted
                 if turn == 0:
                     shown += len(things)
-                    met += len(things & {int(i) for i in np.unique(on)})
+                    met += len(things.intersection(on.tolist()))
         for turn, total in enumerate(totals):
             each, overall = 1000 * total / pixels, 1000 * total.sum() / pixels.sum()
             end = f"  {met / shown:.0%} of {shown}" if turn == 0 else ""
             print(
                 f"{method + ('', ', weighed')[turn]:20s}{overall:7.2f}  "
                 + "  ".join(f"{value:7.2f}" for value in each)
-                + f"  {each[1] / overall:12.2f}{end}",
+                + f"  {each[_SMALL] / overall:12.2f}{end}",
                 flush=True,
             )
 
