@@ -51,6 +51,12 @@ def upright(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(turned_by(north(cam_from_world)) @ cam_from_world)
 
 
+def turned_to(pose: Pose, heading: float) -> Pose:
+    """A camera turned about its axis so that ``north`` of its picture is ``heading`` (rad)."""
+    rotation = torch.from_numpy(turned_by(-heading) @ upright(pose.rotation.numpy()))
+    return Pose(rotation, -rotation @ pose.centre())
+
+
 @dataclass(frozen=True)
 class View:
     """A photograph turned and resized.

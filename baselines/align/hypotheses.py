@@ -136,12 +136,7 @@ def align_from_many(
     if points.shape[1] < options.least_points:
         return align(levels, points, intrinsics, start, damping, options, mask)
     local = Local.of(points, intrinsics, start, mask, working_precision(levels))
-    depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
-    depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
-    depth = depth.nan_to_num(1.0)
-    focal, stride = local.intrinsics.focal, per_axis(levels[0].stride, local.points)
-    spacing = torch.rad2deg(torch.atan(_SPACING * (stride / focal).min()))
-    poses = around(local.start, depth, reach, float(spacing))
+    poses = _grid(levels[0], local, reach)
     gains = gain(levels[0], local, poses, options.scale)
     best = gains.topk(min(reach.refined, gains.shape[1])).indices
 
@@ -171,6 +166,31 @@ def align_from_many(
         found = replace(found, failure=failure, by_level=begun.by_level + found.by_level)
     winner = over(lambda t: t[:, 0], _best(found, levels[-1], options.scale, 1))
     return replace(winner, iterations=iterations)
+
+
+def promise(
+    level: Level,
+    points: Tensor,
+    intrinsics: Intrinsics,
+    start: Pose,
+    options: Options,
+    reach: Reach,
+) -> Tensor:
+    """The most that any pose around priors (B) gains over chance on a level, (B).
+
+    It tells near which of several priors the image is before any is refined.
+    """
+    local = Local.of(points, intrinsics, start, None, working_precision([level]))
+    return gain(level, local, _grid(level, local, reach), options.scale).max(-1).values
+
+
+def _grid(level: Level, local: Local, reach: Reach) -> Pose:
+    """The poses (B, K) around priors (B) that are compared on a level."""
+    depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
+    depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
+    focal, stride = local.intrinsics.focal, per_axis(level.stride, local.points)
+    spacing = torch.rad2deg(torch.atan(_SPACING * (stride / focal).min()))
+    return around(local.start, depth.nan_to_num(1.0), reach, float(spacing))
 
 
 def _best(found: Alignment, level: Level, scale: float, count: int) -> Alignment:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -24,23 +24,18 @@ from pydantic import Field
 
 from baselines.align.aligner import Alignment, align
 from baselines.align.descent import Options
-from baselines.align.hypotheses import Reach, align_from_many
-from baselines.align.residuals import Level
-from baselines.align.sampling import per_axis
+from baselines.align.hypotheses import Reach, align_from_many, promise
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Precision
+from baselines.featuremetric.problem import LEAST_SIDE, Problem, Problems, fit
 from baselines.featuremetric.references import references
-from baselines.resolution import metres_per_pixel, scale_to
 from baselines.retrieval import OnDemand, References
 from baselines.starts import every_way, starts
-from baselines.views import View, north
+from baselines.views import View, turned_to
 from scene.config import Config
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, fault
 from scene.pose import Pose
-from scene.projection import Intrinsics
 from scene.sparse_map import SparseMap
 
-# The coarsest level has a cell for so many pixels; an image must have one at least.
-_LEAST_SIDE: Final = 16
 # Poses of pictures of nothing cost 0.98 of chance and more, 0.95 where little is in view; those of
 # right ones 0.64 to 0.87.
 _BETTER: Final = 0.93
@@ -52,10 +47,14 @@ _DOUBT: Final = 3.0
 _COMPARED: Final = 512
 # A grid of starts that is spread wider has gaps.
 _FARTHEST: Final = Reach(metres=40.0, degrees=30.0)
-# Degrees to look to either side of each of the headings tried, which are 30 apart.
+# Headings tried where nobody knows it, and degrees to look to either side of each.
+_HEADINGS: Final = 12
 _BETWEEN_HEADINGS: Final = 15.0
-
-_Problem = tuple[list[Level], torch.Tensor, Intrinsics, Pose, list[torch.Tensor], Options]
+# Photographs near the prior beside which an image of unknown heading is looked for, how far from
+# them in heights above ground, and how many of the places found are tried.
+_NEAR: Final = 6
+_BESIDE: Final = 0.3
+_RESEMBLING: Final = 4
 
 
 class FeaturemetricConfig(Config):
@@ -88,7 +87,6 @@ class FeaturemetricConfig(Config):
 class _Attempt(NamedTuple):
     """What came of one start: ``fit`` is the cost in parts of that by chance."""
 
-    start: Pose
     view: View
     found: Alignment
     fit: float
@@ -118,7 +116,6 @@ class FeaturemetricLocalizer:
         self.config = config
         self._extract = MapExtractor(network, config.longest, config.precision)
         self._damping = [factors().detach() for factors in network.damping]
-        self._options = Options(iterations=config.iterations)
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Keep what the points of the map look like in its photographs."""
@@ -138,6 +135,9 @@ class FeaturemetricLocalizer:
             cache,
             config.memory_mb,
         )
+        self._problems = Problems(
+            self._extract, self._observations, self._damping, Options(iterations=config.iterations)
+        )
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.
         described = OnDemand(self._observations.coarse, len(self._observations))
@@ -148,8 +148,8 @@ class FeaturemetricLocalizer:
         """Feature maps, references, starting pose, points, alignment."""
         if reason := fault(query):
             return Estimate(Status.FAILED, reason=reason)
-        if (side := self._least_side(query)) < _LEAST_SIDE:
-            reason = f"the image is {side} pixels wide or high, {_LEAST_SIDE} are needed"
+        if (side := self._least_side(query)) < LEAST_SIDE:
+            reason = f"the image is {side} pixels wide or high, {LEAST_SIDE} are needed"
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         with clock.stage("retrieval"):
@@ -166,7 +166,7 @@ class FeaturemetricLocalizer:
         if best.reason:
             return Estimate(
                 Status.FALLBACK,
-                best.start,
+                begin[0],
                 inliers=seen,
                 iterations=iterations,
                 seconds=clock.seconds,
@@ -185,52 +185,97 @@ class FeaturemetricLocalizer:
     def _tried(
         self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
     ) -> list[_Attempt]:
-        """All starts of one place, then those of the next, until one is clearly right. Then, where
-        there were several, once more from the pose found: from there the image is seen better
-        turned and at a better scale."""
+        """Starts until one is clearly right. Then, where there were several, once more from the
+        pose found: from there the image is seen better turned and at a better scale."""
         tried: list[_Attempt] = []
-        for _, there in groupby(begin, lambda start: start.centre().round(decimals=6).tolist()):
-            tried += [self._attempt(query, chosen, start, clock) for start in there]
+        for some in self._in_turn(query, chosen, begin, clock):
+            tried += some
             best = min(tried, key=lambda attempt: attempt.fit)
             if best.fit < _CLEARLY:
                 if len(begin) > 1:
-                    near = replace(query, prior=_known(best.pose))
-                    tried.append(self._attempt(near, self._chosen(near), best.pose, clock))
+                    tried.append(self._attempt_near(query, best.pose, clock))
                 break
         return tried
 
+    def _in_turn(
+        self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
+    ) -> Iterator[list[_Attempt]]:
+        """Beside photographs that the image resembles, if its heading is not known; then all
+        starts of one place, and those of the next."""
+        if self.config.multistart and _heading_unknown(query.prior):
+            with clock.stage("retrieval"):
+                resembling = self._resembling(query)
+            for pose, reach in resembling:
+                yield [self._attempt_near(query, pose, clock, reach)]
+        for _, there in groupby(begin, lambda start: start.centre().round(decimals=6).tolist()):
+            reach = _reach(query.prior)
+            yield [self._attempt(query, chosen, start, clock, reach) for start in there]
+
+    def _resembling(self, query: Query) -> list[tuple[Pose, Reach]]:
+        """Photographs near the prior, turned to the heading, beside which the image fits best on
+        the coarsest level; the best first, with how far to look."""
+        assert query.prior is not None
+        places = []  # pose, photographs to compare with, how far to look, scale
+        for row in self._retrieval.viewpoints.near(query.prior.position, _NEAR):
+            pose = self._map.images[self._map.names[int(row)]].pose
+            chosen = self._chosen(replace(query, prior=_known(pose)))
+            metres = _BESIDE * self._map.height_above(pose.centre().numpy())
+            reach = Reach(min(metres, _FARTHEST.metres), heading=_BETWEEN_HEADINGS)
+            places.append((pose, chosen, reach, self._problems.scale(query.camera, chosen, pose)))
+        found = []
+        for heading in np.arange(_HEADINGS) * math.tau / _HEADINGS:
+            looked: dict[float, tuple[View, list[FeatureMap]]] = {}
+            for pose, chosen, reach, scale in places:
+                turned = turned_to(pose, float(heading))
+                if scale not in looked:
+                    looked[scale] = self._problems.look(query, chosen, turned)
+                levels, points, intrinsics, start, _, options = self._problems.of(
+                    *looked[scale], chosen, turned, _COMPARED
+                )
+                most = promise(levels[0], points, intrinsics, start, options, reach)
+                found.append((float(most), turned, reach))
+        found.sort(key=lambda each: -each[0])
+        return [(turned, reach) for _, turned, reach in found[:_RESEMBLING]]
+
+    def _attempt_near(
+        self, query: Query, start: Pose, clock: Stopwatch, reach: Reach | None = None
+    ) -> _Attempt:
+        """From a start of which more is known than the query says."""
+        near = replace(query, prior=_known(start))
+        return self._attempt(near, self._chosen(near), start, clock, reach or Reach())
+
     def _attempt(
-        self, query: Query, chosen: NDArray[np.int64], start: Pose, clock: Stopwatch
+        self, query: Query, chosen: NDArray[np.int64], start: Pose, clock: Stopwatch, reach: Reach
     ) -> _Attempt:
         """Look at the query as if a start were right, and align it."""
         with clock.stage("features"):
-            view, maps = self._look(query, chosen, start)
+            view, maps = self._problems.look(query, chosen, start)
         many = self.config.multistart
         count = min(_COMPARED, self.config.points) if many else self.config.points
         with clock.stage("points"):
-            problem = self._problem(view, maps, chosen, start, count)
+            problem = self._problems.of(view, maps, chosen, start, count)
         with clock.stage("alignment"):
             if many:
-                found = align_from_many(*problem, _reach(query.prior))
+                found = align_from_many(*problem, reach)
                 problem, found = self._again(query, view, maps, problem, found)
             else:
                 found = align(*problem)
             reason = found.reason(0)
-            fit = math.inf if reason else _fit(problem, found.pose)
-            if not reason and not fit < _BETTER:
+            of_chance = math.inf if reason else fit(problem, found.pose)
+            if not reason and not of_chance < _BETTER:
                 reason = "the image fits the map's points hardly better than it would by chance"
-        return _Attempt(start, view, found, fit, reason)
+        return _Attempt(view, found, of_chance, reason)
 
     def _again(
-        self, query: Query, view: View, maps: list[FeatureMap], problem: _Problem, found: Alignment
-    ) -> tuple[_Problem, Alignment]:
+        self, query: Query, view: View, maps: list[FeatureMap], problem: Problem, found: Alignment
+    ) -> tuple[Problem, Alignment]:
         """Align once more, to all that is seen from the pose found: a start far off saw other
         points, and had other photographs beside it."""
         if found.failed[0]:
             return problem, found
         there = _pose(view, found)
         chosen = self._chosen(replace(query, prior=_known(there)))
-        after = self._problem(view, maps, chosen, there, self.config.points)
+        after = self._problems.of(view, maps, chosen, there, self.config.points)
         levels, points, intrinsics, begin, damping, options = after
         # The coarsest level has no more to say of a pose that the finest one found.
         final = align(
@@ -257,60 +302,6 @@ class FeaturemetricLocalizer:
         _, maps = self._extract(query.image, query.camera)
         cells = maps[0].features[0].flatten(1).T.float()
         return torch.nn.functional.normalize(cells, dim=1).numpy()
-
-    def _look(
-        self, query: Query, chosen: NDArray[np.int64], start: Pose
-    ) -> tuple[View, list[FeatureMap]]:
-        """The image as the photographs of the map were seen, if the start is right."""
-        points = np.concatenate([self._observations[int(row)].xyz for row in chosen])
-        camera = query.camera
-        own = metres_per_pixel(start, camera, points)
-        largest = self._extract.largest_scale(camera)
-        # The view must not fall below what the network needs.
-        least = _LEAST_SIDE / min(camera.width, camera.height)
-        scale = max(scale_to(self._observations.metres_per_pixel, own, largest), least)
-        view, maps = self._extract(query.image, camera, north(start.rotation.numpy()), scale)
-        # Once for all problems that are made of them.
-        unit = torch.nn.functional.normalize
-        return view, [replace(each, features=unit(each.features, dim=1)) for each in maps]
-
-    def _problem(
-        self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose, count: int
-    ) -> _Problem:
-        """At most ``count`` points, those first that the start sees, and what they look like.
-
-        A point seen by several references counts once for each of them, as in the authors' code.
-        """
-        from_world = view.pose(start)
-        observed = [self._observations[int(row)] for row in chosen]
-        xyz = np.concatenate([seen.xyz for seen in observed])
-        turn = np.concatenate([np.arange(len(seen.xyz)) for seen in observed])
-        in_camera = from_world.transform(torch.from_numpy(xyz))
-        projected = view.camera.project(in_camera)
-        inside = projected.valid & view.camera.contains(projected.xy)
-        visible = inside.numpy() & view.shows(projected.xy.numpy())
-        kept = np.lexsort((turn, ~visible))[:count]
-        confidence = np.concatenate([seen.confidence for seen in observed])[kept]
-        levels = []
-        for number, level in enumerate(maps):
-            reference = np.concatenate([seen.features[number] for seen in observed])[kept]
-            levels.append(
-                Level(
-                    level.features,
-                    level.stride,
-                    torch.from_numpy(reference).float()[None],
-                    level.confidence,
-                    torch.from_numpy(confidence[:, number]).float()[None],
-                )
-            )
-        return (
-            levels,
-            torch.from_numpy(xyz[kept])[None],
-            view.camera.intrinsics(),
-            Pose(from_world.rotation[None], from_world.translation[None]),
-            self._damping,
-            self._options,
-        )
 
 
 def _pose(view: View, found: Alignment) -> Pose:
@@ -341,32 +332,3 @@ def _reach(prior: Prior | None) -> Reach:
         min(degrees, _FARTHEST.degrees),
         _BETWEEN_HEADINGS if _heading_unknown(prior) else 0.0,
     )
-
-
-def _fit(problem: _Problem, pose: Pose) -> float:
-    """The cost at a pose, in parts of what other points would cost where these are seen."""
-    levels, points, intrinsics, _, damping, options = problem
-    still = replace(options, iterations=0)
-    judge = len(levels) // 2
-    level, held_back = levels[judge], damping[judge]
-    projected = intrinsics.project(pose.transform(points))
-    size = torch.tensor(level.features.shape[:1:-1], dtype=points.dtype)
-    cells = projected.xy / per_axis(level.stride, points)
-    seen = (projected.valid & (cells > 1).all(-1) & (cells < size - 1).all(-1))[0]
-    if not bool(seen.any()):
-        return math.inf
-    # Those seen change places among themselves, and keep how far they are trusted: where all of the
-    # picture looks the same, so do they. Neighbours in the list are of different parts of it.
-    order = torch.nonzero(seen)[:, 0]
-    other = torch.roll(order, len(order) // 2)
-
-    def cost(which: torch.Tensor) -> float:
-        trust = level.reference_confidence
-        chosen = replace(
-            level,
-            reference=level.reference[:, which],
-            reference_confidence=None if trust is None else trust[:, which],
-        )
-        return float(align([chosen], points[:, order], intrinsics, pose, [held_back], still).cost)
-
-    return cost(order) / max(cost(other), 1e-12)
