@@ -45,6 +45,8 @@ _CLEARLY: Final = 0.87
 _DOUBT: Final = 3.0
 # Points by which starts are compared; the one kept is aligned to all.
 _COMPARED: Final = 512
+# By which places are, before any start.
+_GLANCED: Final = 256
 # A grid of starts that is spread wider has gaps.
 _FARTHEST: Final = Reach(metres=40.0, degrees=30.0)
 # Headings tried where nobody knows it, and degrees to look to either side of each.
@@ -230,7 +232,7 @@ class FeaturemetricLocalizer:
                 if scale not in looked:
                     looked[scale] = self._problems.look(query, chosen, turned)
                 levels, points, intrinsics, start, _, options = self._problems.of(
-                    *looked[scale], chosen, turned, _COMPARED
+                    *looked[scale], chosen, turned, _GLANCED
                 )
                 most = promise(levels[0], points, intrinsics, start, options, reach)
                 found.append((float(most), turned, reach))
