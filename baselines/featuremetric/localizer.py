@@ -52,11 +52,13 @@ _FARTHEST: Final = Reach(metres=40.0, degrees=30.0)
 # Headings tried where nobody knows it, and degrees to look to either side of each.
 _HEADINGS: Final = 12
 _BETWEEN_HEADINGS: Final = 15.0
-# Photographs near the prior beside which an image of unknown heading is looked for, how far from
-# them in heights above ground, and how many of the places found are tried.
+# Photographs near the prior beside which an image of unknown heading is looked for too, how far
+# from them in heights above ground, and how many of all places and headings are tried first.
 _NEAR: Final = 6
 _BESIDE: Final = 0.3
-_RESEMBLING: Final = 4
+_PROMISING: Final = 4
+# Scales that differ by less than one in so many are looked at as one.
+_ALIKE: Final = 10
 
 
 class FeaturemetricConfig(Config):
@@ -202,42 +204,50 @@ class FeaturemetricLocalizer:
     def _in_turn(
         self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
     ) -> Iterator[list[_Attempt]]:
-        """Beside photographs that the image resembles, if its heading is not known; then all
-        starts of one place, and those of the next."""
+        """What promises most, if the heading is not known; then all starts of one place, and those
+        of the next."""
+        by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
+        places = [list(there) for _, there in by_place]
+        reach = _reach(query.prior)
         if self.config.multistart and _heading_unknown(query.prior):
             with clock.stage("retrieval"):
-                resembling = self._resembling(query)
-            for pose, reach in resembling:
-                yield [self._attempt_near(query, pose, clock, reach)]
-        for _, there in groupby(begin, lambda start: start.centre().round(decimals=6).tolist()):
-            reach = _reach(query.prior)
+                promising = self._promising(query, [(there[0], reach) for there in places])
+            for start, within in promising:
+                yield [self._attempt_near(query, start, clock, within)]
+        for there in places:
             yield [self._attempt(query, chosen, start, clock, reach) for start in there]
 
-    def _resembling(self, query: Query) -> list[tuple[Pose, Reach]]:
-        """Photographs near the prior, turned to the heading, beside which the image fits best on
-        the coarsest level; the best first, with how far to look."""
+    def _promising(
+        self, query: Query, places: Sequence[tuple[Pose, Reach]]
+    ) -> list[tuple[Pose, Reach]]:
+        """Of poses, and of photographs near the prior, turned to every heading, those around which
+        the image fits best on the coarsest level, the best first; with how far to look."""
         assert query.prior is not None
-        places = []  # pose, photographs to compare with, how far to look, scale
+        photographs = []
         for row in self._retrieval.viewpoints.near(query.prior.position, _NEAR):
             pose = self._map.images[self._map.names[int(row)]].pose
-            chosen = self._chosen(replace(query, prior=_known(pose)))
             metres = _BESIDE * self._map.height_above(pose.centre().numpy())
-            reach = Reach(min(metres, _FARTHEST.metres), heading=_BETWEEN_HEADINGS)
-            places.append((pose, chosen, reach, self._problems.scale(query.camera, chosen, pose)))
+            photographs.append((pose, Reach(min(metres, _FARTHEST.metres))))
+        seen = []
+        for pose, reach in [*places, *photographs]:
+            chosen = self._chosen(replace(query, prior=_known(pose)))
+            scale = self._problems.scale(query.camera, chosen, pose)
+            alike = round(_ALIKE * math.log(scale))
+            seen.append((pose, replace(reach, heading=_BETWEEN_HEADINGS), chosen, alike))
         found = []
         for heading in np.arange(_HEADINGS) * math.tau / _HEADINGS:
-            looked: dict[float, tuple[View, list[FeatureMap]]] = {}
-            for pose, chosen, reach, scale in places:
+            looked: dict[int, tuple[View, list[FeatureMap]]] = {}
+            for pose, reach, chosen, alike in seen:
                 turned = turned_to(pose, float(heading))
-                if scale not in looked:
-                    looked[scale] = self._problems.look(query, chosen, turned)
+                if alike not in looked:
+                    looked[alike] = self._problems.look(query, chosen, turned)
                 levels, points, intrinsics, start, _, options = self._problems.of(
-                    *looked[scale], chosen, turned, _GLANCED
+                    *looked[alike], chosen, turned, _GLANCED
                 )
                 most = promise(levels[0], points, intrinsics, start, options, reach)
                 found.append((float(most), turned, reach))
         found.sort(key=lambda each: -each[0])
-        return [(turned, reach) for _, turned, reach in found[:_RESEMBLING]]
+        return [(turned, reach) for _, turned, reach in found[:_PROMISING]]
 
     def _attempt_near(
         self, query: Query, start: Pose, clock: Stopwatch, reach: Reach | None = None
