@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from torch import Tensor, nn
 from torch.nn import functional
@@ -37,18 +37,19 @@ class FeaturePyramid(nn.Module):
             for _ in strides
         )
 
-    def forward(self, blocks: Sequence[Tensor]) -> list[Tensor]:
-        """What the encoder's blocks made, fine to coarse -> per level (B, C, h, w), coarse to fine.
+    def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
+        """What the encoder's blocks made, fine to coarse -> per level (B, C, h, w), coarse to fine,
+        each made when it is asked for.
 
         Cells are ``stride`` pixels from the top left corner on; what an image has beyond a multiple
         of 16 pixels is cut off.
         """
-        steps: list[Tensor] = []
-        for lateral, block in zip(self.lateral, reversed(blocks), strict=False):
-            if steps:
-                up = functional.interpolate(steps[-1], scale_factor=2.0, mode="bilinear")
+        smooth = dict(zip(self._wanted, self.smooth, strict=True))
+        step = self.lateral[0](blocks[-1])
+        for number, lateral in enumerate(self.lateral):
+            if number:
+                up = functional.interpolate(step, scale_factor=2.0, mode="bilinear")
                 height, width = up.shape[-2:]
-                steps.append(lateral(block[..., :height, :width]) + up)
-            else:
-                steps.append(lateral(block))
-        return [smooth(steps[step]) for step, smooth in zip(self._wanted, self.smooth, strict=True)]
+                step = lateral(blocks[-1 - number][..., :height, :width]) + up
+            if number in smooth:
+                yield smooth[number](step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -84,13 +85,16 @@ class ObjConnectNet(nn.Module):
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
         keep_variance(self)
 
-    def forward(self, image: Tensor, labels: Tensor | None = None) -> list[Level]:
+    def forward(
+        self, image: Tensor, labels: Tensor | None = None, levels: int | None = None
+    ) -> list[Level]:
         """Features, not normalised, and confidences in 0..1, from coarse to fine.
 
         Args:
             image: (B, 3, H, W) RGB in 0..1; H and W at least 16.
             labels: (B, _, _) int64 label maps of any size that cover the picture, see
                 ``objconnect.segmentation``; None to segment it as configured.
+            levels: how many, from the coarsest; all if None.
 
         Returns:
             Per level (B, C, h, w) and (B, 1, h, w). Cells are ``stride`` pixels from the top left
@@ -99,7 +103,7 @@ class ObjConnectNet(nn.Module):
         Raises:
             InputError: the configuration expects label maps, and there are none.
         """
-        return self.describe(image, labels)[0]
+        return self.describe(image, labels, levels)[0]
 
     def objects(self, image: Tensor, labels: Tensor | None = None) -> Objects:
         """The objects of pictures, on the finest level that has objects.
@@ -117,15 +121,17 @@ class ObjConnectNet(nn.Module):
         return objects
 
     def describe(
-        self, image: Tensor, labels: Tensor | None = None
+        self, image: Tensor, labels: Tensor | None = None, levels: int | None = None
     ) -> tuple[list[Level], Objects | None]:
         """What ``forward`` gives and what ``objects`` does, None without objects, at once."""
         if not self._with_objects:
             labels = None
         elif labels is None:
             labels = segment(image, self.config)
-        levels, objects = [], None
-        for number, maps in enumerate(self.decoder(encode(self.encoder, image))):
+        made: list[Level] = []
+        objects = None
+        decoded = self.decoder(encode(self.encoder, image))
+        for number, maps in enumerate(islice(decoded, levels)):
             if labels is not None and number < self._with_objects:
                 stride = self.config.strides[number]
                 here = at_level(labels, image, maps, stride)
@@ -135,8 +141,8 @@ class ObjConnectNet(nn.Module):
                     objects = self._as_points(maps, found, stride)
             # The sign is PixLoc's.
             trust = torch.sigmoid(-self.confidence[number](maps))
-            levels.append((self.features[number](maps), trust))
-        return levels, objects
+            made.append((self.features[number](maps), trust))
+        return made, objects
 
     def _as_points(self, maps: Tensor, found: Occupancy, stride: int) -> Objects:
         """The set V: o_i, the features O at the centres c_i."""

@@ -240,7 +240,7 @@ class FeaturemetricLocalizer:
             for pose, reach, chosen, alike in seen:
                 turned = turned_to(pose, float(heading))
                 if alike not in looked:
-                    looked[alike] = self._problems.look(query, chosen, turned)
+                    looked[alike] = self._problems.look(query, chosen, turned, levels=1)
                 levels, points, intrinsics, start, _, options = self._problems.of(
                     *looked[alike], chosen, turned, _GLANCED
                 )
@@ -311,7 +311,7 @@ class FeaturemetricLocalizer:
 
     def _described(self, query: Query) -> NDArray[np.float32]:
         """Unit features of all coarse cells of the image as it was taken, (n, C)."""
-        _, maps = self._extract(query.image, query.camera)
+        _, maps = self._extract(query.image, query.camera, levels=1)
         cells = maps[0].features[0].flatten(1).T.float()
         return torch.nn.functional.normalize(cells, dim=1).numpy()
 

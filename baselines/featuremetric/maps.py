@@ -45,9 +45,11 @@ class Network(Protocol):
         """A ``Damping`` of every level, learned with the features."""
         ...
 
-    def __call__(self, image: Tensor) -> Iterable[tuple[Tensor, Tensor]]:
+    def __call__(
+        self, image: Tensor, *, levels: int | None = None
+    ) -> Iterable[tuple[Tensor, Tensor]]:
         """Images (B, 3, H, W) of RGB in 0..1 -> features (B, C, h, w), not normalised, and
-        confidences (B, 1, h, w) in 0..1, level by level."""
+        confidences (B, 1, h, w) in 0..1, of so many levels from the coarsest or of all."""
         ...
 
 
@@ -93,17 +95,23 @@ class MapExtractor:
 
     @torch.inference_mode()
     def __call__(
-        self, rgb: NDArray[np.uint8], camera: Camera, angle: float = 0.0, scale: float = 1.0
+        self,
+        rgb: NDArray[np.uint8],
+        camera: Camera,
+        angle: float = 0.0,
+        scale: float = 1.0,
+        levels: int | None = None,
     ) -> tuple[View, list[FeatureMap]]:
         """The view of a photograph (H, W, 3), turned by ``angle`` (rad) and resized, and its
-        levels, coarse to fine. ``least_side`` of it must be at least 16 pixels."""
+        levels, coarse to fine, so many or all. Its shorter side must be 16 pixels at least."""
         seen = view(rgb, camera, angle, min(scale, self.largest_scale(camera)))
         # Rows of pixels of RGB are channels-last as they are.
         image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
-            levels = self.network(image)
+            made = self.network(image, levels=levels)
         maps = []
-        for stride, (features, confidence) in zip(self.network.config.strides, levels, strict=True):
+        strides = self.network.config.strides[:levels]
+        for stride, (features, confidence) in zip(strides, made, strict=True):
             shown = torch.from_numpy(_shown(seen, confidence.shape[-2:], stride))
             maps.append(FeatureMap(features, confidence * shown, stride))
         return seen, maps

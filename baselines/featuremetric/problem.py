@@ -64,11 +64,13 @@ class Problems:
         return max(scale_to(self.observations.metres_per_pixel, own, largest), least)
 
     def look(
-        self, query: Query, chosen: NDArray[np.int64], start: Pose
+        self, query: Query, chosen: NDArray[np.int64], start: Pose, levels: int | None = None
     ) -> tuple[View, list[FeatureMap]]:
-        """The image as the photographs of the map were seen, if the start is right."""
+        """The image as the photographs of the map were seen, if the start is right; so many levels
+        of it from the coarsest, or all."""
         scale = self.scale(query.camera, chosen, start)
-        view, maps = self.extract(query.image, query.camera, north(start.rotation.numpy()), scale)
+        angle = north(start.rotation.numpy())
+        view, maps = self.extract(query.image, query.camera, angle, scale, levels)
         # Once for all problems that are made of them.
         unit = torch.nn.functional.normalize
         return view, [replace(each, features=unit(each.features, dim=1)) for each in maps]

@@ -7,8 +7,8 @@ their weights.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -85,20 +85,24 @@ class Decoder(nn.ModuleList):
         self._wanted = [STRIDES.index(stride) for stride in strides]
         self.sizes = [sizes[step] for step in self._wanted]
 
-    def forward(self, blocks: Sequence[Tensor]) -> list[Tensor]:
-        """What the encoder's blocks made, fine to coarse -> per level (B, C, h, w), coarse to fine.
+    def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
+        """What the encoder's blocks made, fine to coarse -> per level (B, C, h, w), coarse to fine,
+        each made when it is asked for.
 
         Cells are ``stride`` pixels from the top left corner on; what an image has beyond a multiple
         of 16 pixels is cut off.
         """
         skips = list(blocks)
-        decoded = [skips.pop()]
-        for step in self:
+        decoded = skips.pop()
+        if 0 in self._wanted:
+            yield decoded
+        for number, step in enumerate(self, 1):
             skip = skips.pop()
-            up = functional.interpolate(decoded[-1], scale_factor=2.0, mode="bilinear")
+            up = functional.interpolate(decoded, scale_factor=2.0, mode="bilinear")
             height, width = up.shape[-2:]
-            decoded.append(step(torch.cat([up, skip[..., :height, :width]], 1)))
-        return [decoded[step] for step in self._wanted]
+            decoded = step(torch.cat([up, skip[..., :height, :width]], 1))
+            if number in self._wanted:
+                yield decoded
 
 
 class PixlocNet(nn.Module):
@@ -122,21 +126,22 @@ class PixlocNet(nn.Module):
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
         keep_variance(self)
 
-    def forward(self, image: Tensor) -> list[tuple[Tensor, Tensor]]:
+    def forward(self, image: Tensor, levels: int | None = None) -> list[tuple[Tensor, Tensor]]:
         """Features, not normalised, and confidences in 0..1, from coarse to fine.
 
         Args:
             image: (B, 3, H, W) RGB in 0..1; H and W at least 16.
+            levels: how many, from the coarsest; all if None.
 
         Returns:
             Per level (B, C, h, w) and (B, 1, h, w). Cells are ``stride`` pixels from the top left
             corner on; what an image has beyond a multiple of 16 pixels is cut off.
         """
-        maps = self.decoder(encode(self.encoder, image))
+        maps = islice(self.decoder(encode(self.encoder, image)), levels)
         return [
             (features(level), torch.sigmoid(-confidence(level)))
             for level, features, confidence in zip(
-                maps, self.features, self.confidence, strict=True
+                maps, self.features, self.confidence, strict=False
             )
         ]
 

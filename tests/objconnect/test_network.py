@@ -167,3 +167,18 @@ def test_going_on_from_weights(tmp_path: Path) -> None:
     write_weights(path, deeper, deeper.config.model_dump(mode="json"))
     with pytest.raises(InputError, match="VGG19"):
         start_from(path, {})
+
+
+@pytest.mark.parametrize("decoder", ["unet", "fpn"])
+@torch.inference_mode()
+def test_coarse_levels_alone_are_those_of_all(decoder: str) -> None:
+    config = ObjConnectNetConfig.model_validate({"width": 0.125, "decoder": decoder})
+    network = ObjConnectNet(config).eval()
+    image = torch.rand(1, 3, 64, 96)
+    everything = network(image)
+    for count in (1, 2):
+        some = network(image, levels=count)
+        assert len(some) == count
+        for (features, trust), (as_of_all, trust_of_all) in zip(some, everything, strict=False):
+            torch.testing.assert_close(features, as_of_all, atol=0, rtol=0)
+            torch.testing.assert_close(trust, trust_of_all, atol=0, rtol=0)
