@@ -40,6 +40,8 @@ from scene.sparse_map import SparseMap
 # right ones 0.64 to 0.87.
 _BETTER: Final = 0.93
 _CLEARLY: Final = 0.87
+# So little only where much is in view: reason enough to try nothing else.
+_SURELY: Final = 0.75
 # Variance of a pose in parts of what alignment alone says, which knows neither what the map is off
 # nor shadows and snow that pull all points one way: so it was on town 102, kept for such choices.
 _DOUBT: Final = 3.0
@@ -192,10 +194,10 @@ class FeaturemetricLocalizer:
         """Starts until one is clearly right. Then, where there were several, once more from the
         pose found: from there the image is seen better turned and at a better scale."""
         tried: list[_Attempt] = []
-        for some in self._in_turn(query, chosen, begin, clock):
+        for some, enough in self._in_turn(query, chosen, begin, clock):
             tried += some
             best = min(tried, key=lambda attempt: attempt.fit)
-            if best.fit < _CLEARLY:
+            if best.fit < enough:
                 if len(begin) > 1:
                     tried.append(self._attempt_near(query, best.pose, clock))
                 break
@@ -203,9 +205,9 @@ class FeaturemetricLocalizer:
 
     def _in_turn(
         self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
-    ) -> Iterator[list[_Attempt]]:
+    ) -> Iterator[tuple[list[_Attempt], float]]:
         """What promises most, if the heading is not known; then all starts of one place, and those
-        of the next."""
+        of the next. With the fit that is good enough to stop there."""
         by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
         places = [list(there) for _, there in by_place]
         reach = _reach(query.prior)
@@ -213,9 +215,9 @@ class FeaturemetricLocalizer:
             with clock.stage("retrieval"):
                 promising = self._promising(query, [(there[0], reach) for there in places])
             for start, within in promising:
-                yield [self._attempt_near(query, start, clock, within)]
+                yield [self._attempt_near(query, start, clock, within)], _SURELY
         for there in places:
-            yield [self._attempt(query, chosen, start, clock, reach) for start in there]
+            yield [self._attempt(query, chosen, start, clock, reach) for start in there], _CLEARLY
 
     def _promising(
         self, query: Query, places: Sequence[tuple[Pose, Reach]]
