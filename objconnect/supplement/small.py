@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,13 @@ from objconnect.supplement.spots import Spots, find
 from objconnect.supplement.standing import Ground, nearest
 from objconnect.supplement.tracks import Tracks, distinct, follow, solve
 from objconnect.supplement.triangulation import Lifted, triangulate
+from scene.errors import InputError
 from scene.images import read_rgb
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
+
+# Sine of the angle below the horizon from which on the judge knows views: it learned from above.
+_DOWN: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -50,9 +55,13 @@ def find_places(
 ) -> Places:
     """Every place where a small thing may be; arguments and errors as ``supplement_points``."""
     names = [name for name in sparse_map.names if masks is None or name in masks]
-    images = [sparse_map.images[name] for name in names]
+    images = [image for name in names if _from_above(image := sparse_map.images[name])]
+    if names and not images:
+        raise InputError(
+            "no photograph looks down by 30 degrees: small things are known from above alone"
+        )
     spots: list[Spots] = []
-    with progress_bar("spots", len(names)) as advance:
+    with progress_bar("spots", len(images)) as advance:
         for image in images:
             rgb = read_rgb(folder / image.name, image.camera)
             spots.append(find(rgb, network, None if masks is None else masks[image.name]))
@@ -85,7 +94,7 @@ def supplement_points(
         masks: of objects, by photograph; photographs without are left out.
 
     Raises:
-        InputError: a photograph is missing or damaged.
+        InputError: a photograph is missing or damaged, or none looks down.
     """
     places = find_places(sparse_map, folder, config, network, masks)
     names = [image.name for image in places.images]
@@ -101,6 +110,10 @@ def supplement_points(
         if point is not None:
             points.append(point)
     return _missing(sparse_map, points, config), detections
+
+
+def _from_above(image: MapImage) -> bool:
+    return -float(image.cam_from_world[2, 2]) >= _DOWN
 
 
 def _missing(sparse_map: SparseMap, points: list[Lifted], config: SupplementConfig) -> list[Lifted]:

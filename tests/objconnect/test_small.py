@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 from typer.testing import CliRunner
 
 from benchmark.cli import app
 from objconnect.config import ObjConnectNetConfig
 from objconnect.network import ObjConnectNet
+from objconnect.supplement.config import SupplementConfig
+from objconnect.supplement.judge import read_judge
 from objconnect.supplement.raised import HEIGHTS, costs_beside_ground
+from objconnect.supplement.small import supplement_points
 from objconnect.supplement.spots import find
 from objconnect.supplement.standing import Ground, heights, nearest
 from scene.bundle import Scene
+from scene.errors import InputError
 from scene.files import sha256_of
 from scene.images import read_rgb
 
@@ -128,3 +134,19 @@ def test_small_things_are_added_once_and_taken_out_again(rendered_copy: Path) ->
     refused = CliRunner().invoke(app, ["supplement", str(rendered_copy), "--remove"])
     assert refused.exit_code == 2
     assert "nothing was added" in refused.output
+
+
+def test_views_along_the_ground_are_refused(rendered: Scene) -> None:
+    sparse_map = rendered.sparse_map()
+    level = np.eye(4)
+    level[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # looks north
+    images = {
+        name: replace(image, cam_from_world=level) for name, image in sparse_map.images.items()
+    }
+    with pytest.raises(InputError, match="no photograph looks down by 30 degrees"):
+        supplement_points(
+            replace(sparse_map, images=images),
+            rendered.images_root,
+            SupplementConfig(),
+            read_judge(),
+        )
