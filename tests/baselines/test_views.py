@@ -6,7 +6,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.features import Extractor
-from baselines.views import north, view
+from baselines.views import north, turned_to, view
 from scene.camera import Camera
 from scene.features import Features
 from scene.pose import Pose, so3_exp
@@ -36,6 +36,17 @@ def test_an_oblique_view_along_north_is_upright_already() -> None:
 def test_views_from_a_street_keep_the_sky_up(heading: float) -> None:
     level = so3_exp(torch.tensor([np.radians(-80.0), 0.0, 0.0], dtype=torch.float64)).numpy()
     assert north(level @ turned(heading)) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, 3.0, -2.0])
+def test_a_camera_turned_about_its_axis_looks_at_the_same(heading: float) -> None:
+    tilt = so3_exp(torch.tensor([np.radians(-20.0), 0.1, 0.0], dtype=torch.float64)).numpy()
+    rotation = torch.from_numpy(tilt @ turned(70))
+    pose = Pose(rotation, torch.tensor([3.0, -2.0, 40.0], dtype=torch.float64))
+    other = turned_to(pose, heading)
+    assert north(other.rotation.numpy()) == pytest.approx(heading, abs=1e-9)
+    torch.testing.assert_close(other.centre(), pose.centre())
+    torch.testing.assert_close(other.rotation[2], pose.rotation[2])
 
 
 class Brightest(Extractor):

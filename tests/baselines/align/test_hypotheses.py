@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from baselines.align.descent import Options
-from baselines.align.hypotheses import Reach, align_from_many, around
+from baselines.align.hypotheses import Reach, align_from_many, around, promise
 from scene.pose import Pose
 from tests.baselines.align.problems import DAMPING, Small, batch, small, stacked
 from tests.baselines.align.world import PINHOLE, looking_down, wrong
@@ -81,6 +81,20 @@ def test_many_starts_reach_what_one_does_not() -> None:
     assert (many.pose.error_to(everything.truth)[0] < 0.25).all()
     assert (single.pose.error_to(everything.truth)[0] < 0.25).sum() <= len(SEEDS) // 2
     torch.testing.assert_close(many.by_level[-1].matrix(), many.pose.matrix())
+
+
+def test_starts_near_the_truth_promise_more_than_those_far_off() -> None:
+    for seed in SEEDS:
+        problem = small(seed, (10, 5, 4), 2)
+
+        def most(metres: float, problem: Small = problem, seed: int = seed) -> float:
+            start = stacked([wrong(problem.truth, metres, 3, seed)])
+            level, points = problem.levels[0], problem.points
+            found = promise(level, points, PINHOLE.intrinsics(), start, Options(), Reach(8, 10))
+            assert found.shape == (1,)
+            return float(found)
+
+        assert most(5) > 1.5 * most(60)
 
 
 @pytest.mark.parametrize("value", [torch.nan, 1.0])
