@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.views import north, turned_by
+from baselines.views import looks_down, north, turned_by
 from scene.localizer import Prior
 from scene.pose import Pose, so3_exp
 from scene.sparse_map import SparseMap
@@ -21,8 +21,7 @@ _NO_ALTITUDE: Final = 0.2
 _SAME_SCALE: Final = 1.15
 _SAME_HEADING: Final = math.radians(45)
 _TURN: Final = math.radians(30)
-# A photograph that looks down at all (sine), and one that does so clearly aslant.
-_DOWN: Final = 0.5
+# A photograph that looks clearly aslant.
 _ASLANT: Final = math.radians(10)
 _DOWNWARDS: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
@@ -83,7 +82,8 @@ def _every_way(begun: Sequence[Pose]) -> list[Pose]:
         if all(abs(math.remainder(heading - other, math.tau)) > _TURN / 4 for other in headings):
             headings.append(heading)
             poses.append(Pose(rotation, -rotation @ centre))
-    if _DOWN < -float(first.rotation[2, 2]) < math.cos(_ASLANT):
+    down = first.rotation.numpy()
+    if looks_down(down) and -down[2, 2] < math.cos(_ASLANT):
         straight = [torch.from_numpy(turned_by(-heading)) @ _DOWNWARDS for heading in headings]
         poses += [Pose(rotation, -rotation @ centre) for rotation in straight]
     return poses

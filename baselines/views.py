@@ -21,10 +21,15 @@ from scene.pose import Pose
 
 # What is this near (px of the view) to where the photograph ends sees what is not there.
 MARGIN: Final = 8.0
-# Sine of the steepest view, downwards, that still counts as one along the ground.
+# Height of the optical axis, of unit length, in the flattest view that counts as one from above.
 _LEVEL: Final = -0.5
 # Radians and share below which a photograph is left as it is.
 _SAME_ANGLE, _SAME_SCALE = 1e-3, 1e-3
+
+
+def looks_down(cam_from_world: NDArray[np.float64]) -> bool:
+    """Whether a camera of this rotation (3, 3) looks 30 degrees or more below the horizon."""
+    return bool(cam_from_world[2, 2] <= _LEVEL)
 
 
 def north(cam_from_world: NDArray[np.float64]) -> float:
@@ -34,7 +39,7 @@ def north(cam_from_world: NDArray[np.float64]) -> float:
     degrees of the horizon, as from a street, it is the sky's wherever they look.
     """
     east_axis, north_axis, up_axis = cam_from_world.T
-    if up_axis[2] > _LEVEL:
+    if not looks_down(cam_from_world):
         return float(np.arctan2(up_axis[0], -up_axis[1]))
     # The picture plane turned about its axis so that east comes right and north up, as well as can.
     return float(np.arctan2(north_axis[0] + east_axis[1], east_axis[0] - north_axis[1]))

@@ -199,7 +199,7 @@ class FeaturemetricLocalizer:
             best = min(tried, key=lambda attempt: attempt.fit)
             if best.fit < enough:
                 if len(begin) > 1:
-                    tried.append(self._attempt_near(query, best.pose, clock))
+                    tried.append(self._attempt_near(query, best.pose, clock, Reach()))
                 break
         return tried
 
@@ -251,12 +251,10 @@ class FeaturemetricLocalizer:
         found.sort(key=lambda each: -each[0])
         return [(turned, reach) for _, turned, reach in found[:_PROMISING]]
 
-    def _attempt_near(
-        self, query: Query, start: Pose, clock: Stopwatch, reach: Reach | None = None
-    ) -> _Attempt:
+    def _attempt_near(self, query: Query, start: Pose, clock: Stopwatch, reach: Reach) -> _Attempt:
         """From a start of which more is known than the query says."""
         near = replace(query, prior=_known(start))
-        return self._attempt(near, self._chosen(near), start, clock, reach or Reach())
+        return self._attempt(near, self._chosen(near), start, clock, reach)
 
     def _attempt(
         self, query: Query, chosen: NDArray[np.int64], start: Pose, clock: Stopwatch, reach: Reach

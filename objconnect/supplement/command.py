@@ -59,7 +59,8 @@ def supplement(
         both.
 
     Raises:
-        InputError: not a finished scene, no map, or a damaged file; the map is as it was.
+        InputError: not a finished scene, no map, none of its photographs looks down, or a damaged
+            file; the map is as it was.
     """
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.views import looks_down
 from objconnect.network import ObjConnectNet
 from objconnect.segmentation import Labels
 from objconnect.supplement.association import Detections
@@ -24,9 +24,6 @@ from scene.errors import InputError
 from scene.images import read_rgb
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
-
-# Sine of the angle below the horizon from which on the judge knows views: it learned from above.
-_DOWN: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,9 @@ def find_places(
 ) -> Places:
     """Every place where a small thing may be; arguments and errors as ``supplement_points``."""
     names = [name for name in sparse_map.names if masks is None or name in masks]
-    images = [image for name in names if _from_above(image := sparse_map.images[name])]
+    images = [sparse_map.images[name] for name in names]
+    # The judge learned from above.
+    images = [image for image in images if looks_down(image.cam_from_world[:3, :3])]
     if names and not images:
         raise InputError(
             "no photograph looks down by 30 degrees: small things are known from above alone"
@@ -110,10 +109,6 @@ def supplement_points(
         if point is not None:
             points.append(point)
     return _missing(sparse_map, points, config), detections
-
-
-def _from_above(image: MapImage) -> bool:
-    return -float(image.cam_from_world[2, 2]) >= _DOWN
 
 
 def _missing(sparse_map: SparseMap, points: list[Lifted], config: SupplementConfig) -> list[Lifted]:
