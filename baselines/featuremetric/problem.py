@@ -15,7 +15,7 @@ from baselines.align.descent import Options
 from baselines.align.residuals import Level
 from baselines.align.sampling import per_axis
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
-from baselines.featuremetric.references import ReferenceFeatures
+from baselines.featuremetric.references import ReferenceFeatures, spread
 from baselines.resolution import metres_per_pixel, scale_to
 from baselines.views import View, north
 from scene.camera import Camera
@@ -80,21 +80,26 @@ class Problems:
     ) -> Problem:
         """At most ``count`` points, those first that the start sees, and what they look like.
 
-        A point seen by several references counts once for each of them, as in the authors' code.
+        They cover the image evenly, though the references overlap most in its middle: tilting the
+        camera and moving it are told apart only far from there. A point seen by several references
+        counts once for each of them, as in the authors' code.
         """
         from_world = view.pose(start)
         observed = [self.observations[int(row)] for row in chosen]
-        xyz = np.concatenate([seen.xyz for seen in observed])
-        turn = np.concatenate([np.arange(len(seen.xyz)) for seen in observed])
+        xyz = np.concatenate([each.xyz for each in observed])
+        turn = np.concatenate([np.arange(len(each.xyz)) for each in observed])
         in_camera = from_world.transform(torch.from_numpy(xyz))
         projected = view.camera.project(in_camera)
         inside = projected.valid & view.camera.contains(projected.xy)
         visible = inside.numpy() & view.shows(projected.xy.numpy())
-        kept = np.lexsort((turn, ~visible))[:count]
-        confidence = np.concatenate([seen.confidence for seen in observed])[kept]
+        seen = np.flatnonzero(visible)
+        size = np.array([view.camera.width, view.camera.height])
+        order = spread(projected.xy.numpy()[seen] / size, -turn[seen])
+        kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
+        confidence = np.concatenate([each.confidence for each in observed])[kept]
         levels = []
         for number, level in enumerate(maps):
-            reference = np.concatenate([seen.features[number] for seen in observed])[kept]
+            reference = np.concatenate([each.features[number] for each in observed])[kept]
             levels.append(
                 Level(
                     level.features,
