@@ -37,8 +37,8 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
         chosen = localizer._retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
         (start,) = starts(query.prior, dataset.load_map(), chosen)
-        view, maps = localizer._look(query, chosen, start)
-        problem = localizer._problem(view, maps, chosen, start, localizer.config.points)
+        view, maps = localizer._problems.look(query, chosen, start)
+        problem = localizer._problems.of(view, maps, chosen, start, localizer.config.points)
     network, _ = read_network(weights)
     image = torch.from_numpy(view.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
 

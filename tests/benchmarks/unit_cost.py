@@ -42,7 +42,7 @@ def unit_cost(scene: Scene) -> Iterator[tuple[str, str]]:
     options = SiftOptions()
     found = extract_sift(root, mapped[:_SOME], options, threads=1)
     names = list(found)
-    descriptors = [unit_descriptors(found[name]) for name in names]
+    descriptors = [unit_descriptors(found[name].descriptors) for name in names]
     sift = _seconds(lambda k: extract_sift(root, [names[k]], options, threads=1))
     yield "SIFT of a photograph", sift
     yield "matching a pair", _seconds(lambda k: match(descriptors[k - 1], descriptors[k], 0.8))
