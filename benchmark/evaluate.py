@@ -17,7 +17,7 @@ import torch
 
 from benchmark.album import ALBUM, keep_album
 from benchmark.datasets import BenchmarkQuery, Dataset
-from benchmark.journal import Journal
+from benchmark.journal import Journal, journal_path
 from benchmark.pictures import median_query, query_overlay
 from benchmark.registry import create, known
 from benchmark.results import (
@@ -58,7 +58,7 @@ def evaluate(
 
     Beside it go ``<method>-query.png``, the map drawn into the query of median error, and
     ``album.h5``, what the page shows of each query. A method that raises an exception on a query
-    has failed on that query, and the run goes on. Finished queries are kept in ``<method>.partial``
+    has failed on that query, and the run goes on. Finished queries are kept in a hidden journal
     until then: the same run, interrupted, goes on there.
 
     Args:
@@ -81,7 +81,7 @@ def evaluate(
     method = method_of(localizer)
     target = results_path(out, dataset, localizer)
     run = _Run(dataset, localizer, start, cache)
-    with Journal(target.with_suffix(".partial"), _key(method, dataset, start)) as journal:
+    with Journal(journal_path(target), _key(method, dataset, start)) as journal:
         with (
             _answering(run, jobs, cluster) as (prepare, ask),
             closing(ask([q for q in dataset.queries if q.name not in journal.done])) as answers,

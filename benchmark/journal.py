@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 
 from pydantic import ValidationError
 
 from benchmark.results import QueryResult
-from scene.errors import InputError, WriteError
-from scene.files import parse_json
+from scene.errors import WriteError
+from scene.files import MARK, locked, parse_json
+
+
+def journal_path(results: Path) -> Path:
+    """Where the journal of a results file lies."""
+    return results.with_name(f"{MARK}{results.stem}.journal")
 
 
 class Journal:
@@ -44,15 +48,23 @@ class Journal:
         self._made = [folder for folder in above if not folder.exists()]
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            # A damaged byte ends what is good, as any damage does.
-            self._file = self.path.open("a+", encoding="utf-8", errors="surrogateescape")
         except OSError as error:
-            raise InputError(f"cannot write {self.path}: {error.strerror}") from None
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            self._file.close()
-            raise InputError(f"another run is writing {self.path}; wait for it to end") from None
+            raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
+        with ExitStack() as opened:
+            lock = self.path.with_name(f"{MARK}lock-{self.path.name}")
+            opened.enter_context(locked(lock, self.path))
+            try:
+                # A damaged byte ends what is good, as any damage does.
+                self._file = opened.enter_context(
+                    self.path.open("a+", encoding="utf-8", errors="surrogateescape")
+                )
+            except OSError as error:
+                raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
+            self._begin()
+            self._opened = opened.pop_all()
+        return self
+
+    def _begin(self) -> None:
         self._file.seek(0)
         lines = self._file.read().splitlines(keepends=True)
         good = 0
@@ -65,7 +77,6 @@ class Journal:
         self._file.truncate(good)
         if not good:
             self._put(json.dumps({"key": self._key}))
-        return self
 
     def __exit__(
         self,
@@ -76,7 +87,7 @@ class Journal:
         """Close; the file stays when a run ends badly after its first query."""
         if kind is None or not self.done:
             self.path.unlink(missing_ok=True)
-        self._file.close()
+        self._opened.close()
         for folder in self._made:
             with suppress(OSError):  # it holds something
                 folder.rmdir()

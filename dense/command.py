@@ -33,9 +33,13 @@ from scene.cluster import crew
 from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
 from scene.errors import InputError
 from scene.files import (
+    MARK,
     folder_written_whole,
+    link_or_copy,
+    matches,
     read_text,
     remove_partial,
+    replace_folder,
     require_room,
     sole_writer,
     write_text,
@@ -45,8 +49,18 @@ from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
 
 DENSE = "dense"
-UNFINISHED = ".dense"
+UNFINISHED = f"{MARK}dense"
 KEY = "dense.json"
+# What we write into that folder, as ``scene.files.folder_written_whole`` takes it.
+OWNED = (
+    KEY,
+    *(f"images/*{ending}" for ending in (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG")),
+    "sparse/*.bin",
+    "stereo/*.bin",
+    "stereo/*.cfg",
+    "fused.ply",
+    "fused.ply.vis",
+)
 Stereo = Literal["own", "colmap"]
 
 # Of a depth map: every one alone, then each against its sources.
@@ -181,7 +195,7 @@ def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
         if not holds(unfinished):
             shutil.rmtree(unfinished, ignore_errors=True)
             if holds(whole):
-                whole.replace(unfinished)
+                _link_finished(whole, unfinished)
         remove_partial(unfinished)
     except OSError as error:
         raise InputError(f"cannot write {scene.path}: {error.strerror or error}") from None
@@ -189,13 +203,22 @@ def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
     return Workspace(unfinished)
 
 
+def _link_finished(whole: Path, unfinished: Path) -> None:
+    """What was finished before, under a second name: the folder itself stays as it is."""
+    cloud = Workspace(whole).cloud.name
+    for path in sorted(whole.rglob("*")):
+        name = path.relative_to(whole).as_posix()
+        # COLMAP writes the cloud anew, in place.
+        if path.is_file() and matches(name, OWNED) and not name.startswith(cloud):
+            (unfinished / name).parent.mkdir(parents=True, exist_ok=True)
+            link_or_copy(path, unfinished / name)
+
+
 def _finish(scene: Scene, workspace: Workspace) -> None:
     """Put the finished folder in its place, and into the scene's manifest."""
     whole = scene.path / DENSE
     try:
-        if whole.exists():
-            shutil.rmtree(whole)
-        workspace.path.replace(whole)
+        replace_folder(whole, workspace.path, OWNED)
     except OSError as error:
         raise InputError(f"cannot write {whole}: {error.strerror or error}") from None
     finish(scene.path, scene.manifest)
@@ -218,7 +241,7 @@ def _write_photographs(
 def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
     images = [sparse_map.images[name] for name in sparse_map.names]
     posed = [PosedImage(image.name, image.camera, image.cam_from_world) for image in images]
-    with folder_written_whole(workspace.sparse) as folder:
+    with folder_written_whole(workspace.sparse, ("*.bin",)) as folder:
         write_posed(posed, sparse_map, folder)
 
 

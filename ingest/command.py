@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from glob import escape
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from ingest.picture import draw
 from ingest.positions import FEWEST, local, with_positions
 from ingest.report import REPORT, IngestReport, make_report, residuals
 from ingest.split import Split, queries_of
-from scene.bundle import COVISIBILITY, FEATURES, MANIFEST, Scene, finish
+from scene.bundle import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish
 from scene.camera import Camera
 from scene.colmap import (
     Mapper,
@@ -35,7 +36,15 @@ from scene.colmap import (
 from scene.covisibility import Covisibility, visible_share, write_covisibility
 from scene.errors import InputError, WriteError
 from scene.features import write_features
-from scene.files import folder_written_whole, remove_partial, sha256_of, sole_writer
+from scene.files import (
+    MARK,
+    folder_written_whole,
+    is_ours,
+    remove_owned,
+    remove_partial,
+    sha256_of,
+    sole_writer,
+)
 from scene.frames import Frames, write_frames
 from scene.geodesy import Geodetic
 from scene.images import read_rgb, write_resized
@@ -43,7 +52,7 @@ from scene.manifest import Manifest, Objects, Session, Splits, read_json, write_
 from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
 
-_WORK = ".ingest"
+_WORK = f"{MARK}ingest"
 _PLAN = "plan.json"
 _TURNED = "turned.json"
 _DATABASE = Path("database.db")
@@ -136,12 +145,21 @@ def _ingest(
     except WriteError:
         raise  # the same command goes on when there is room
     except InputError:
-        # These photographs make no scene: nothing is left to go on with.
-        shutil.rmtree(out, ignore_errors=True)
+        # These photographs make no scene: nothing of ours is left to go on with.
+        remove_owned(out, _owned(roll))
         raise
     finish(out, _manifest(plan, origin))
     shutil.rmtree(out / _WORK)
     return report
+
+
+def _owned(roll: Roll) -> list[str]:
+    """What we write into the folder of a scene, as ``scene.files.remove_owned`` takes it."""
+    copies = [f"sessions/{escape(shot.name)}" for shot in roll.shots]
+    frames = f"sessions/{SESSION}/frames.h5"
+    lists = ["splits.json", "objects.json", COVISIBILITY, REPORT, "pictures/ingest.png"]
+    model = [f"map/{pattern}" for pattern in MAP_FILES]
+    return [f"{_WORK}/*", *copies, frames, *lists, *model]
 
 
 def _build(
@@ -252,7 +270,7 @@ def _finished(out: Path, plan: _Plan) -> bool:
         return False
     try:
         # A run killed while it claimed the folder left nothing but its own folder.
-        occupied = out.exists() and any(item.name != _WORK for item in out.iterdir())
+        occupied = out.exists() and any(not is_ours(item.name) for item in out.iterdir())
     except OSError as error:
         raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
     if occupied:
@@ -347,7 +365,7 @@ def _triangulate(out: Path, model: SparseMap, queries: set[str]) -> SparseMap:
         for name in model.names
         if name not in queries
     ]
-    with folder_written_whole(out / "map") as folder:
+    with folder_written_whole(out / "map", MAP_FILES) as folder:
         sparse_map, features = triangulate_matched(
             out / "sessions", images, out / _WORK / _DATABASE, folder
         )

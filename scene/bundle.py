@@ -22,11 +22,13 @@ from scene.files import sha256_of
 from scene.frames import DenseLayers, Frames, Layer, dense_layers, read_frames
 from scene.manifest import Manifest, Objects, Session, Splits, read_json, write_json
 from scene.sparse_map import MapImage, SparseMap
-from scene.supplement import added_rows
+from scene.supplement import ADDED_FEATURES, SUPPLEMENT, added_rows
 
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
 FEATURES = "features.h5"
+MAP_FILES = ("*.bin", FEATURES, SUPPLEMENT, ADDED_FEATURES)
+"""What we write into the folder of a map, as ``scene.files.folder_written_whole`` takes it."""
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,35 @@
-"""Files that are either whole or absent, and their digests."""
+"""Files that are either whole or absent, and their digests.
+
+Temporary files and folders have names of ours, ``.objconnect-????????.partial`` and the like. No
+other file is ever removed: a folder that is replaced keeps what we did not write.
+"""
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
+import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+from filelock import FileLock, Timeout
 
 from scene.errors import InputError, WriteError
 
-# What mkstemp makes of the prefix ".NAME.".
-_PARTIAL = ".*.????????"
+# Every temporary name begins so; see ``is_ours``.
+MARK: Final = ".objconnect-"
+PARTIAL = ".partial"
+# Holds a folder that is being replaced: after a kill it is the only copy.
+_ASIDE = ".aside"
+_TEMPORARY = re.compile(rf"{re.escape(MARK)}[a-z0-9_]{{8}}({PARTIAL}|{_ASIDE})")
+_LOCK = f"{MARK}lock"
 # Bytes of a name, in every usual file system.
 _LONGEST = 255
 # A disk with less left is full.
@@ -37,23 +50,52 @@ def inside(name: str) -> bool:
     return short and "\0" not in name and not name.startswith("/") and ".." not in parts
 
 
+def is_ours(name: str) -> bool:
+    """Whether a file or folder of this name is a temporary one of ours."""
+    return name.startswith(MARK)
+
+
+def require_regular(path: Path) -> None:
+    """Refuse to write where something stands that a file must not replace.
+
+    Raises:
+        WriteError: ``path`` is a folder, a device, a pipe, a socket or a symbolic link.
+    """
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise WriteError(f"cannot write {path}: {error.strerror or error}") from None
+    if stat.S_ISREG(mode):
+        return
+    if stat.S_ISLNK(mode):
+        raise WriteError(f"cannot write {path}: it is a symbolic link: name the file it leads to")
+    kind = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
+    raise WriteError(f"cannot write {path}: it is {kind}, not a file")
+
+
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place only when the block succeeds.
 
     Raises:
-        WriteError: the folder cannot be written, or the disk is full.
+        WriteError: the folder cannot be written, the disk is full, or something that is no regular
+            file stands there.
     """
     partial: Path | None = None
     try:
+        require_regular(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=MARK, suffix=PARTIAL, dir=path.parent)
         os.close(handle)
         partial = Path(name)
         # mkstemp makes private files; a result should be as readable as any other file.
         partial.chmod(0o666 & ~_umask())
         yield partial
         partial.replace(path)
+    except WriteError:
+        raise
     except OSError as error:
         raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
     except RuntimeError as error:
@@ -68,8 +110,12 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 def remove_partial(folder: Path) -> None:
     """Remove what processes killed inside ``written_whole`` or ``folder_written_whole`` left under
-    ``folder``."""
-    for path in list(folder.rglob(_PARTIAL)):
+    ``folder``; a folder that was being replaced when its process died is put back."""
+    for path in [found for found in folder.rglob(f"{MARK}*") if _TEMPORARY.fullmatch(found.name)]:
+        if path.name.endswith(_ASIDE):
+            for old in list(path.iterdir()):
+                if not os.path.lexists(path.parent / old.name):
+                    old.replace(path.parent / old.name)
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
@@ -77,30 +123,104 @@ def remove_partial(folder: Path) -> None:
 
 
 @contextmanager
-def folder_written_whole(path: Path) -> Iterator[Path]:
+def folder_written_whole(path: Path, owned: Sequence[str] = ()) -> Iterator[Path]:
     """The same for a folder: ``path`` is replaced only when the block succeeds.
+
+    Files of the old folder that the block did not write again stay, but for ``owned``.
+
+    Args:
+        path: of the folder; where it is a symbolic link, the folder it leads to is replaced.
+        owned: patterns of the files that we write there, relative to the folder; ``*`` matches
+            ``/``, too. Those of the old folder that are not written again go.
 
     Raises:
         InputError: the parent folder cannot be written, or the disk is full.
     """
     partial: Path | None = None
     try:
+        path = path.resolve()
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        partial = Path(tempfile.mkdtemp(prefix=MARK, suffix=PARTIAL, dir=path.parent))
         partial.chmod(0o777 & ~_umask())
         yield partial
-        if path.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{path.name}.old.", dir=path.parent))
-            path.replace(old / path.name)
-            partial.replace(path)
-            shutil.rmtree(old)
-        else:
-            partial.replace(path)
+        replace_folder(path, partial, owned)
+    except WriteError:
+        raise
     except OSError as error:
         raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         if partial is not None:
             shutil.rmtree(partial, ignore_errors=True)
+
+
+def replace_folder(path: Path, new: Path, owned: Sequence[str]) -> None:
+    """Put the folder ``new`` in the place of ``path``, with what ``path`` holds and we did not
+    write: every file that ``new`` does not have and that matches none of the patterns ``owned`` (as
+    of ``folder_written_whole``).
+
+    Args:
+        path: of the folder; there may be none.
+        new: beside it.
+        owned: patterns.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    if path.exists():
+        _keep_others(path, new, owned)
+        aside = Path(tempfile.mkdtemp(prefix=MARK, suffix=_ASIDE, dir=path.parent))
+        path.replace(aside / path.name)
+        new.replace(path)
+        shutil.rmtree(aside)
+    else:
+        new.replace(path)
+
+
+def _keep_others(old: Path, new: Path, owned: Sequence[str]) -> None:
+    for path in sorted(old.rglob("*")):
+        name = path.relative_to(old).as_posix()
+        kept = new / name
+        if os.path.lexists(kept) or matches(name, owned):
+            continue
+        if path.is_dir() and not path.is_symlink():
+            if not any(path.iterdir()):
+                kept.mkdir(parents=True)
+            continue
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        link_or_copy(path, kept)
+
+
+def link_or_copy(old: Path, new: Path) -> None:
+    """A second name for a file; a copy, where the file system knows no hard links.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    try:
+        os.link(old, new, follow_symlinks=False)
+    except OSError:
+        shutil.copy2(old, new, follow_symlinks=False)
+
+
+def matches(name: str, owned: Sequence[str]) -> bool:
+    """Whether a path relative to its folder matches one of the patterns of files that we write."""
+    return any(fnmatchcase(name, pattern) for pattern in owned)
+
+
+def remove_owned(folder: Path, owned: Sequence[str]) -> None:
+    """Remove the files of a folder that match ``owned`` (as of ``folder_written_whole``), and the
+    folders that are empty then, itself included. What else it holds stays."""
+    if folder.is_symlink() or not folder.is_dir():
+        return
+    for path in sorted(folder.rglob("*"), reverse=True):
+        name = path.relative_to(folder).as_posix()
+        if path.is_dir() and not path.is_symlink():
+            with suppress(OSError):  # it holds something
+                path.rmdir()
+        elif matches(name, owned):
+            path.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 @contextmanager
@@ -120,7 +240,7 @@ def kept_while_working(folder: Path, name: str) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         for other in folder.iterdir():
             # A database has journals beside it.
-            if not other.name.startswith(name):
+            if not other.name.startswith(name) and other.is_file():
                 other.unlink()
     except OSError as error:
         raise WriteError(f"cannot write {folder}: {error.strerror or error}") from error
@@ -138,29 +258,53 @@ def kept_while_working(folder: Path, name: str) -> Iterator[Path]:
 def sole_writer(folder: Path) -> Iterator[None]:
     """Keep others that ask for it out of a folder during the block.
 
-    The lock is the kernel's, on the folder itself: it leaves no file, and ends with the process,
-    however that ends. A folder that is not there is made, and goes again if it stays empty.
+    The lock is the system's, on a file of ours in the folder: it ends with the process, however
+    that ends. The file goes with the block, and so does a folder that was not there and stayed
+    empty.
 
     Raises:
-        InputError: another process has it, or the folder cannot be made.
+        InputError: another process has it, or the folder cannot be made or written.
     """
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError as error:
-        raise InputError(f"cannot write {folder}: {error.strerror}") from None
-    try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"another run is writing {folder}: wait for it to end") from None
-        yield
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise WriteError(f"cannot write {folder}: {error.strerror or error}") from None
+        with locked(folder / _LOCK, folder):
+            yield
     finally:
-        os.close(handle)
         with suppress(OSError):  # not empty, which is as it should be
             for path in made:
                 path.rmdir()
+
+
+@contextmanager
+def locked(lock: Path, what: Path) -> Iterator[None]:
+    """Hold a lock file during the block; it is gone afterwards.
+
+    Args:
+        lock: the file; its folder exists.
+        what: that it guards, for the message.
+
+    Raises:
+        InputError: another process holds it, or it cannot be made.
+    """
+    held = FileLock(lock, blocking=False, thread_local=False)
+    try:
+        held.acquire()
+    except Timeout:
+        raise InputError(f"another run is writing {what}: wait for it to end") from None
+    except (OSError, NotImplementedError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise WriteError(f"cannot write {what}: {reason or error}") from None
+    try:
+        yield
+    finally:
+        # While it is held: who opened it before finds it unlinked, and asks anew. Windows keeps it.
+        with suppress(OSError):
+            lock.unlink()
+        held.release()
 
 
 def require_room(path: Path, needed: int) -> None:

@@ -21,7 +21,7 @@ from scene.camera import Camera
 from scene.cluster import crew
 from scene.covisibility import write_covisibility
 from scene.errors import InputError
-from scene.files import remove_partial, sole_writer, write_text
+from scene.files import MARK, is_ours, remove_partial, sole_writer, write_text
 from scene.frames import LAYERS, Frames, Layer, read_frames, write_frames
 from scene.geodesy import geodetic_from_enu
 from scene.images import Exif, write_jpeg
@@ -56,7 +56,7 @@ from simulate.render.pool import RenderError, render
 from simulate.render.remote import frame_files, render_remotely
 
 _CONFIG = ".config.json"
-_RENDERED = ".rendered"
+_RENDERED = f"{MARK}rendered"
 
 _Renderer = Callable[[RenderJob, Path, Callable[[int], None]], None]
 
@@ -156,9 +156,7 @@ def _finished(out: Path, config: SimulateConfig) -> Scene | None:
         return None
     try:
         # A run killed while it claimed the folder left this beginning of its configuration.
-        occupied = out.exists() and any(
-            not item.name.startswith(f".{_CONFIG}.") for item in out.iterdir()
-        )
+        occupied = out.exists() and any(not is_ours(item.name) for item in out.iterdir())
     except OSError as error:
         raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
     if occupied:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.files import remove_partial, write_text, written_whole
+from scene.files import MARK, remove_partial, write_text, written_whole
 from scene.progress import progress_bar
 from simulate.command import render_job
 from simulate.config import SessionConfig, SimulateConfig
@@ -28,7 +28,7 @@ from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 
 PAGE, PICTURES = "gallery.md", "gallery"
-_RENDERED = ".gallery-rendered"
+_RENDERED = f"{MARK}gallery"
 # From an orbit, from above and from the street, each with the exposures one is chosen from.
 _VIEWS = ((ObliqueFlight(), 1), (NadirFlight(), 1), (StreetFlight(yaws_deg=(15,)), 40))
 _AHEAD_M = 40.0  # what lies there is in the middle of a picture from the street

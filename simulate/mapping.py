@@ -10,11 +10,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle import FEATURES, Scene, finish
+from scene.bundle import FEATURES, MAP_FILES, Scene, finish
 from scene.colmap import ADJUSTMENTS, VERSION, PosedImage, SiftOptions, reconstruct, triangulate
 from scene.errors import InputError
 from scene.features import write_features
 from scene.files import (
+    MARK,
     folder_written_whole,
     kept_while_working,
     remove_partial,
@@ -27,7 +28,7 @@ from simulate.class_spread import class_spread
 from simulate.map_report import MapReport, report
 from simulate.pictures import draw_pictures
 
-_KEPT = ".mapping"
+_KEPT = f"{MARK}mapping"
 _SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
 
@@ -82,7 +83,7 @@ def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
     digest = _digest(scene.images_root, images, pairs)
     with kept_while_working(path / _KEPT, f"{digest}.db") as database:
         with (
-            folder_written_whole(scene.map_path) as folder,
+            folder_written_whole(scene.map_path, MAP_FILES) as folder,
             progress_bar("map", steps) as advance,
         ):
             sparse_map, features = build(

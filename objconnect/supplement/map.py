@@ -10,11 +10,11 @@ import numpy as np
 
 from objconnect.supplement.association import Detections
 from objconnect.supplement.triangulation import Lifted
-from scene.bundle import Scene, finish
+from scene.bundle import MAP_FILES, Scene, finish
 from scene.colmap import NewPoint, add_points, read_map, remove_points
 from scene.errors import InputError
 from scene.features import Features, write_features
-from scene.files import folder_written_whole, remove_partial, sole_writer
+from scene.files import folder_written_whole, matches, remove_partial, sole_writer
 from scene.images import read_rgb
 from scene.manifest import write_json
 from scene.supplement import (
@@ -48,7 +48,7 @@ def add_to_map(
         remove_partial(path)
         scene.sparse_map()  # says what is missing or damaged
         new = [_new_point(scene, point, detections) for point in points]
-        with folder_written_whole(scene.map_path) as folder:
+        with folder_written_whole(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
             before = read_map(folder)
             ids = add_points(folder, new, folder)
@@ -77,7 +77,7 @@ def remove_from_map(path: Path) -> int:
         supplement = read_supplement(scene.map_path)
         if supplement is None:
             raise InputError(f"nothing was added to the map of {path}")
-        with folder_written_whole(scene.map_path) as folder:
+        with folder_written_whole(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
         finish(path, scene.manifest)
     return len(supplement.points)
@@ -86,7 +86,8 @@ def remove_from_map(path: Path) -> int:
 def _copy_before(scene: Scene, folder: Path) -> None:
     """The map as it was before anything was added to it."""
     for file in scene.map_path.iterdir():
-        if file.name not in (SUPPLEMENT, ADDED_FEATURES):
+        owned = file.is_file() and matches(file.name, MAP_FILES)
+        if owned and file.name not in (SUPPLEMENT, ADDED_FEATURES):
             shutil.copyfile(file, folder / file.name)
     supplement = read_supplement(scene.map_path)
     if supplement is not None:

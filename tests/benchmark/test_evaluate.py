@@ -164,7 +164,7 @@ def interrupted(made_flight: Path) -> Path:
     answers = {"b.jpg": Estimate(Status.OK, pose_at(1)), "f.jpg": KeyboardInterrupt()}
     with pytest.raises(KeyboardInterrupt):
         run(made_flight, FakeLocalizer(answers))
-    assert written(made_flight) == ["meadow/fake.partial"]
+    assert written(made_flight) == ["meadow/.objconnect-fake.journal"]
     return made_flight
 
 
@@ -174,7 +174,7 @@ def asked(path: Path, **config: float) -> list[str]:
     localizer.config = localizer.config.model_copy(update=config)
     results = run(path, localizer)
     assert [query.name for query in results.queries] == ["b.jpg", "d.jpg", "f.jpg"]
-    assert "meadow/fake.partial" not in written(path)
+    assert "meadow/.objconnect-fake.journal" not in written(path)
     return [query.name for query in localizer.seen]
 
 
@@ -185,14 +185,14 @@ def test_an_interrupted_run_goes_on(interrupted: Path) -> None:
 
 
 def test_a_line_cut_short_is_asked_again(interrupted: Path) -> None:
-    partial = interrupted.parent / "out/meadow/fake.partial"
+    partial = interrupted.parent / "out/meadow/.objconnect-fake.journal"
     partial.write_text(partial.read_text()[:-40])
     assert asked(interrupted) == ["d.jpg", "f.jpg"]
 
 
 @pytest.mark.parametrize("rubbish", ["", "{", "[]\n", '{"key": "other"}\n{}\n', "\x00\x00"])
 def test_a_damaged_journal_starts_over(interrupted: Path, rubbish: str) -> None:
-    (interrupted.parent / "out/meadow/fake.partial").write_text(rubbish)
+    (interrupted.parent / "out/meadow/.objconnect-fake.journal").write_text(rubbish)
     assert asked(interrupted) == ["b.jpg", "d.jpg", "f.jpg"]
 
 
@@ -201,7 +201,7 @@ def test_another_configuration_starts_over(interrupted: Path) -> None:
 
 
 def test_two_runs_do_not_write_the_same_results(interrupted: Path) -> None:
-    journal = interrupted.parent / "out/meadow/fake.partial"
+    journal = interrupted.parent / "out/meadow/.objconnect-fake.journal"
     before = journal.read_text()
     with Journal(journal, json.loads(before.splitlines()[0])["key"]) as open_elsewhere:
         assert set(open_elsewhere.done) == {"b.jpg", "d.jpg"}

@@ -52,7 +52,7 @@ class Renderer:
     """A Blender process that renders a frame when asked."""
 
     def __init__(self, job: RenderJob, folder: Path) -> None:
-        self.rendered = folder / ".rendered"
+        self.rendered = folder / ".objconnect-rendered"
         self.rendered.mkdir(parents=True)
         path = folder / "job.json"
         path.write_text(job.model_dump_json())

@@ -162,8 +162,8 @@ def test_what_killed_runs_leave_is_swept_up(rendered_copy: Path, tmp_path: Path)
     (rendered_copy / ".config.json").write_text(RENDERED.model_dump_json())
     session = rendered_copy / "sessions" / "summer-noon-nadir-map"
     (session / ".frames.h5.abcd1234").write_bytes(b"half")
-    (session / ".rendered").mkdir()
-    (session / ".rendered" / "000000.npz").write_bytes(b"whole")
+    (session / ".objconnect-rendered").mkdir()
+    (session / ".objconnect-rendered" / "000000.npz").write_bytes(b"whole")
     assert simulate(RENDERED, rendered_copy).changed_files() == []
     assert not list(rendered_copy.rglob(".*"))
     # Killed while it claimed the folder.

@@ -173,7 +173,7 @@ def test_killed_while_matching_and_resumed_is_the_same_map(
 
 def verified_pairs(scene: Path) -> int:
     """Pairs that an interrupted run would not match again."""
-    databases = list(scene.glob(".mapping/*.db"))
+    databases = list(scene.glob(".objconnect-mapping/*.db"))
     try:
         with closing(sqlite3.connect(f"file:{databases[0]}?mode=ro", uri=True)) as connection:
             return int(connection.execute("SELECT count(*) FROM two_view_geometries").fetchone()[0])
@@ -212,10 +212,10 @@ def test_what_an_interrupted_run_kept_may_be_damaged_or_of_other_photographs(
     with pytest.raises(KeyboardInterrupt):
         build_map(rendered_copy, "triangulate")
     monkeypatch.undo()
-    (database,) = (rendered_copy / ".mapping").glob("*.db")
+    (database,) = (rendered_copy / ".objconnect-mapping").glob("*.db")
     whole = database.read_bytes()
     database.write_bytes(whole[:5000] + b"damaged" * 2000 + whole[19000:])
-    (rendered_copy / ".mapping" / "0123456789abcdef.db").write_bytes(whole)
+    (rendered_copy / ".objconnect-mapping" / "0123456789abcdef.db").write_bytes(whole)
     build_map(rendered_copy, "sfm")
     assert digests_of(rendered_copy) == finished
     assert not list(rendered_copy.glob(".*"))
