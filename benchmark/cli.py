@@ -7,45 +7,25 @@ from __future__ import annotations
 
 import json
 import logging
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import yaml
-from typer.core import TyperGroup
 
+from benchmark.boundary import INPUT_AT_FAULT, REGRESSION, Boundary, PrintedFormatter
 from scene.errors import InputError
 
 if TYPE_CHECKING:
     from benchmark.datasets import Dataset
 
-_REGRESSION = 1
-_INPUT_AT_FAULT = 2
-_INTERRUPTED = 130
-
-
-class _Group(TyperGroup):
-    """Runs a command and turns what a person can mend into one line and an exit code."""
-
-    def invoke(self, ctx: Any) -> Any:
-        try:
-            return super().invoke(ctx)
-        except InputError as error:
-            message = " ".join(str(error).split())
-            print(f"objconnect: error: {message}", file=sys.stderr)
-            raise typer.Exit(_INPUT_AT_FAULT) from None
-        except KeyboardInterrupt:
-            print("objconnect: interrupted", file=sys.stderr)
-            raise typer.Exit(_INTERRUPTED) from None
-
-
 app = typer.Typer(
     name="objconnect",
-    cls=_Group,
+    cls=Boundary,
     help="Simulate, build and compare 6-DoF localization of UAV cameras across seasons.",
-    epilog="Exit codes: 0 done, 1 regression found, 2 the input or the environment is at fault.",
+    epilog="Exit codes: 0 done, 1 regression found, 2 the input or the environment is at fault, "
+    "3 a fault of the program.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -102,7 +82,9 @@ def _options(
         typer.Option("--version", help="Print the version.", is_eager=True, callback=_version),
     ] = False,
 ) -> None:
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    handler = logging.StreamHandler()
+    handler.setFormatter(PrintedFormatter())
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
 
 
 @app.command()
@@ -480,7 +462,7 @@ def regress(
     else:
         print("\n".join(comparison.text() for comparison in comparisons))
     if any(comparison.dropped for comparison in comparisons):
-        raise typer.Exit(_REGRESSION)
+        raise typer.Exit(REGRESSION)
 
 
 class ExportFormat(StrEnum):
@@ -894,7 +876,7 @@ def validate(
     else:
         print(report.text())
     if not report.ok:
-        raise typer.Exit(_INPUT_AT_FAULT)
+        raise typer.Exit(INPUT_AT_FAULT)
 
 
 @app.command()
@@ -912,7 +894,7 @@ def doctor(as_json: Json = False) -> None:
     else:
         print(diagnosis.text())
     if not diagnosis.ok:
-        raise typer.Exit(_INPUT_AT_FAULT)
+        raise typer.Exit(INPUT_AT_FAULT)
 
 
 @app.command()

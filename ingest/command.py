@@ -157,7 +157,7 @@ def _owned(roll: Roll) -> list[str]:
     """What we write into the folder of a scene, as ``scene.files.remove_owned`` takes it."""
     copies = [f"sessions/{escape(shot.name)}" for shot in roll.shots]
     frames = f"sessions/{SESSION}/frames.h5"
-    lists = ["splits.json", "objects.json", COVISIBILITY, REPORT, "pictures/ingest.png"]
+    lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, "pictures/ingest.png"]
     model = [f"map/{pattern}" for pattern in MAP_FILES]
     return [f"{_WORK}/*", *copies, frames, *lists, *model]
 
