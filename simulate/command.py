@@ -55,7 +55,7 @@ from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from simulate.render.remote import frame_files, render_remotely
 
-_CONFIG = ".config.json"
+_CONFIG = f"{MARK}config.json"
 _RENDERED = f"{MARK}rendered"
 
 _Renderer = Callable[[RenderJob, Path, Callable[[int], None]], None]

@@ -124,7 +124,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
     with pytest.raises(KeyboardInterrupt):
         dense(rendered_copy, size=SIZE)
     assert Scene.open(rendered_copy).changed_files() == []  # the scene is as whole as before
-    (rendered_copy / UNFINISHED / "stereo" / ".half.bin.abcd1234").write_bytes(b"half")
+    (rendered_copy / UNFINISHED / "stereo" / ".objconnect-abcd1234.partial").write_bytes(b"half")
     written.clear()
     monkeypatch.setattr(Workspace, "write", lambda *a: (written.append(a[1]), write(*a)))
 

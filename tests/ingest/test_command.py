@@ -299,13 +299,13 @@ def test_killed_while_pictures_are_turned_back(
 def test_a_full_disk_loses_nothing(
     photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is finished waits for room; photographs that make no scene leave nothing."""
+    """What is finished waits for room; photographs that make no scene leave nothing of ours."""
     folder = few(photographs, tmp_path / "photos", 3)
     out = tmp_path / "scene"
 
     def ends(error: InputError) -> None:
         def build(out: Path, *_: Any) -> Any:
-            (out / "finished").touch()
+            (out / "splits.json").touch()
             raise error
 
         monkeypatch.setattr(ingest.command, "_build", build)
@@ -313,8 +313,12 @@ def test_a_full_disk_loses_nothing(
             run(folder, out)
 
     ends(WriteError("no room"))
-    assert (out / "finished").is_file()
+    assert (out / "splits.json").is_file()
     ends(WriteError("still no room"))  # it is the same run that goes on
+    (out / "notes.txt").write_text("of the user")
+    ends(InputError("they do not overlap"))
+    assert [path.name for path in out.iterdir()] == ["notes.txt"]
+    (out / "notes.txt").unlink()
     ends(InputError("they do not overlap"))
     assert not out.exists()
 

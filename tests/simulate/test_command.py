@@ -155,20 +155,20 @@ def test_killed_at_ten_random_moments_is_the_same_scene(rendered: Scene, tmp_pat
 
 def test_what_killed_runs_leave_is_swept_up(rendered_copy: Path, tmp_path: Path) -> None:
     """Wherever a run was killed, the same command finishes the scene and leaves nothing behind."""
-    (rendered_copy / ".config.json").write_text(RENDERED.model_dump_json())
+    (rendered_copy / ".objconnect-config.json").write_text(RENDERED.model_dump_json())
     simulate(RENDERED, rendered_copy)  # killed after the manifest
-    assert not (rendered_copy / ".config.json").exists()
+    assert not (rendered_copy / ".objconnect-config.json").exists()
     (rendered_copy / "scene.json").unlink()
-    (rendered_copy / ".config.json").write_text(RENDERED.model_dump_json())
+    (rendered_copy / ".objconnect-config.json").write_text(RENDERED.model_dump_json())
     session = rendered_copy / "sessions" / "summer-noon-nadir-map"
-    (session / ".frames.h5.abcd1234").write_bytes(b"half")
+    (session / ".objconnect-abcd1234.partial").write_bytes(b"half")
     (session / ".objconnect-rendered").mkdir()
     (session / ".objconnect-rendered" / "000000.npz").write_bytes(b"whole")
     assert simulate(RENDERED, rendered_copy).changed_files() == []
     assert not list(rendered_copy.rglob(".*"))
     # Killed while it claimed the folder.
     (tmp_path / "new").mkdir()
-    (tmp_path / "new" / "..config.json.abcd1234").write_bytes(b"")
+    (tmp_path / "new" / ".objconnect-efgh5678.partial").write_bytes(b"")
     with pytest.raises(InputError, match="not a finished scene"):
         Scene.open(tmp_path / "new")
     assert _finished(tmp_path / "new", RENDERED) is None, "it may be claimed"
