@@ -60,17 +60,17 @@ def hide() -> None:
 
     def elsewhere(
         name: str,
-        namespace: Mapping[str, Any] | None = None,
-        local: Mapping[str, Any] | None = None,
-        names: Sequence[str] | None = (),
+        globals: Mapping[str, Any] | None = None,
+        locals: Mapping[str, Any] | None = None,
+        fromlist: Sequence[str] | None = (),
         level: int = 0,
     ) -> ModuleType:
-        importer = str((namespace or {}).get("__name__", ""))
+        importer = str((globals or {}).get("__name__", ""))
         if importer.partition(".")[0] not in OURS:
-            return ordinary(name, namespace, local, names, level)
+            return ordinary(name, globals, locals, fromlist, level)
         if name.partition(".")[0] in UNIX:
             raise ModuleNotFoundError(f"No module named {name!r} elsewhere, for {importer}")
-        found = ordinary(name, namespace, local, names, level)
+        found = ordinary(name, globals, locals, fromlist, level)
         return seen.get(found.__name__, found)
 
     builtins.__import__ = elsewhere
@@ -87,7 +87,9 @@ def main(gate: str, out: str) -> None:
 
     from benchmark.cli import app
     from benchmark.doctor import _machine
+    from scene import memory
 
+    memory._HELD = memory._STATUS = memory._CLEAR = Path("proc is nowhere")
     assert {"memory", "cores"} <= {check.name for check in _machine()}
     for words in (["--help"], ["evaluate", gate, "--method", "sift", "--out", out]):
         assert not app(words, standalone_mode=False), words
