@@ -219,8 +219,9 @@ def _python() -> Check:
     if sys.version_info >= _PYTHON:
         return Check("python", "ok", found)
     needed = ".".join(map(str, _PYTHON))
-    fix = f"install Python {needed} (on Debian: {_apt([f'python{needed}-venv'])}), then run the doctor "
-    return Check("python", "missing", f"{found}; {needed} or newer is needed", fix + "with it")
+    debian = _apt([f"python{needed}-venv"])
+    fix = f"install Python {needed} (on Debian: {debian}), then run the doctor with it"
+    return Check("python", "missing", f"{found}; {needed} or newer is needed", fix)
 
 
 def _machine() -> Iterator[Check]:

@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from scene.errors import InputError
 from scene.files import read_text
 
-
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "configs"
 """Where the configurations lie that come with the project."""
 

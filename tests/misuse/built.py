@@ -76,7 +76,7 @@ def install(folder: Path, *what: str) -> Environment:
     packages = Path(
         sysconfig.get_path("purelib", "venv", {"base": str(folder), "platbase": str(folder)})
     )
-    # A list of folders: files like itself that lie in them, as of an editable install, have no effect.
+    # A list of folders. Such files that lie in them, as of an editable install, have no effect.
     seen = dict.fromkeys(sysconfig.get_path(kind) for kind in ("purelib", "platlib"))
     (packages / "tests.pth").write_text("\n".join(seen) + "\n")
     python = str(folder / "bin" / "python")

@@ -17,22 +17,25 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 OURS = ("scene", "dense", "simulate", "ingest", "baselines", "objconnect", "benchmark")
 
+
+def _words(text: str) -> set[str]:
+    return set(text.split())
+
+
 # https://docs.python.org/3/library/unix.html, and readline and curses, which Windows lacks too.
-UNIX = set(
-    "posix pwd grp spwd crypt termios tty pty fcntl resource syslog nis readline curses".split()
-)
+UNIX = _words("posix pwd grp spwd crypt termios tty pty fcntl resource syslog nis readline curses")
 HIDDEN = {
-    "os": set(
+    "os": _words(
         "fork forkpty getuid geteuid getgid getegid getgroups getpgid getpgrp setsid setuid "
         "setgid killpg nice chroot chown lchown fchown fchmod mkfifo mknod openpty posix_fadvise "
         "posix_fallocate posix_spawn pread pwrite sched_getaffinity sched_setaffinity sched_yield "
-        "statvfs fstatvfs sysconf confstr sync uname wait wait3 wait4 waitid getxattr setxattr "
+        "statvfs fstatvfs sysconf confstr sync uname wait wait3 wait4 getxattr setxattr waitid "
         "O_DIRECTORY O_NOFOLLOW O_CLOEXEC O_NONBLOCK O_SYNC O_TMPFILE WNOHANG WIFEXITED "
-        "memfd_create pipe2 copy_file_range sendfile getloadavg ctermid major minor".split()
+        "memfd_create pipe2 copy_file_range sendfile getloadavg ctermid major minor"
     ),
-    "signal": set(
+    "signal": _words(
         "SIGHUP SIGKILL SIGALRM SIGUSR1 SIGUSR2 SIGCHLD SIGCONT SIGSTOP SIGQUIT SIGPIPE SIGTSTP "
-        "alarm setitimer pause pthread_sigmask pthread_kill sigwait siginterrupt".split()
+        "alarm setitimer pause pthread_sigmask pthread_kill sigwait siginterrupt"
     ),
     "socket": {"AF_UNIX", "socketpair"},
     "sys": set(),

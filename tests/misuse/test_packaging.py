@@ -139,8 +139,7 @@ def test_an_unknown_name_lists_those_there_are() -> None:
             "bad value for 'preset' in {configs}/demo.yaml: ",
         ),
         (
-            ["train", "pixloc", "--config", "train/pixloc", "--data", "none", "--out", "out"]
-            + ["--set", "steps=none"],
+            ["train", "pixloc", "--config=train/pixloc", "--data=x", "--out=out", "--set=steps=no"],
             "bad value for 'steps' in {configs}/train/pixloc.yaml: ",
         ),
         (
@@ -317,9 +316,7 @@ OLD = [
 @pytest.mark.parametrize("words", [["-m", "benchmark.doctor"], ["benchmark/doctor.py"]])
 @pytest.mark.parametrize("python", OLD)
 def test_an_old_python_is_told_so(python: str, words: list[str]) -> None:
-    answer = subprocess.run(
-        [python, *words], check=False, cwd=ROOT, capture_output=True, text=True
-    )
+    answer = subprocess.run([python, *words], check=False, cwd=ROOT, capture_output=True, text=True)
     assert (answer.returncode, answer.stderr) == (2, "")
     lines = answer.stdout.splitlines()
     assert lines[0].startswith("missing python  3.")
