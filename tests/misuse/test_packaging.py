@@ -256,7 +256,7 @@ def test_everything_but_rendering_imports_where_unix_is_not(gate: Path, tmp_path
         text=True,
     )
     assert answer.returncode == 0, answer.stderr
-    assert "Usage: objconnect" in answer.stdout
+    assert "Usage: " in answer.stdout
     assert ALL_ASKED in answer.stdout
     assert [path.name for path in (tmp_path / "results").iterdir()] == ["gate"]
 
@@ -304,21 +304,22 @@ def test_the_doctors_modules_are_found() -> None:
     assert known <= set(doctors_modules())
 
 
-OLD = [
-    path
-    for name in ("3.9", "3.10")
-    for path in [shutil.which(f"python{name}")]
-    if path is not None
-    and subprocess.run([path, "-c", ""], check=False, capture_output=True).returncode == 0
-]
+def python_of(version: str) -> str:
+    """A Python of this version: on the path, or of pyenv, whose stand-ins on the path may refuse."""
+    found = Path.home().glob(f".pyenv/versions/{version}.*/bin/python")
+    for path in filter(None, [shutil.which(f"python{version}"), *map(str, found)]):
+        if subprocess.run([path, "-c", ""], check=False, capture_output=True).returncode == 0:
+            return path
+    pytest.skip(f"there is no Python {version} here")
 
 
 @pytest.mark.parametrize("words", [["-m", "benchmark.doctor"], ["benchmark/doctor.py"]])
-@pytest.mark.parametrize("python", OLD)
-def test_an_old_python_is_told_so(python: str, words: list[str]) -> None:
+@pytest.mark.parametrize("version", ["3.9", "3.10"])
+def test_an_old_python_is_told_so(version: str, words: list[str]) -> None:
+    python = python_of(version)
     answer = subprocess.run([python, *words], check=False, cwd=ROOT, capture_output=True, text=True)
     assert (answer.returncode, answer.stderr) == (2, "")
     lines = answer.stdout.splitlines()
-    assert lines[0].startswith("missing python  3.")
+    assert lines[0].startswith(f"missing python  {version}.")
     assert lines[0].endswith("; 3.11 or newer is needed")
     assert "fix: install Python 3.11" in lines[1]
