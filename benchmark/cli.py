@@ -367,7 +367,12 @@ def train(
         typer.Option(metavar="SCENE", help="Scene to look at only; repeat for several."),
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="YAML of baselines.training.config.")
+        Path | None,
+        typer.Option(
+            metavar="YAML",
+            help="File of baselines.training.config, or the name of one that comes with "
+            "objconnect, as train/pixloc.",
+        ),
     ] = None,
     overrides: Settings = None,
     as_json: Json = False,
@@ -391,7 +396,8 @@ def ablate(
     plan: Annotated[
         Path,
         typer.Argument(
-            metavar="PLAN", help="YAML of benchmark.ablation, as configs/ablation.yaml."
+            metavar="PLAN",
+            help="YAML of benchmark.ablation, or ablation, the one that comes with objconnect.",
         ),
     ],
     datasets: Annotated[
@@ -482,7 +488,11 @@ def simulate(
     seed: Annotated[int | None, typer.Option(help="The same seed makes the same world.")] = None,
     config: Annotated[
         Path | None,
-        typer.Option(metavar="YAML", help="Configuration; the options here win over it."),
+        typer.Option(
+            metavar="YAML",
+            help="Configuration: a file, or the name of one that comes with objconnect, as demo "
+            "or uav-sim. The options here win over it.",
+        ),
     ] = None,
     area: Annotated[float | None, typer.Option(help="Side of the place, metres.")] = None,
     session: Annotated[

@@ -1,7 +1,8 @@
 """Is everything there? Versions, libraries, machine and weights, and the line that mends a fault.
 
-Needs nothing but Python itself, and runs as ``python -m benchmark.doctor`` where the command line
-cannot. Asks no network. Packages are loaded in processes of their own: one that crashes says so.
+Needs nothing but Python itself, and runs as ``python -m benchmark.doctor`` or ``python
+benchmark/doctor.py`` where the command line cannot, on a Python too old for everything else too.
+Asks no network. Packages are loaded in processes of their own: one that crashes says so.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -22,10 +22,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
-from simulate.render.libraries import missing_packages
-
 _ROOT: Final = Path(__file__).resolve().parents[1]
+if not __package__:  # run by its file: our packages are not on the path
+    sys.path.insert(0, str(_ROOT))
+
+from simulate.render.libraries import missing_packages  # noqa: E402
+
 _DISTRIBUTION: Final = "objconnect"
+# As requires-python in pyproject.toml. An older Python reads this module, and nothing else of ours.
+_PYTHON: Final = (3, 11)
 # What the module of a package is called where it is not called like the package.
 _MODULES: Final = {
     "opencv-python-headless": "cv2",
@@ -119,7 +124,12 @@ class _Loaded(NamedTuple):
 
 
 def doctor() -> Diagnosis:
-    """Look at the machine, the packages, what rendering needs, and the shipped weights."""
+    """Look at the machine, the packages, what rendering needs, and the shipped weights.
+
+    On a Python that is too old, what it has of packages says nothing: it alone is named.
+    """
+    if sys.version_info < _PYTHON:
+        return Diagnosis((_python(),))
     requirements = _requirements()
     rendering = _version("bpy") is not None
     # What is not wanted is not looked for.
@@ -142,6 +152,8 @@ def doctor() -> Diagnosis:
 
 def _requirements() -> list[_Requirement]:
     """Of the source tree this file lies in, else of the installed package."""
+    import tomllib  # no part of a Python that is too old
+
     project = _ROOT / "pyproject.toml"
     if project.is_file():
         table = tomllib.loads(project.read_text("utf-8"))["project"]
@@ -202,9 +214,18 @@ def _load(module: str) -> _Loaded:
     return _Loaded("", said[-1] if said else f"its process ended with {answer.returncode}")
 
 
+def _python() -> Check:
+    found = f"{platform.python_version()} ({sys.executable}), {platform.platform()}"
+    if sys.version_info >= _PYTHON:
+        return Check("python", "ok", found)
+    needed = ".".join(map(str, _PYTHON))
+    debian = _apt([f"python{needed}-venv"])
+    fix = f"install Python {needed} (on Debian: {debian}), then run the doctor with it"
+    return Check("python", "missing", f"{found}; {needed} or newer is needed", fix)
+
+
 def _machine() -> Iterator[Check]:
-    version = platform.python_version()
-    yield Check("python", "ok", f"{version} ({sys.executable}), {platform.platform()}")
+    yield _python()
     yield Check(_DISTRIBUTION, "ok", f"{_version(_DISTRIBUTION) or 'not installed'} ({_ROOT})")
     yield Check("cores", "ok", f"{_cores()}")
     memory = _memory()
@@ -238,7 +259,7 @@ def _memory() -> int | None:
     """Bytes of the machine, or of the container where that has fewer."""
     try:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (ValueError, OSError):
+    except (AttributeError, ValueError, OSError):  # AttributeError: Windows has no sysconf
         return None
     try:
         limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()

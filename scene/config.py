@@ -5,13 +5,16 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from scene.errors import InputError
 from scene.files import read_text
+
+SHIPPED: Final = Path(__file__).resolve().parents[1] / "configs"
+"""Where the configurations lie that come with the project."""
 
 
 class Config(BaseModel):
@@ -28,7 +31,8 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
 
     Args:
         model: the configuration's class.
-        path: YAML file, or None for defaults.
+        path: YAML file, or the name of a configuration that comes with the project, as ``demo`` or
+            ``train/pixloc``; a file of that name wins. None for defaults.
         overrides: values that win over the file; None values are ignored.
 
     Raises:
@@ -37,8 +41,9 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
     values: dict[str, Any] = {}
     where = "on the command line"
     if path is not None:
+        path = _named(path)
         where = f"in {path}"
-        text = read_text(path, "configuration")
+        text = _read(path)
         try:
             loaded = yaml.safe_load(text)
         # ValueError: a date that does not exist; RecursionError: lists in lists in lists.
@@ -52,6 +57,27 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         return model.model_validate(values)
     except ValidationError as error:
         raise InputError(describe(error, model, where)) from None
+
+
+def shipped() -> dict[str, Path]:
+    """The configurations that come with the project, by name: their path below ``configs/``,
+    without its ending."""
+    files = sorted(SHIPPED.rglob("*.yaml"))
+    return {path.relative_to(SHIPPED).with_suffix("").as_posix(): path for path in files}
+
+
+def _named(path: Path) -> Path:
+    """The file that a path leads to, else the configuration that comes under this name."""
+    return path if path.is_file() else shipped().get(path.as_posix(), path)
+
+
+def _read(path: Path) -> str:
+    try:
+        return read_text(path, "configuration")
+    except InputError as error:
+        if path.exists():
+            raise
+        raise InputError(f"{error}; by name there are: {', '.join(shipped())}") from error
 
 
 def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:

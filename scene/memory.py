@@ -6,6 +6,7 @@ import os
 import sys
 from pathlib import Path
 
+_HELD = Path("/proc/self/statm")
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
 
@@ -13,7 +14,7 @@ _CLEAR = Path("/proc/self/clear_refs")
 def resident_bytes() -> int:
     """Memory held now; where the system does not say, the most that was ever held."""
     try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        pages = int(_HELD.read_text().split()[1])
     except OSError:
         return _most_ever()
     return pages * os.sysconf("SC_PAGE_SIZE")

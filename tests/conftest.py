@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
+import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import cv2
 import pytest
 import torch
 from hypothesis import settings
@@ -24,6 +29,42 @@ settings.load_profile("repeatable")
 
 # The tensors of the tests are small: on a busy machine threads cost more than they bring.
 torch.set_num_threads(1)
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """The order of the tests is random: say first what brings it back, also where -q is brief."""
+    seed = session.config.getoption("randomly_seed", None)
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if seed is not None and reporter is not None:
+        reporter.write_line(f"random order: --randomly-seed={seed}")
+
+
+def state() -> dict[str, Any]:
+    """What tests share because it is of the whole process."""
+    return {
+        "working folder": Path.cwd(),
+        "environment": {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"},
+        "sys.path": list(sys.path),
+        "signals": {number: signal.getsignal(number) for number in signal.valid_signals()},
+        "logging": (logging.root.level, logging.root.disabled, logging.root.manager.disable),
+        "torch's threads": torch.get_num_threads(),
+        "torch's type": torch.get_default_dtype(),
+        "torch's gradients": torch.is_grad_enabled(),
+        "OpenCV's threads": cv2.getNumThreads(),
+    }
+
+
+@pytest.fixture(autouse=True)
+def _alike_before_and_after() -> Iterator[None]:
+    """Every test holds after any other: it begins with the same random numbers, and leaves the
+    process as it found it."""
+    torch.manual_seed(0)
+    cv2.setRNGSeed(0)
+    before = state()
+    yield
+    after = state()
+    changed = [name for name in before if before[name] != after[name]]
+    assert not changed, f"the test leaves another {', '.join(changed)} behind"
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 """Writes ``tests/data/gate`` from the scene of ``configs/gate.yaml``:
 
-    objconnect simulate --config configs/gate.yaml --out runs/gate
+    objconnect simulate --config gate --out runs/gate
     objconnect map runs/gate
     python -m tests.data.make_gate runs/gate tests/data/gate
 
