@@ -34,10 +34,40 @@ _LOCK = f"{MARK}lock"
 _LONGEST = 255
 # A disk with less left is full.
 _FULL = 1 << 20
+# A text is read whole: more than this is none that a person or a program of ours wrote (B).
+_LONGEST_TEXT = 1 << 30
+
+
+def require_readable(path: Path, what: str) -> None:
+    """Refuse what is no regular file, before it is opened: a pipe waits for somebody to write, and
+    a device may have no end. A symbolic link counts as what it leads to.
+
+    Args:
+        path: to be read.
+        what: it is, for the message.
+
+    Raises:
+        InputError: it is missing, a folder, a device, a pipe or a socket, or lies where this user
+            may not look.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise InputError(f"cannot read {what} {path}: {reason or error}") from None
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
+        raise InputError(f"cannot read {what} {path}: it is {kind}, not a file")
 
 
 def sha256_of(path: Path) -> str:
-    """Hex digest of a file's bytes."""
+    """Hex digest of a file's bytes.
+
+    Raises:
+        InputError: it is no regular file, see ``require_readable``.
+        OSError: it cannot be read.
+    """
+    require_readable(path, "file")
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -336,12 +366,17 @@ def write_text(path: Path, text: str) -> None:
 
 
 def read_text(path: Path, what: str) -> str:
-    """Read a text file.
+    """Read a text file of at most 1 GiB.
 
     Raises:
-        InputError: ``what`` is missing, unreadable or not UTF-8.
+        InputError: ``what`` is missing, no regular file, unreadable, larger, or not UTF-8.
     """
+    require_readable(path, what)
     try:
+        if path.stat().st_size > _LONGEST_TEXT:
+            raise InputError(
+                f"cannot read {what} {path}: it is larger than {_LONGEST_TEXT >> 30} GiB"
+            )
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not a UTF-8 text file"
