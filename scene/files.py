@@ -6,6 +6,7 @@ other file is ever removed: a folder that is replaced keeps what we did not writ
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -55,9 +56,10 @@ def require_readable(path: Path, what: str) -> None:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = error.strerror if isinstance(error, OSError) else None
         raise InputError(f"cannot read {what} {path}: {reason or error}") from None
+    if stat.S_ISDIR(mode):
+        raise InputError(f"cannot read {what} {path}: {os.strerror(errno.EISDIR)}")
     if not stat.S_ISREG(mode):
-        kind = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
-        raise InputError(f"cannot read {what} {path}: it is {kind}, not a file")
+        raise InputError(f"cannot read {what} {path}: it is a device or a pipe, not a file")
 
 
 def sha256_of(path: Path) -> str:
