@@ -31,6 +31,7 @@ PARTIAL = ".partial"
 _ASIDE = ".aside"
 _TEMPORARY = re.compile(rf"{re.escape(MARK)}[a-z0-9_]{{8}}({PARTIAL}|{_ASIDE})")
 _LOCK = f"{MARK}lock"
+_WILD = re.compile(r"[*?[]")
 # Bytes of a name, in every usual file system.
 _LONGEST = 255
 # A disk with less left is full.
@@ -236,7 +237,10 @@ def link_or_copy(old: Path, new: Path) -> None:
 
 def matches(name: str, owned: Sequence[str]) -> bool:
     """Whether a path relative to its folder matches one of the patterns of files that we write."""
-    return any(fnmatchcase(name, pattern) for pattern in owned)
+    # Plain names are many, where photographs are listed, and patterns take a while to compile.
+    return name in owned or any(
+        fnmatchcase(name, pattern) for pattern in owned if _WILD.search(pattern)
+    )
 
 
 def remove_owned(folder: Path, owned: Sequence[str]) -> None:
