@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ from scene.files import sha256_of
 from scene.images import check_photographs, read_rgb
 from scene.matching import match
 from scene.progress import progress_bar
+from scene.scratch import scratch
 from scene.sparse_map import SparseMap
 
 # Photographs whose features are in memory at once while they are extracted.
@@ -65,9 +65,19 @@ class Extractor(ABC):
         return Features(np.asarray(xy), found.scale[kept] / scale, found.descriptors[kept])
 
     def of_photographs(
-        self, root: Path, names: Sequence[str], on_progress: Callable[[int], None]
+        self,
+        root: Path,
+        names: Sequence[str],
+        on_progress: Callable[[int], None],
+        beside: Path | None = None,
     ) -> dict[str, Features]:
-        """Features of photographs by name; ``on_progress`` gets the number of those done.
+        """Features of photographs by name.
+
+        Args:
+            root: folder the names are relative to.
+            names: of the photographs.
+            on_progress: gets the number of those done.
+            beside: folder for temporary files, as ``scene.scratch.scratch`` takes it.
 
         Raises:
             InputError: a photograph is missing or damaged.
@@ -103,8 +113,8 @@ def map_features(
         InputError: a photograph is missing, broken, or not of its camera's size.
     """
     if cache is None:
-        with tempfile.TemporaryDirectory(prefix=f"{extractor.name}-") as folder:
-            return map_features(sparse_map, images, extractor, Path(folder))
+        with scratch() as folder:
+            return map_features(sparse_map, images, extractor, folder)
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     angles = {}
     if not extractor.turned:
@@ -125,7 +135,7 @@ def map_features(
                 def advanced(done: int, before: int = first) -> None:
                     advance(before + done)
 
-                found = extractor.of_photographs(images, some, advanced)
+                found = extractor.of_photographs(images, some, advanced, cache)
                 for name in some:
                     add(name, found[name])
                 continue

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.files import written_whole
+from scene.files import require_readable, written_whole
 from scene.hdf5 import array, attribute, dataset
 
 Add = Callable[[Mapping[str, NDArray[Any]]], None]
@@ -58,6 +58,7 @@ class Shelf:
         self._path = path
         self._arrays: dict[str, h5py.Dataset] = {}
         try:
+            require_readable(path, "file of features")
             self._file = h5py.File(path)
             self._ends = array(self._file, "ends")
         except HDF5_DAMAGE as error:

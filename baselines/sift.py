@@ -31,10 +31,14 @@ class Sift(Extractor):
         return self._extract(rgb)
 
     def of_photographs(
-        self, root: Path, names: Sequence[str], on_progress: Callable[[int], None]
+        self,
+        root: Path,
+        names: Sequence[str],
+        on_progress: Callable[[int], None],
+        beside: Path | None = None,
     ) -> dict[str, Features]:
         """On all cores; see ``Extractor``."""
-        return extract_sift(root, names, self._options, on_progress)
+        return extract_sift(root, names, self._options, on_progress, beside=beside)
 
 
 class SiftConfig(StructureConfig):

@@ -6,7 +6,6 @@ One pipeline for every kind of local feature; a method is an extractor and a con
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from dataclasses import dataclass
 from functools import cache as cached
 from pathlib import Path
@@ -30,6 +29,7 @@ from scene.features import FeatureFile, Features
 from scene.held import Held, room
 from scene.localizer import Estimate, Query, Status, Stopwatch, fault
 from scene.pose import Pose
+from scene.scratch import scratch
 from scene.sparse_map import SparseMap
 
 _MIN_MATCHES = 4
@@ -91,8 +91,8 @@ class StructureLocalizer:
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Extract the features of the map's photographs and tie them to its points."""
         if cache is None:
-            with tempfile.TemporaryDirectory(prefix=f"{self.name}-") as folder:
-                self.prepare(sparse_map, images, Path(folder))
+            with scratch() as folder:  # files stay open
+                self.prepare(sparse_map, images, folder)
             return
         features = map_features(sparse_map, images, self._extractor, cache)
         key = f"{_FORMAT} {features.path.name} {sparse_map.sha256} {self._interpolate}"

@@ -94,21 +94,32 @@ def read_weights(path: Path) -> Weights:
                 config = parse_json((file.metadata() or {}).get("config", "{}"))
         except (SafetensorError, ValueError, OSError) as error:
             raise InputError(f"{path} is no safetensors file of weights: {error}") from error
+        if not isinstance(config, dict):
+            raise InputError(f"{path} is no safetensors file of weights: its config is none")
         return Weights(tensors, config, digest)
     try:
         with torch.serialization.safe_globals(_PLAIN):
             content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # of a damaged file, whatever its first wrong step raises
-        # torch goes on to say how to run the code all the same.
-        code = re.search(r"GLOBAL (\S+)", str(error))
-        first = next(iter(str(error).splitlines()), type(error).__name__)
-        reason = f"it asks for {code[1]}" if code else first
-        raise InputError(f"{path} cannot be read as tensors and plain values: {reason}") from error
+        raise InputError(
+            f"{path} cannot be read as tensors and plain values: {fault_of(error)}"
+        ) from error
     model = content.get("model", content) if isinstance(content, Mapping) else None
     if not isinstance(model, Mapping) or not any(isinstance(v, Tensor) for v in model.values()):
         raise InputError(f"{path} holds no tensors by name")
     named = {str(name): value for name, value in model.items() if isinstance(value, Tensor)}
     return Weights(named, {}, digest)
+
+
+def fault_of(error: Exception) -> str:
+    """What is wrong with a checkpoint, out of what torch raised. Never in torch's own words where
+    they go on to say how to run the code in it all the same."""
+    text = str(error)
+    if code := re.search(r"GLOBAL (\S+)", text):
+        return f"it asks for {code[1]}"
+    if "weights_only" in text:
+        return "it holds more than tensors and plain values, or is of a format that could"
+    return next(iter(text.splitlines()), type(error).__name__)
 
 
 def write_weights(path: Path, network: nn.Module, config: Mapping[str, Any]) -> None:
@@ -124,7 +135,8 @@ def load_into(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> 
     """Put tensors into a network.
 
     Raises:
-        InputError: names or shapes are not the network's, or a value is not finite.
+        InputError: names, shapes or kinds of number are not the network's, or a value is not
+            finite.
     """
     own = network.state_dict()
     for name, value in own.items():
@@ -135,7 +147,15 @@ def load_into(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> 
                 f"{path}: {name} is {tuple(tensors[name].shape)}, the network's is "
                 f"{tuple(value.shape)}"
             )
-        if not bool(torch.isfinite(tensors[name]).all()):
+        given = tensors[name]
+        kinds = (given.is_floating_point(), given.is_complex(), given.is_quantized, given.layout)
+        if kinds != (value.is_floating_point(), False, False, torch.strided):
+            raise InputError(
+                f"{path}: {name} holds {str(given.dtype).removeprefix('torch.')}, the network's "
+                f"holds {str(value.dtype).removeprefix('torch.')}"
+            )
+        # What is finite in double precision need not be in single.
+        if not bool(torch.isfinite(given.to(value.dtype)).all()):
             raise InputError(f"{path}: {name} has values that are not finite")
     extra = sorted(set(tensors) - set(own))
     if extra:

@@ -31,6 +31,7 @@ from scene.files import write_text
 from scene.localizer import Localizer, Status
 from scene.manifest import read_json
 from scene.progress import progress_bar
+from scene.scratch import kept_or_scratch
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
 
@@ -157,14 +158,15 @@ def basin(
         out: folder of the results.
         sizes: of the errors, see the module.
         seed: of their directions.
-        cache: folder for the method's per-map state, or None to keep none.
+        cache: folder for the method's per-map state; None for a scratch folder in ``out``.
 
     Raises:
         InputError: the map or a photograph is missing or broken, or ``out`` cannot be written.
     """
     require_folder(out)
     sparse_map = dataset.load_map()
-    localizer.prepare(sparse_map, dataset.images, cache)
+    with kept_or_scratch(cache, out) as folder:
+        localizer.prepare(sparse_map, dataset.images, folder)
     answers: list[list[QueryResult]] = [[] for _ in sizes]
     steps = len(dataset.queries) * len(sizes)
     with progress_bar(f"{dataset.name} {localizer.name}", steps) as advance:

@@ -37,6 +37,7 @@ from scene.localizer import Estimate, Localizer, Query, Status
 from scene.memory import peak_megabytes, reset_peak
 from scene.pose import Pose
 from scene.progress import progress_bar
+from scene.scratch import kept_or_scratch
 from scene.sparse_map import SparseMap
 
 log = logging.getLogger(__name__)
@@ -66,7 +67,7 @@ def evaluate(
         localizer: what to run.
         out: folder of the results.
         start: what the method is told about each query besides its image.
-        cache: folder for the method's per-map state, or None to keep none.
+        cache: folder for the method's per-map state; None for a scratch folder in ``out``.
         jobs: queries at a time, in threads. Seconds per query are those of one of so many.
         cluster: whose cores answer instead, a query each, as ``scene.cluster.crew`` takes it. Its
             nodes see data set and cache under the paths they have here. Seconds of preparation are
@@ -80,7 +81,8 @@ def evaluate(
     start = _given(start, dataset)
     method = method_of(localizer)
     target = results_path(out, dataset, localizer)
-    run = _Run(dataset, localizer, start, cache)
+    # Nodes of a cluster need not see ``out``.
+    run = _Run(dataset, localizer, start, cache, None if cluster else out)
     with Journal(journal_path(target), _key(method, dataset, start)) as journal:
         with (
             _answering(run, jobs, cluster) as (prepare, ask),
@@ -115,10 +117,15 @@ class _Run:
     """
 
     def __init__(
-        self, dataset: Dataset, localizer: Localizer, start: Start, cache: Path | None
+        self,
+        dataset: Dataset,
+        localizer: Localizer,
+        start: Start,
+        cache: Path | None,
+        beside: Path | None,
     ) -> None:
         self._dataset, self._localizer = dataset, localizer
-        self._start, self._cache = start, cache
+        self._start, self._cache, self._beside = start, cache, beside
         self._ask: Ask | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -143,10 +150,12 @@ class _Run:
         """Make the method ready; seconds it took."""
         reset_peak()
         sparse_map = self.sparse_map
-        began = perf_counter()
-        self._localizer.prepare(sparse_map, self._dataset.images, self._cache)
-        took = perf_counter() - began
-        self._ask = self._start.asker(self._dataset, sparse_map, self._cache)
+        # What is prepared stays open.
+        with kept_or_scratch(self._cache, self._beside) as cache:
+            began = perf_counter()
+            self._localizer.prepare(sparse_map, self._dataset.images, cache)
+            took = perf_counter() - began
+            self._ask = self._start.asker(self._dataset, sparse_map, cache)
         return took
 
     def answer(self, query: BenchmarkQuery) -> _Answer:

@@ -24,6 +24,7 @@ from scene.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from scene.images import read_exif, read_rgb
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
 from scene.progress import progress_bar
+from scene.scratch import kept_or_scratch
 from scene.sparse_map import SparseMap
 
 _PHOTOGRAPHS = (".jpg", ".jpeg", ".png")
@@ -101,7 +102,8 @@ def localize(
     names = _photographs(photographs)
     cameras = {name: camera or _camera(photographs / name, place) for name in names}
     known = read_priors(priors) if priors is not None else None
-    localizer.prepare(place.sparse_map, place.images, cache)
+    with kept_or_scratch(cache, out.parent) as kept:
+        localizer.prepare(place.sparse_map, place.images, kept)
     located = []
     with progress_bar(f"localize with {localizer.name}", len(names)) as advance:
         for name in names:

@@ -14,6 +14,7 @@ from scene.files import read_text, write_text
 from scene.images import read_rgb
 from scene.localizer import Localizer, Query, Status
 from scene.progress import progress_bar
+from scene.scratch import kept_or_scratch
 
 SUBMISSION: Final = "submission.txt"
 _DECIMALS: Final = 6
@@ -69,7 +70,8 @@ def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) ->
         first, *lines = read_text(path, "finished slice").splitlines() or [""]
         if first == header:
             return lines
-    localizer.prepare(sparse_map, part.folder / "database", cache)
+    with kept_or_scratch(cache, path.parent) as kept:
+        localizer.prepare(sparse_map, part.folder / "database", kept)
     lines = []
     with progress_bar(f"{part.folder.name} {localizer.name}", len(part.queries)) as advance:
         for count, name in enumerate(part.queries, 1):

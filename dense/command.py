@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from functools import lru_cache
+from glob import escape
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,8 +27,8 @@ from dense.report import DenseReport, read_truth, report
 from dense.sources import choose_sources, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
 from dense.warp import View
-from dense.workspace import Stage, Workspace
-from scene.bundle import Scene, finish
+from dense.workspace import KINDS, Stage, Workspace
+from scene.bundle import MODEL_FILES, Scene, finish
 from scene.camera import Camera
 from scene.cluster import crew
 from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
@@ -51,16 +52,6 @@ from scene.sparse_map import SparseMap
 DENSE = "dense"
 UNFINISHED = f"{MARK}dense"
 KEY = "dense.json"
-# What we write into that folder, as ``scene.files.folder_written_whole`` takes it.
-OWNED = (
-    KEY,
-    *(f"images/*{ending}" for ending in (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG")),
-    "sparse/*.bin",
-    "stereo/*.bin",
-    "stereo/*.cfg",
-    "fused.ply",
-    "fused.ply.vis",
-)
 Stereo = Literal["own", "colmap"]
 
 # Of a depth map: every one alone, then each against its sources.
@@ -203,13 +194,24 @@ def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
     return Workspace(unfinished)
 
 
+def owned(workspace: Workspace) -> list[str]:
+    """What we wrote into a folder, as ``scene.files.folder_written_whole`` takes it: photographs
+    and maps of every photograph that has a depth map."""
+    lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
+    found = [*lists, *(f"sparse/{file}" for file in MODEL_FILES)]
+    for name in map(escape, workspace.names()):
+        found += [f"images/{name}"]
+        found += [f"stereo/{kind}/{name}.{stage}.bin" for kind in KINDS for stage in _STAGES]
+    return found
+
+
 def _link_finished(whole: Path, unfinished: Path) -> None:
     """What was finished before, under a second name: the folder itself stays as it is."""
-    cloud = Workspace(whole).cloud.name
+    cloud, ours = Workspace(whole).cloud.name, owned(Workspace(whole))
     for path in sorted(whole.rglob("*")):
         name = path.relative_to(whole).as_posix()
         # COLMAP writes the cloud anew, in place.
-        if path.is_file() and matches(name, OWNED) and not name.startswith(cloud):
+        if path.is_file() and matches(name, ours) and not name.startswith(cloud):
             (unfinished / name).parent.mkdir(parents=True, exist_ok=True)
             link_or_copy(path, unfinished / name)
 
@@ -218,7 +220,7 @@ def _finish(scene: Scene, workspace: Workspace) -> None:
     """Put the finished folder in its place, and into the scene's manifest."""
     whole = scene.path / DENSE
     try:
-        replace_folder(whole, workspace.path, OWNED)
+        replace_folder(whole, workspace.path, owned(Workspace(whole)))
     except OSError as error:
         raise InputError(f"cannot write {whole}: {error.strerror or error}") from None
     finish(scene.path, scene.manifest)
@@ -241,7 +243,7 @@ def _write_photographs(
 def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
     images = [sparse_map.images[name] for name in sparse_map.names]
     posed = [PosedImage(image.name, image.camera, image.cam_from_world) for image in images]
-    with folder_written_whole(workspace.sparse, ("*.bin",)) as folder:
+    with folder_written_whole(workspace.sparse, MODEL_FILES) as folder:
         write_posed(posed, sparse_map, folder)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from scene.files import write_text, written_whole
 
 Stage = Literal["photometric", "geometric"]
 Kind = Literal["depth_maps", "normal_maps"]
+KINDS: Final[tuple[Kind, ...]] = ("depth_maps", "normal_maps")
 _HEADER_BYTES = 64
 # A fused cloud as COLMAP writes it.
 _PLY = ["ply", "format binary_little_endian 1.0"]
@@ -47,6 +48,16 @@ class Workspace:
     def cloud(self) -> Path:
         """The fused cloud."""
         return self.path / "fused.ply"
+
+    def names(self) -> list[str]:
+        """Photographs that have a map or were begun, in alphabetical order."""
+        found = set()
+        for kind in KINDS:
+            folder = self.path / "stereo" / kind
+            for path in folder.rglob("*.bin"):
+                name = path.relative_to(folder).as_posix().removesuffix(".bin")
+                found.add(name.rpartition(".")[0])
+        return sorted(found - {""})
 
     def has(self, name: str, stage: Stage) -> bool:
         """Whether the depth map of a photograph is done; it is written after its normals."""

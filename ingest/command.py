@@ -49,6 +49,7 @@ from scene.frames import Frames, write_frames
 from scene.geodesy import Geodetic
 from scene.images import read_rgb, write_resized
 from scene.manifest import Manifest, Objects, Session, Splits, read_json, write_json
+from scene.printed import printed
 from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
 
@@ -193,7 +194,7 @@ def _build(
     write_json(out / REPORT, report)
     draw(
         out / "pictures" / "ingest.png",
-        f"{out.resolve().name}: {report.registered} photographs, {report.points} points",
+        f"{printed(out.resolve().name)}: {report.registered} photographs, {report.points} points",
         model,
         [shot.name for shot in shots],
         queries,

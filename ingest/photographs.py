@@ -6,13 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from PIL import Image
-
 from scene.camera import Camera
 from scene.colmap import Photograph
 from scene.errors import InputError
 from scene.files import sha256_of
-from scene.images import Exif, read_exif
+from scene.images import Exif, image_size, read_exif
+from scene.printed import printed
 from scene.progress import progress_bar
 
 SESSION = "flight"
@@ -63,7 +62,8 @@ class Roll:
 def read_roll(folder: Path) -> Roll:
     """Look at every JPEG of a folder and of the folders in it.
 
-    Of files with the same bytes the first by name stays. Files that are no images are left out.
+    Of files with the same bytes the first by name stays. Files that are no images, or cannot be
+    read, are left out, and so are those whose names are not UTF-8.
 
     Raises:
         InputError: no such folder, or no photograph in it, or two names that become one.
@@ -75,7 +75,7 @@ def read_roll(folder: Path) -> Roll:
         path.as_posix()
         for path in found
         if path.suffix.lower() in _ENDINGS
-        and (folder / path).is_file()
+        and not (folder / path).is_dir()
         and not any(part.startswith(".") for part in path.parts)
     )
     if not files:
@@ -85,11 +85,15 @@ def read_roll(folder: Path) -> Roll:
     with progress_bar("read photographs", len(files)) as advance:
         for done, file in enumerate(files, 1):
             try:
+                file.encode()
                 digest = sha256_of(folder / file)
                 if digest in shots:
                     left_out[file] = f"the same file as {shots[digest].file}"
                 else:
                     shots[digest] = _look_at(folder, file, digest)
+            except UnicodeEncodeError:
+                # Neither COLMAP nor JSON can hold it.
+                left_out[printed(file)] = "its name is not UTF-8: rename it"
             except InputError as error:
                 left_out[file] = str(error)
             except OSError as error:
@@ -108,9 +112,7 @@ def read_roll(folder: Path) -> Roll:
 
 
 def _look_at(folder: Path, file: str, digest: str) -> Shot:
-    exif = read_exif(folder / file)
-    with Image.open(folder / file) as image:
-        size = image.size
+    exif, size = read_exif(folder / file), image_size(folder / file)
     name = f"{SESSION}/images/{'_'.join(file.split())}"
     return Shot(file, name, digest, exif, size)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from ingest.photographs import Roll, Shot
 from scene.errors import InputError
 from scene.files import read_text
-from scene.geodesy import Geodetic, enu_from_geodetic
+from scene.geodesy import Geodetic, amid, enu_from_geodetic
 
 FEWEST = 3
 _COLUMNS = ("name", "lat", "lon", "alt")
@@ -27,17 +28,24 @@ def with_positions(roll: Roll, table: Path) -> Roll:
         roll: photographs.
         table: CSV with a header; columns ``name`` (of the file, or its path in the folder), ``lat``
             and ``lon`` in degrees and ``alt`` in metres. Others do not count, nor do photographs
-            that are not in the roll.
+            that are not in the roll. Upper and lower case, and ``\\`` and ``/``, are the same where
+            no other photograph has the very name.
 
     Raises:
-        InputError: it cannot be read, lacks a column, has a bad number or a name twice, or has none
-            of the photographs.
+        InputError: it cannot be read, lacks a column or has one twice, has a bad number or a name
+            twice, a name without a folder that several photographs have, or none of the
+            photographs.
     """
     places = _read(table)
+    rows = _rows([shot.file for shot in roll.shots], list(places), table)
     shots = [
-        replace(shot, exif=replace(shot.exif, position=places.get(shot.file, places.get(name))))
+        replace(
+            shot,
+            exif=replace(
+                shot.exif, position=places[rows[shot.file]] if shot.file in rows else None
+            ),
+        )
         for shot in roll.shots
-        for name in [PurePosixPath(shot.file).name]
     ]
     if places and not any(shot.exif.position for shot in shots):
         raise InputError(
@@ -47,13 +55,53 @@ def with_positions(roll: Roll, table: Path) -> Roll:
     return replace(roll, shots=tuple(shots))
 
 
+def _rows(files: Sequence[str], names: Sequence[str], table: Path) -> dict[str, str]:
+    """The name in the table of each file that has one."""
+    known = set(names)
+    loose: dict[str, list[str]] = {}
+    for name in names:
+        loose.setdefault(_folded(name), []).append(name)
+    rows: dict[str, str] = {}
+    owners: dict[str, str] = {}
+    for file in files:
+        spellings = (file, PurePosixPath(file).name)
+        found = [name for name in spellings if name in known]
+        for alike in (loose.get(_folded(spelling), []) for spelling in spellings):
+            found += alike if len(alike) == 1 else []
+        if not found:
+            continue
+        other = owners.setdefault(found[0], file)
+        if other != file:
+            raise InputError(
+                f"{table}: {found[0]!r} may be {other!r} or {file!r}: give names with their folder"
+            )
+        rows[file] = found[0]
+    return rows
+
+
+def _folded(name: str) -> str:
+    return name.replace("\\", "/").casefold()
+
+
 def _read(table: Path) -> dict[str, Geodetic]:
-    reader = csv.DictReader(read_text(table, "table of positions").lstrip("\ufeff").splitlines())
-    missing = [column for column in _COLUMNS if column not in (reader.fieldnames or ())]
-    if missing:
+    text = read_text(table, "table of positions").lstrip("\ufeff")
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    try:
+        return _parsed(reader, table)
+    except csv.Error as error:
         raise InputError(
-            f"{table} has no column {missing[0]}: its first line must name {','.join(_COLUMNS)}"
-        )
+            f"{table}, line {reader.line_num}: {error}: is there a stray quote?"
+        ) from None
+
+
+def _parsed(reader: csv.DictReader[str], table: Path) -> dict[str, Geodetic]:
+    header = list(reader.fieldnames or ())
+    for column in _COLUMNS:
+        if header.count(column) != 1:
+            wrong = "no column" if column not in header else "two columns"
+            raise InputError(
+                f"{table} has {wrong} {column}: its first line must name {','.join(_COLUMNS)}"
+            )
     places: dict[str, Geodetic] = {}
     for row in reader:
         try:
@@ -87,6 +135,5 @@ def local(shots: Sequence[Shot]) -> tuple[Geodetic, dict[str, NDArray[np.float64
             "for a scene has metres and a place on earth: give --gps CSV with columns "
             f"{','.join(_COLUMNS)}"
         )
-    # Of each coordinate, so that a few wrong ones do not count.
-    origin = Geodetic(*np.median(np.array(list(known.values())), axis=0).tolist())
+    origin = amid(list(known.values()))
     return origin, {name: enu_from_geodetic(place, origin) for name, place in known.items()}

@@ -27,7 +27,9 @@ from scene.supplement import ADDED_FEATURES, SUPPLEMENT, added_rows
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
 FEATURES = "features.h5"
-MAP_FILES = ("*.bin", FEATURES, SUPPLEMENT, ADDED_FEATURES)
+MODEL_FILES = tuple(f"{part}.bin" for part in ("cameras", "images", "points3D", "frames", "rigs"))
+"""A COLMAP model."""
+MAP_FILES = (*MODEL_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
 """What we write into the folder of a map, as ``scene.files.folder_written_whole`` takes it."""
 
 

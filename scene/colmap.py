@@ -5,8 +5,9 @@ Written for pycolmap 4.2.
 
 from __future__ import annotations
 
+import signal
 import sqlite3
-import tempfile
+import threading
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from scene.files import require_room, write_text, written_whole
 from scene.images import check_photographs
 from scene.matching import match
 from scene.pose import Pose, transform_jacobian
+from scene.scratch import scratch
 from scene.sparse_map import SparseMap
 
 VERSION: str = pycolmap.__version__
@@ -51,6 +53,9 @@ _ALIGN_M = 1.0
 _PAIR_CHUNK = 32
 # COLMAP ends the process when the disk is full: a chunk of pairs with its journal takes less (B).
 _ROOM = 64 << 20
+# A keypoint with its descriptor in a database (B); and no photograph has more of them.
+_KEYPOINT = 160
+_MOST_KEYPOINTS = 1 << 16
 # Matches within this distance of the epipolar line agree with it (px).
 _VERIFIED_PX = 2.0
 # The same before the lens is calibrated; COLMAP's own.
@@ -78,8 +83,22 @@ _LEAST_VARIANCE = 0.01
 _LEAST_SIGMA = 1e-3
 _LARGEST_SIGMA = 1e6
 
-# COLMAP logs every step on standard error; a person reads our progress bar instead.
-pycolmap.logging.minloglevel = pycolmap.logging.ERROR
+# COLMAP logs every step; a person reads our progress bar and our one line instead. What would be
+# logged goes to standard error, for it leaves log files in the system's folder otherwise.
+pycolmap.logging.minloglevel = pycolmap.logging.FATAL
+pycolmap.logging.logtostderr = True
+
+
+def _take_back_sigterm() -> None:
+    """Importing pycolmap puts a handler of its logger in the place of Python's, which prints a
+    native stack and ends the process at once: nothing would be cleaned up."""
+    if threading.current_thread() is threading.main_thread():
+        handler = signal.getsignal(signal.SIGTERM)
+        if handler is not None:  # None: not installed from Python
+            signal.signal(signal.SIGTERM, handler)
+
+
+_take_back_sigterm()
 
 Progress = Callable[[int], None]
 Mapper = Literal["incremental", "global"]
@@ -131,6 +150,7 @@ def extract_sift(
     options: SiftOptions,
     on_progress: Progress | None = None,
     threads: int = -1,
+    beside: Path | None = None,
 ) -> dict[str, Features]:
     """SIFT of many images.
 
@@ -140,16 +160,20 @@ def extract_sift(
         options: of the detector.
         on_progress: called with the number of images done.
         threads: to use; -1 for as many as there are cores.
+        beside: folder for temporary files, as ``scene.scratch.scratch`` takes it.
 
     Raises:
         InputError: an image is missing or cannot be read.
+        WriteError: there is no room for temporary files.
     """
     native = options.native()
     native.num_threads = threads
-    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        database = Path(scratch) / "database.db"
+    with scratch(beside) as folder:
+        database = folder / "database.db"
         for start in range(0, len(names), _CHUNK):
             chunk = list(names[start : start + _CHUNK])
+            most = min(options.max_features, _MOST_KEYPOINTS)
+            require_room(database, _ROOM + 2 * len(chunk) * most * _KEYPOINT)
             pycolmap.extract_features(
                 database,
                 root,
@@ -412,8 +436,8 @@ def triangulate(
         InputError: an image is missing, damaged or not of its camera's size, or no point could be
             triangulated.
     """
-    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        database = database or Path(scratch) / "database.db"
+    with scratch(out) as folder:
+        database = database or folder / "database.db"
         posed, features = _match_all(root, images, pairs, database, options, on_progress, cluster)
         return _triangulate(posed, database, root, out), features
 
@@ -467,8 +491,8 @@ def reconstruct(
         InputError: an image is missing, damaged or not of its camera's size, or fewer than three
             images could be registered.
     """
-    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        database = database or Path(scratch) / "database.db"
+    with scratch(out) as folder:
+        database = database or folder / "database.db"
         _, features = _match_all(root, images, pairs, database, options, on_progress, cluster)
         matched, registered = len(images) + len(pairs), 2  # the pair every model starts from
 
@@ -482,7 +506,7 @@ def reconstruct(
             report(registered)
 
         models = pycolmap.incremental_mapping(
-            database, root, scratch, _pipeline_options(), next_image_callback=on_image
+            database, root, folder, _pipeline_options(), next_image_callback=on_image
         )
     model = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
     if model is None or model.num_reg_images() < _ALIGNABLE:
@@ -627,13 +651,13 @@ def map_photographs(
     fixed = {
         numbers[p.lens] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
     }
-    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
+    with scratch(out, _ROOM) as folder:
         if mapper == "global":
             pipeline = _global_options()
             adjustment = pipeline.mapper.bundle_adjustment
             adjustment.refine_focal_length = refine_focal
             adjustment.refine_extra_params = len(fixed) < len(numbers)
-            models = pycolmap.global_mapping(database, root, scratch, pipeline)
+            models = pycolmap.global_mapping(database, root, folder, pipeline)
         else:
             pipeline = _pipeline_options()
             pipeline.ba_refine_focal_length = refine_focal
@@ -641,7 +665,7 @@ def map_photographs(
             pipeline.ba_refine_extra_params = True
             pipeline.constant_cameras = pipeline.mapper.constant_cameras = fixed
             pipeline.min_model_size = _ALIGNABLE
-            models = _map_incrementally(database, root, Path(scratch), pipeline, on_progress)
+            models = _map_incrementally(database, root, folder, pipeline, on_progress)
     ordered = sorted(models.values(), key=lambda m: -m.num_reg_images())
     folders = [out / str(k) for k in range(len(ordered))]
     for model, folder in zip(ordered, folders, strict=True):
@@ -653,7 +677,7 @@ def map_photographs(
 def _map_incrementally(
     database: Path,
     root: Path,
-    scratch: Path,
+    folder: Path,
     pipeline: pycolmap.IncrementalPipelineOptions,
     on_progress: Progress | None,
 ) -> dict[int, pycolmap.Reconstruction]:
@@ -669,7 +693,7 @@ def _map_incrementally(
         pycolmap.incremental_mapping(
             database,
             root,
-            scratch,
+            folder,
             pipeline,
             initial_image_pair_callback=lambda: on_image(2),
             next_image_callback=lambda: on_image(1),
@@ -765,8 +789,9 @@ def triangulate_matched(
     """
     features = _read_features(database, root)
     wanted = {image.name: features[image.name] for image in images}
-    with tempfile.TemporaryDirectory(prefix="objconnect-") as scratch:
-        part = Path(scratch) / "database.db"
+    size = sum(24 * len(item.xy) for item in wanted.values())
+    with scratch(out, _ROOM + 2 * size) as folder:
+        part = folder / "database.db"
         posed, ids = _posed_model(images, {name: item.xy for name, item in wanted.items()})
         _write_database(part, posed)
         with pycolmap.Database.open(database) as db, pycolmap.Database.open(part) as copy:
@@ -957,7 +982,7 @@ def _fill_database(
     with pycolmap.Database.open(database) as db:
         left = [name for name in ids if not db.exists_keypoints(ids[name])]
         done = len(ids) - len(left)
-        with closing(_find_features(root, left, options, cluster)) as found:
+        with closing(_find_features(root, left, options, database.parent, cluster)) as found:
             for features in found:
                 size = sum(
                     item.descriptors.nbytes + 24 * len(item.xy) for item in features.values()
@@ -1000,20 +1025,21 @@ def _fill_database(
 
 
 def _find_features(
-    root: Path, names: Sequence[str], options: SiftOptions, cluster: str | None
+    root: Path, names: Sequence[str], options: SiftOptions, beside: Path, cluster: str | None
 ) -> Generator[dict[str, Features], None, None]:
-    """SIFT of many images, some at a time."""
+    """SIFT of many images, some at a time. Nodes of a cluster need not see ``beside``."""
     size = _CHUNK if cluster is None else _UNIT
     chunks = [names[start : start + size] for start in range(0, len(names), size)]
-    threads = -1 if cluster is None else 1
-    with crew(cluster if chunks else None, partial(_sift_of, root, options, threads)) as workers:
+    threads, temporary = (-1, beside) if cluster is None else (1, None)
+    find = partial(_sift_of, root, options, threads, temporary)
+    with crew(cluster if chunks else None, find) as workers:
         yield from workers.spread(chunks)
 
 
 def _sift_of(
-    root: Path, options: SiftOptions, threads: int, names: Sequence[str]
+    root: Path, options: SiftOptions, threads: int, beside: Path | None, names: Sequence[str]
 ) -> Iterator[dict[str, Features]]:
-    yield extract_sift(root, names, options, threads=threads)
+    yield extract_sift(root, names, options, threads=threads, beside=beside)
 
 
 def _require_database(database: Path, model: pycolmap.Reconstruction) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from scene.camera import MODELS, Camera
 from scene.errors import InputError
-from scene.files import inside
+from scene.files import inside, require_readable
 from scene.pose import Pose
 from scene.sparse_map import MapImage, SparseMap
 
@@ -69,6 +69,14 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        text = path.with_suffix(".txt")
+        if not path.exists() and text.exists():
+            raise InputError(
+                f"cannot read map file {path}: {path.parent} is a text model: convert it with "
+                f"'colmap model_converter --input_path {path.parent} --output_path {path.parent} "
+                "--output_type BIN'"
+            )
+        require_readable(path, "map file")
         try:
             self.data = path.read_bytes()
         except OSError as error:

@@ -78,13 +78,19 @@ class Agreement:
 
 def check_depth(name: str, frames: DepthFrames) -> Check:
     """Measure the cross-frame reprojection and, when it is off, name the convention at fault."""
+    if len(frames.cameras) < 2:
+        return Check(name, True, "not decided: one frame, and nothing to compare it with")
     ours = measure(frames, OURS)
     others = [(measure(frames, reading), reading) for reading in READINGS]
     widest, reading = max(others, key=lambda item: item[0].agreeing)
     if _EXPLAINS * widest.agreeing > ours.agreeing:
         return Check(name, False, reading.fault, _figures(ours))
     if not len(ours.residuals):
-        return Check(name, False, "no two frames see the same surface: poses or depths are wrong")
+        return Check(
+            name,
+            False,
+            "no two frames see the same surface: they do not overlap, or poses or depths are wrong",
+        )
     # A reading that fits a handful of pixels well explains nothing.
     rivals = [item for item in others if item[0].agreeing > 0.9 * ours.agreeing]
     closest, reading = min(rivals, key=lambda item: item[0].mean, default=(ours, OURS))

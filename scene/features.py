@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.files import written_whole
-from scene.hdf5 import array, group, groups
+from scene.files import require_readable, written_whole
+from scene.hdf5 import array, attribute, group, groups, set_text
+
+# Of the group of an image whose name holds what stands for a slash in the names of groups.
+_NAME = "name"
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,19 @@ def written_features(path: Path) -> Iterator[Callable[[str, Features], None]]:
 
         def add(name: str, item: Features) -> None:
             # Names hold slashes, which HDF5 would take for groups.
-            group = file.create_group(name.replace("/", "\\"))
+            if "\\" in name:
+                group = file.create_group(f"\\{len(file)}")
+                set_text(group, _NAME, name)
+            else:
+                group = file.create_group(name.replace("/", "\\"))
             group["xy"], group["scale"] = item.xy, item.scale
             group["descriptors"] = item.descriptors
 
         yield add
+
+
+def _name(stored: str, of: h5py.Group) -> str:
+    return str(attribute(of, _NAME)) if _NAME in of.attrs else stored.replace("\\", "/")
 
 
 def write_features(path: Path, features: Mapping[str, Features]) -> None:
@@ -91,8 +102,9 @@ class FeatureFile(Mapping[str, Features]):
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            require_readable(path, "feature file")
             self._file = h5py.File(path, "r")
-            self._groups = {name.replace("\\", "/"): name for name, _ in groups(self._file)}
+            self._groups = {_name(stored, of): stored for stored, of in groups(self._file)}
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 

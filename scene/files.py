@@ -6,6 +6,7 @@ other file is ever removed: a folder that is replaced keeps what we did not writ
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -30,14 +31,46 @@ PARTIAL = ".partial"
 _ASIDE = ".aside"
 _TEMPORARY = re.compile(rf"{re.escape(MARK)}[a-z0-9_]{{8}}({PARTIAL}|{_ASIDE})")
 _LOCK = f"{MARK}lock"
+_WILD = re.compile(r"[*?[]")
 # Bytes of a name, in every usual file system.
 _LONGEST = 255
 # A disk with less left is full.
 _FULL = 1 << 20
+# A text is read whole: more than this is none that a person or a program of ours wrote (B).
+_LONGEST_TEXT = 1 << 30
+
+
+def require_readable(path: Path, what: str) -> None:
+    """Refuse what is no regular file, before it is opened: a pipe waits for somebody to write, and
+    a device may have no end. A symbolic link counts as what it leads to.
+
+    Args:
+        path: to be read.
+        what: it is, for the message.
+
+    Raises:
+        InputError: it is missing, a folder, a device, a pipe or a socket, or lies where this user
+            may not look.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise InputError(f"cannot read {what} {path}: {reason or error}") from None
+    if stat.S_ISDIR(mode):
+        raise InputError(f"cannot read {what} {path}: {os.strerror(errno.EISDIR)}")
+    if not stat.S_ISREG(mode):
+        raise InputError(f"cannot read {what} {path}: it is a device or a pipe, not a file")
 
 
 def sha256_of(path: Path) -> str:
-    """Hex digest of a file's bytes."""
+    """Hex digest of a file's bytes.
+
+    Raises:
+        InputError: it is no regular file, see ``require_readable``.
+        OSError: it cannot be read.
+    """
+    require_readable(path, "file")
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -204,7 +237,10 @@ def link_or_copy(old: Path, new: Path) -> None:
 
 def matches(name: str, owned: Sequence[str]) -> bool:
     """Whether a path relative to its folder matches one of the patterns of files that we write."""
-    return any(fnmatchcase(name, pattern) for pattern in owned)
+    # Plain names are many, where photographs are listed, and patterns take a while to compile.
+    return name in owned or any(
+        fnmatchcase(name, pattern) for pattern in owned if _WILD.search(pattern)
+    )
 
 
 def remove_owned(folder: Path, owned: Sequence[str]) -> None:
@@ -336,12 +372,17 @@ def write_text(path: Path, text: str) -> None:
 
 
 def read_text(path: Path, what: str) -> str:
-    """Read a text file.
+    """Read a text file of at most 1 GiB.
 
     Raises:
-        InputError: ``what`` is missing, unreadable or not UTF-8.
+        InputError: ``what`` is missing, no regular file, unreadable, larger, or not UTF-8.
     """
+    require_readable(path, what)
     try:
+        if path.stat().st_size > _LONGEST_TEXT:
+            raise InputError(
+                f"cannot read {what} {path}: it is larger than {_LONGEST_TEXT >> 30} GiB"
+            )
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not a UTF-8 text file"

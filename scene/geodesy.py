@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -57,3 +58,24 @@ def geodetic_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> Geodetic:
     # This form of the altitude stays stable at the poles as well as at the equator.
     altitude = p * math.cos(lat) + z * math.sin(lat) - _SEMI_MAJOR**2 / n
     return Geodetic(math.degrees(lat), math.degrees(math.atan2(y, x)), altitude)
+
+
+def amid(places: Sequence[Geodetic]) -> Geodetic:
+    """A place amid others, also where they lie on both sides of longitude 180.
+
+    It is the median of each coordinate, so that a few wrong places do not count; longitudes are
+    taken from the direction of the median place, seen from the centre of the earth.
+    """
+    x, y, _ = np.median([_ecef(place) for place in places], axis=0).tolist()
+    middle = math.degrees(math.atan2(y, x))
+    turned = [middle + turn_between(place.longitude, middle) for place in places]
+    latitude = float(np.median([place.latitude for place in places]))
+    altitude = float(np.median([place.altitude for place in places]))
+    return Geodetic(latitude, turn_between(float(np.median(turned)), 0.0), altitude)
+
+
+def turn_between(longitude: float, origin: float) -> float:
+    """How far a longitude is east of another, at least -180 and less than 180 degrees."""
+    difference = longitude - origin
+    # A difference within these bounds is exact as it is.
+    return difference if -180 <= difference < 180 else (difference + 180) % 360 - 180

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from collections.abc import Mapping
+import struct
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +22,31 @@ from PIL.TiffImagePlugin import IFDRational
 
 from scene.camera import Camera
 from scene.errors import InputError
-from scene.files import written_whole
+from scene.files import require_readable, written_whole
 from scene.geodesy import Geodetic
 
+# What libraries raise on a damaged image or EXIF.
+_DAMAGE: Final = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
+# A few bytes may claim any size. Pillow refuses twice the number that it warns of.
+_MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
+# Pillow's warnings, of large images and of damaged EXIF, mean nothing to those who run a command.
+warnings.filterwarnings("ignore", module=r"PIL\.")
+# A segment of a JPEG is no longer, with the name of what it holds (B).
+_SEGMENT: Final = 65_500
+# No lens has a focal length beyond these (mm), and no aircraft flies so high (m).
+_FOCAL_MM: Final = (1.0, 10_000.0)
+_HIGHEST_M: Final = 1e6
 # The film that focal lengths are told for, millimetres.
 _FILM_WIDTH = 36.0
 _FILM_DIAGONAL = math.hypot(36, 24)
@@ -35,28 +60,60 @@ _MILLIMETRES = {2: 25.4, _CENTIMETRE: 10.0}
 def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
     """Read a photograph as stored, (H, W, 3) uint8 RGB; an EXIF rotation is not applied.
 
+    Grey values of more than 8 bits are stretched from the least to the largest of the photograph:
+    thermal and machine cameras use a small part of their range.
+
     Args:
         path: the file.
         camera: when given, the size the photograph must have.
 
     Raises:
-        InputError: missing, truncated, not an image, or not the size of ``camera``.
+        InputError: missing, no regular file, truncated, not an image, of more pixels than
+            179 million, or not the size of ``camera``.
     """
-    try:
-        with Image.open(path) as image:
+    with _opened(path) as image:
+        if image.mode.startswith(("I", "F")):
+            pixels = _stretched(np.asarray(image), path)
+        else:
             pixels = np.asarray(image.convert("RGB"))
-    except FileNotFoundError:
-        raise InputError(f"image {path} does not exist") from None
-    except UnidentifiedImageError:
-        raise InputError(f"{path} is not an image this program can read") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"image {path} is damaged: {error}") from None
     if camera is not None and pixels.shape[:2] != (camera.height, camera.width):
         raise InputError(
             f"image {path} is {pixels.shape[1]} x {pixels.shape[0]} pixels but its camera is "
             f"{camera.width} x {camera.height}: resize the image or use its own calibration"
         )
     return pixels
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """An image file, and one clear error for what is wrong with it, also within the block."""
+    if not path.exists() and not path.is_symlink():
+        hint = ": the model it is named in was made on Windows" if "\\" in path.name else ""
+        raise InputError(f"image {path} does not exist{hint}")
+    require_readable(path, "image")
+    try:
+        with Image.open(path) as image:
+            yield image
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        raise InputError(f"{path} is not an image this program can read") from None
+    except Image.DecompressionBombError:
+        raise InputError(
+            f"image {path} has more than {_MOST_PIXELS / 1e6:.0f} million pixels: make it smaller"
+        ) from None
+    except _DAMAGE as error:
+        raise InputError(f"image {path} is damaged: {error}") from None
+
+
+def _stretched(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
+    """Grey values (H, W) of any type as (H, W, 3), from their least to their largest."""
+    values = grey.astype(np.float64)
+    if not np.isfinite(values).all():
+        raise InputError(f"image {path} has values that are not finite")
+    low, high = values.min(), values.max()
+    scaled = (values - low) * (255 / (high - low) if high > low else 0.0)
+    return np.repeat(np.rint(scaled).astype(np.uint8)[..., None], 3, axis=-1)
 
 
 def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
@@ -97,6 +154,16 @@ class Exif:
     gimbal: tuple[float, float, float] | None = None
 
 
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of a photograph as stored, pixels.
+
+    Raises:
+        InputError: missing file or not an image.
+    """
+    with _opened(path) as image:
+        return image.size
+
+
 def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95) -> None:
     """Write a photograph with EXIF. ``rgb`` is (H, W, 3) uint8.
 
@@ -129,9 +196,13 @@ def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) 
         if scale == 1 and not over:
             shutil.copyfile(source, partial)
             return
-        with Image.open(source) as original:
-            kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
         size = (round(scale * width), round(scale * height))
+        with _opened(source) as original:
+            kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
+        if len(kept.get("xmp", b"")) > _SEGMENT:
+            del kept["xmp"]
+        if len(kept.get("exif", b"")) > _SEGMENT:  # thumbnails, notes of the maker's
+            kept["exif"] = _encode(read_exif(source), size[0]).tobytes()
         picture = Image.fromarray(rgb[::-1, ::-1] if over else rgb)
         smaller = picture.resize(size, Image.Resampling.LANCZOS)
         smaller.save(partial, "JPEG", quality=95, subsampling=0, **kept)
@@ -167,27 +238,27 @@ def _encode(exif: Exif, width: int) -> Image.Exif:
 
 
 def read_exif(path: Path) -> Exif:
-    """Read what a drone wrote; fields it did not write are None.
+    """Read what a drone wrote; fields it did not write, or that say nothing, are None.
 
     Raises:
         InputError: missing file or not an image.
     """
-    try:
-        with Image.open(path) as image:
-            tags, size, xmp = image.getexif(), image.size, image.info.get("xmp", b"")
-    except FileNotFoundError:
-        raise InputError(f"image {path} does not exist") from None
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path} is not an image this program can read: {error}") from None
-    detail = tags.get_ifd(ExifTags.IFD.Exif)
+    with _opened(path) as image:
+        size, xmp = image.size, image.info.get("xmp", b"")
+        try:
+            tags = image.getexif()
+            detail = tags.get_ifd(ExifTags.IFD.Exif)
+            gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
+        except _DAMAGE:  # the picture may be whole
+            tags, detail, gps = Image.Exif(), {}, {}
     stamp = detail.get(ExifTags.Base.DateTimeOriginal)
     return Exif(
-        position=_decode_position(tags.get_ifd(ExifTags.IFD.GPSInfo)),
+        position=_decode_position(gps),
         time=_decode_time(stamp, detail.get(ExifTags.Base.SubsecTimeOriginal)),
         make=_text(tags.get(ExifTags.Base.Make)),
         model=_text(tags.get(ExifTags.Base.Model)),
         focal_35mm=_decode_focal(detail, size),
-        gimbal=_decode_gimbal(xmp),
+        gimbal=_decode_gimbal(xmp if isinstance(xmp, bytes) else str(xmp).encode()),
     )
 
 
@@ -204,15 +275,15 @@ def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None
         pitch = unit / float(detail[ExifTags.Base.FocalPlaneXResolution])
         sensor = pitch * float(detail[ExifTags.Base.ExifImageWidth])
         focal = _FILM_WIDTH * float(detail[ExifTags.Base.FocalLength]) / sensor
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+    except _DAMAGE:
         focal = math.nan
-    if math.isfinite(focal) and focal > 0:
+    if _FOCAL_MM[0] <= focal <= _FOCAL_MM[1]:
         return focal
     try:
         focal = float(detail[ExifTags.Base.FocalLengthIn35mmFilm])
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+    except _DAMAGE:
         return None
-    if not (math.isfinite(focal) and focal > 0):
+    if not _FOCAL_MM[0] <= focal <= _FOCAL_MM[1]:
         return None
     # The equivalent holds for the diagonal (CIPA DCG-001); wide pictures are cut from 4:3 sensors.
     aspect = max(size) / min(size)
@@ -225,20 +296,23 @@ def _decode_gimbal(xmp: bytes) -> tuple[float, float, float] | None:
     angles = []
     for axis in (b"Yaw", b"Pitch", b"Roll"):
         found = re.search(rb"Gimbal" + axis + rb"Degree(?:=\"|>)\s*([+-]?[0-9.]+)", xmp)
-        if found is None or found[1].count(b".") > 1:
+        try:
+            angles.append(math.nan if found is None else float(found[1]))
+        except ValueError:
             return None
-        angles.append(float(found[1]))
+        if not math.isfinite(angles[-1]):
+            return None
     return angles[0], angles[1], angles[2]
 
 
 def _decode_time(stamp: object, fraction: object) -> datetime | None:
     """Whole seconds, and the decimal digits that follow them where the camera writes some."""
+    digits = _text(fraction)
     try:
         whole = datetime.strptime(str(stamp), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
-    except ValueError:
+        return whole + timedelta(seconds=float(f"0.{digits}") if digits.isdecimal() else 0)
+    except (ValueError, OverflowError):  # there is no second after the year 9999
         return None
-    digits = _text(fraction)
-    return whole + timedelta(seconds=float(f"0.{digits}") if digits.isdecimal() else 0)
 
 
 def _decode_position(gps: dict[int, object]) -> Geodetic | None:
@@ -253,14 +327,14 @@ def _decode_position(gps: dict[int, object]) -> Geodetic | None:
         latitude: float | None = angle(ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLatitudeRef, "S")
         longitude = angle(ExifTags.GPS.GPSLongitude, ExifTags.GPS.GPSLongitudeRef, "W")
         altitude = float(str(gps.get(ExifTags.GPS.GPSAltitude, 0.0)))
-    except (ValueError, ZeroDivisionError):
+    except _DAMAGE:
         return None
     if latitude is None or longitude is None:
         return None
     # A receiver without a fix writes 0/0, which reads as NaN.
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
         return None
-    if not math.isfinite(altitude):
+    if not abs(altitude) <= _HIGHEST_M:
         altitude = 0.0
     below = gps.get(ExifTags.GPS.GPSAltitudeRef) in (b"\x01", 1)
     return Geodetic(latitude, longitude, -altitude if below else altitude)

@@ -45,3 +45,13 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
                 path.rmdir()
             except OSError:  # it holds something
                 break
+
+
+@contextmanager
+def kept_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
+    """The folder of a cache; where there is none, a scratch folder beside what a run writes."""
+    if cache is not None:
+        yield cache
+        return
+    with scratch(beside) as folder:
+        yield folder

@@ -13,7 +13,6 @@ using iterative refinement of control points", 2009).
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from scene.camera import MODELS, Camera
 from scene.errors import InputError
 from scene.files import written_whole
 from scene.progress import progress_bar
+from scene.scratch import scratch
 from simulate.camera.lens import rendered_through
 from simulate.camera.resample import resample_colour
 from simulate.render.job import Board, RenderJob, frame_path
@@ -140,7 +140,7 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
     """
     rng = np.random.default_rng(seed)
     poses = np.stack([board_pose(camera, BOARD, rng) for _ in range(views)])
-    pictures = _photographs(camera, poses, seed)
+    pictures = _photographs(camera, poses, seed, out)
     for name, picture in pictures.items():
         with written_whole(out / "views" / name) as partial:
             Image.fromarray(picture).save(partial, "PNG")
@@ -253,7 +253,9 @@ def refine_corners(
     return found
 
 
-def _photographs(camera: Camera, poses: Array, seed: int) -> dict[str, NDArray[np.uint8]]:
+def _photographs(
+    camera: Camera, poses: Array, seed: int, beside: Path
+) -> dict[str, NDArray[np.uint8]]:
     """The board as the camera sees it, (H, W, 3) by file name."""
     pinhole, lens = rendered_through(camera)
     job = RenderJob(
@@ -268,15 +270,15 @@ def _photographs(camera: Camera, poses: Array, seed: int) -> dict[str, NDArray[n
     )
     pictures = {}
     with (
-        tempfile.TemporaryDirectory(prefix="calibrate-") as scratch,
+        scratch(beside) as folder,
         progress_bar("chessboard", len(poses)) as advance,
     ):
         try:
-            render(job, Path(scratch), on_frame=lambda frame: advance(frame + 1))
+            render(job, folder, on_frame=lambda frame: advance(frame + 1))
         except RenderError as error:
             raise InputError(str(error)) from error
         for k in range(len(poses)):
-            with np.load(frame_path(Path(scratch), k)) as layers:
+            with np.load(frame_path(folder, k)) as layers:
                 pictures[f"{k:06d}.png"] = layers["rgb"]
     return pictures
 

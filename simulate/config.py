@@ -15,10 +15,13 @@ from scene.geodesy import Geodetic
 from simulate.camera.lens import CameraConfig, rendered_through
 from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import Flight, NadirFlight, StreetFlight
+from simulate.flight.flights import MAX_PHOTOGRAPHS
 from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import preset
 
+# Cycles takes no more.
+_MOST_SAMPLES = 1 << 24
 NotNegative = Annotated[float, Field(ge=0)]
 Role = Literal["map", "query"]
 
@@ -39,7 +42,7 @@ class SessionConfig(Config):
     condition: str
     flight: Flight
     role: Role
-    frames: int | None = Field(None, ge=1)
+    frames: int | None = Field(None, ge=1, le=MAX_PHOTOGRAPHS)
     change: Change = Change()
     camera: CameraConfig | None = None
     name: str | None = Field(None, pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")
@@ -176,8 +179,8 @@ class SimulateConfig(Config):
     size: int = Field(512, ge=64, le=4096)
     fov_deg: float = Field(60.0, gt=5, lt=120)
     camera: CameraConfig | None = None
-    spp: int = Field(4, ge=1)
-    frames: int = Field(30, ge=1)
+    spp: int = Field(4, ge=1, le=_MOST_SAMPLES)
+    frames: int = Field(30, ge=1, le=MAX_PHOTOGRAPHS)
     sessions: tuple[SessionConfig, ...] = Field(
         (
             SessionConfig(condition="summer-noon", flight=NadirFlight(), role="map"),

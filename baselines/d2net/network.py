@@ -120,7 +120,7 @@ def read_network(path: Path) -> tuple[D2Net, str]:
     weights = read_weights(path)
     # The authors' checkpoints do not say their width; its first layer does.
     first = weights.tensors.get(_FIRST)
-    if first is None:
+    if first is None or not first.ndim:
         raise InputError(f"{path} lacks {_FIRST}: it holds no weights of D2-Net")
     config = weights.config or {"width": len(first) / 64}
     network = D2Net(load_config(D2NetNetConfig, None, config))

@@ -10,7 +10,6 @@ steps that make the cost larger are not taken, and the pose has a covariance.
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -34,6 +33,7 @@ from baselines.views import View, turned_to
 from scene.config import Config
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, fault
 from scene.pose import Pose
+from scene.scratch import scratch
 from scene.sparse_map import SparseMap
 
 # Poses of pictures of nothing cost 0.98 of chance and more, 0.95 where little is in view; those of
@@ -126,8 +126,9 @@ class FeaturemetricLocalizer:
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Keep what the points of the map look like in its photographs."""
         if cache is None:
-            self._folder = tempfile.TemporaryDirectory(prefix=f"{self.name}-")
-            cache = Path(self._folder.name)
+            with scratch() as folder:  # files stay open
+                self.prepare(sparse_map, images, folder)
+            return
         config = self.config
         self._map = sparse_map
         self._observations = references(

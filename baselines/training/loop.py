@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader, Dataset
 from baselines.training.config import TrainConfig
 from baselines.training.curves import draw_curves
 from baselines.training.pairs import Pair, PairBatch, PairSource, collate
-from baselines.weights import write_weights
+from baselines.weights import fault_of, write_weights
 from scene.errors import InputError
 from scene.files import parse_json, read_text, write_text, written_whole
 from scene.progress import progress_bar
@@ -302,8 +302,9 @@ def _restore(
         optimizer.load_state_dict(state["optimizer"])
         return int(state["done"])
     except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path} is damaged ({reason}): remove it to begin again") from error
+        raise InputError(
+            f"{path} is damaged ({fault_of(error)}): remove it to begin again"
+        ) from error
 
 
 _FIGURES: Final = TypeAdapter(dict[str, float])

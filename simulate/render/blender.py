@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any, TextIO
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scene.memory import resident_bytes
+from scene.scratch import scratch
 from simulate.camera.pinhole import PinholeCamera
 from simulate.camera.resample import Cast, resample
 from simulate.look import ground
@@ -67,7 +67,7 @@ def main(chunk_path: str) -> None:
     rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
     caster = _Caster()
     held = None  # bytes, after the first frame
-    with tempfile.TemporaryDirectory(prefix="frame-") as scratch:
+    with scratch(Path(chunk_path).parent) as folder:
         for frame, rows in job.poses.items():
             path = frame_path(chunk.out_dir, frame)
             if path.exists():
@@ -78,7 +78,7 @@ def main(chunk_path: str) -> None:
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             travel = np.array(job.travel.get(frame, (0.0, 0.0, 0.0)))
-            arrays = _render(pose, travel, Path(scratch))
+            arrays = _render(pose, travel, folder)
             if chunk.rays is not None:
                 c = job.camera
                 xy, small = c.f * rays + [c.cx, c.cy], caster.small(pose, c.f)
@@ -290,7 +290,7 @@ def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
 
 
 def _render(
-    cam_from_world: NDArray[np.float64], travel: NDArray[np.float64], scratch: Path
+    cam_from_world: NDArray[np.float64], travel: NDArray[np.float64], folder: Path
 ) -> dict[str, NDArray[Any]]:
     """One frame's rgb, depth, instance and normal, of a camera that moves by `travel` (3,) metres
     while it is read out."""
@@ -302,14 +302,14 @@ def _render(
     settings = scene.render.image_settings
     settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
     settings.exr_codec = "NONE"
-    scene.render.filepath = str(scratch / "passes.exr")
+    scene.render.filepath = str(folder / "passes.exr")
     bpy.ops.render.render(write_still=True)
     settings.file_format, settings.color_depth, settings.color_mode = "PNG", "8", "RGB"
     settings.compression = 0
-    picture = scratch / "picture.png"
+    picture = folder / "picture.png"
     bpy.data.images["Render Result"].save_render(str(picture), scene=scene)
 
-    with OpenEXR.File(str(scratch / "passes.exr"), separate_channels=True) as exr:
+    with OpenEXR.File(str(folder / "passes.exr"), separate_channels=True) as exr:
         channels = {name.split(".", 1)[1]: c.pixels for name, c in exr.channels().items()}
     depth = channels["Depth.Z"]
     # Cycles measures depth from where the camera is at the frame; rows are elsewhere.

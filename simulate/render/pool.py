@@ -7,7 +7,6 @@ import os
 import queue
 import subprocess
 import sys
-import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.scratch import scratch
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
 from simulate.render.job import FrameDone, RenderChunk, RenderJob, frame_path
@@ -80,10 +80,10 @@ def rendering(
         threads = 0 if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
     size = min(FRAMES_PER_PROCESS, math.ceil(len(missing) / jobs))
     shares = deque(missing[k : k + size] for k in range(0, len(missing), size))
-    with tempfile.TemporaryDirectory(prefix="render-") as scratch:
+    with scratch(out_dir) as folder:
         rays = None
         if job.lens is not None:
-            rays = Path(scratch) / "rays.npy"
+            rays = folder / "rays.npy"
             np.save(rays, _lens_rays(job.lens))
         numbers = count()
 
@@ -97,7 +97,7 @@ def rendering(
                 may_grow_bytes=_MAY_GROW_BYTES,
                 parent=os.getpid(),
             )
-            path = Path(scratch) / f"{next(numbers)}.json"
+            path = folder / f"{next(numbers)}.json"
             path.write_text(chunk.model_dump_json())
             return _Child(path)
 
@@ -127,7 +127,8 @@ class _Child:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
-                env={**os.environ, "PYTHONPATH": path},
+                # Blender has a folder of its own for temporary files, which a killed one leaves.
+                env={**os.environ, "PYTHONPATH": path, "TMPDIR": str(chunk.parent.resolve())},
             )
 
     def listen(self, lines: queue.Queue[tuple[_Child, str | None]]) -> None:

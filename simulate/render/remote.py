@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
 from scene.cluster import Crew, shares
 from scene.files import written_whole
+from scene.scratch import scratch
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import FRAMES_PER_PROCESS, rendering
 
@@ -22,11 +22,11 @@ def frame_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     Yields the number and the file of each, in the order of their numbers.
     """
     with (
-        tempfile.TemporaryDirectory(prefix="share-") as folder,
-        closing(rendering(share, Path(folder), threads=1)) as frames,
+        scratch() as folder,
+        closing(rendering(share, folder, threads=1)) as frames,
     ):
         for frame in frames:
-            path = frame_path(Path(folder), frame)
+            path = frame_path(folder, frame)
             yield frame, path.read_bytes()
             path.write_bytes(b"")  # it is there, and takes no room
 
