@@ -106,14 +106,15 @@ def map_features(
         with tempfile.TemporaryDirectory(prefix=f"{extractor.name}-") as folder:
             return map_features(sparse_map, images, extractor, Path(folder))
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
-    angles = {}
+    names, posed = sparse_map.names, sparse_map.images
+    angles, cameras = {}, []
     if not extractor.turned:
-        angles = {n: north(sparse_map.images[n].cam_from_world[:3, :3]) for n in sparse_map.names}
-    names = sparse_map.names
+        angles = {name: north(posed[name].cam_from_world[:3, :3]) for name in names}
+        cameras = [str(posed[name].camera) for name in names]
     files = [images / name for name in names]
     photographs = digests(files)
     named = list(zip(names, photographs, strict=True))
-    parts = f"{named} {extractor.options} {extractor.weights_sha256} {angles or ''}"
+    parts = f"{named} {extractor.options} {extractor.weights_sha256} {angles or ''}{cameras or ''}"
     key = hashlib.sha256(parts.encode()).hexdigest()
     path = cache / f"{extractor.name}-{key[:16]}.h5"
     if path.is_file():

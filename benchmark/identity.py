@@ -86,18 +86,19 @@ def _known(query: BenchmarkQuery) -> str:
     does not make another data set.
     """
 
-    def rounded(numbers: Iterable[float]) -> str:
-        return " ".join(f"{x + 0.0:.9f}" for x in numbers)
-
-    words = [query.name, query.condition, str(query.camera)]
-    words.append(rounded(query.reference.matrix().flatten().tolist()))
-    if query.prior is not None:
-        prior = query.prior
-        words.append(rounded(prior.position))
-        if prior.position_sigma is not None:
-            words.append(rounded(prior.position_sigma))
-        if prior.cam_from_world_rotation is not None:
-            words.append(rounded(prior.cam_from_world_rotation.ravel()))
-        if prior.attitude_sigma_deg is not None:
-            words.append(rounded([prior.attitude_sigma_deg]))
+    reference, prior = query.reference, query.prior
+    told: list[list[float] | None] = [
+        reference.rotation.flatten().tolist(),
+        reference.translation.tolist(),
+    ]
+    if prior is not None:
+        sigma, attitude = prior.position_sigma, prior.cam_from_world_rotation
+        told += [
+            prior.position.tolist(),
+            None if sigma is None else sigma.tolist(),
+            None if attitude is None else attitude.ravel().tolist(),
+            None if prior.attitude_sigma_deg is None else [prior.attitude_sigma_deg],
+        ]
+    numbers = [None if some is None else [f"{x + 0.0:.9f}" for x in some] for some in told]
+    words = [query.name, query.condition, str(query.camera), numbers]
     return hashlib.sha256(json.dumps(words).encode()).hexdigest()

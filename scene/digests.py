@@ -20,11 +20,13 @@ import stat
 import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Final
 
 from scene.errors import InputError
 from scene.files import written_whole
+from scene.progress import progress_bar
 
 FOLDER_VARIABLE: Final = "OBJCONNECT_DIGESTS"
 
@@ -36,9 +38,12 @@ _MOST_BYTES: Final = 128 << 20
 _ENDING: Final = ".digests"
 _FORMAT: Final = "objconnect digests 1"
 _THREADS: Final = min(8, os.cpu_count() or 1)
+# Bytes that take long enough to read for a person to be shown how far it is.
+_LONG: Final = 10**9
 
 _State = list[int]
 """Device, inode, size, and the times of the last change of content and of status in ns."""
+_SIZE: Final = 2
 
 
 def digest(path: Path) -> str:
@@ -61,20 +66,27 @@ def digests(paths: Iterable[Path], missing: str | None = None) -> list[str]:
         InputError: one is missing, cannot be read, or is not a regular file.
     """
     files = list(paths)
+    places = [os.path.split(file) for file in files]
     kept = _folder()
-    shelves = {parent: _Shelf(kept, parent) for parent in {file.parent for file in files}}
+    shelves = {folder: _Shelf(kept, Path(folder)) for folder in {folder for folder, _ in places}}
     found: list[str | None] = []
-    for file in files:
+    size = 0
+    for file, (folder, name) in zip(files, places, strict=True):
         state = _state_of(file, missing is not None)
-        found.append(missing if state is None else shelves[file.parent].get(file.name, state))
+        found.append(missing if state is None else shelves[folder].get(name, state))
+        if state is not None and found[-1] is None:
+            size += state[_SIZE]
     unread = [k for k, known in enumerate(found) if known is None]
     if unread:
-        with ThreadPoolExecutor(_THREADS) as pool:
+        bar = progress_bar("digests", len(unread)) if size > _LONG else nullcontext(_say_nothing)
+        with bar as advance, ThreadPoolExecutor(_THREADS) as pool:
             read = pool.map(_read, [files[k] for k in unread])
-            for k, (state, sha256) in zip(unread, read, strict=True):
+            for done, (k, (state, sha256)) in enumerate(zip(unread, read, strict=True), 1):
                 found[k] = sha256
                 if state is not None:
-                    shelves[files[k].parent].put(files[k].name, state, sha256)
+                    folder, name = places[k]
+                    shelves[folder].put(name, state, sha256)
+                advance(done)
         for shelf in shelves.values():
             shelf.write()
         if kept is not None:
@@ -144,6 +156,10 @@ class _Shelf:
         if header != _header(text):
             return {}
         return {name: (state, sha256) for name, (state, sha256) in json.loads(text).items()}
+
+
+def _say_nothing(done: int) -> None:
+    """Progress that nobody has to be shown."""
 
 
 def _folder() -> Path | None:
