@@ -12,6 +12,7 @@ import torch
 from hypothesis import settings
 
 from scene.bundle import Scene
+from scene.digests import FOLDER_VARIABLE
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.mapping import build_map
@@ -24,6 +25,15 @@ settings.load_profile("repeatable")
 
 # The tensors of the tests are small: on a busy machine threads cost more than they bring.
 torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Digests of files are remembered in a folder of the tests, never in the user's."""
+    folder = tmp_path_factory.mktemp("digests")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(FOLDER_VARIABLE, str(folder))
+        yield folder
 
 
 @pytest.fixture(scope="session")
