@@ -14,8 +14,8 @@ from torch import Tensor
 
 from baselines.views import north, view
 from scene.camera import Camera
+from scene.digests import digests, require_unchanged
 from scene.features import FeatureFile, Features, unit_descriptors, written_features
-from scene.files import sha256_of
 from scene.images import check_photographs, read_rgb
 from scene.matching import match
 from scene.progress import progress_bar
@@ -110,18 +110,21 @@ def map_features(
             goes with what is returned.
 
     Raises:
-        InputError: a photograph is missing, broken, or not of its camera's size.
+        InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
     """
     if cache is None:
         with scratch() as folder:
             return map_features(sparse_map, images, extractor, folder)
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
-    angles = {}
+    names, posed = sparse_map.names, sparse_map.images
+    angles, cameras = {}, []
     if not extractor.turned:
-        angles = {n: north(sparse_map.images[n].cam_from_world[:3, :3]) for n in sparse_map.names}
-    names = sparse_map.names
-    photographs = [(name, sha256_of(images / name)) for name in names]
-    parts = f"{photographs} {extractor.options} {extractor.weights_sha256} {angles or ''}"
+        angles = {name: north(posed[name].cam_from_world[:3, :3]) for name in names}
+        cameras = [str(posed[name].camera) for name in names]
+    files = [images / name for name in names]
+    photographs = digests(files)
+    named = list(zip(names, photographs, strict=True))
+    parts = f"{named} {extractor.options} {extractor.weights_sha256} {angles or ''}{cameras or ''}"
     key = hashlib.sha256(parts.encode()).hexdigest()
     path = cache / f"{extractor.name}-{key[:16]}.h5"
     if path.is_file():
@@ -144,4 +147,5 @@ def map_features(
                 rgb = read_rgb(images / name, camera)
                 add(name, extractor.seen(rgb, camera, angles[name]))
                 advance(done)
+        require_unchanged(files, photographs)
     return FeatureFile(path)

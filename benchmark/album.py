@@ -3,14 +3,16 @@
 ``RESULTS/<dataset>/album.h5`` holds, for each query, a small photograph, the map photograph that
 shows most of the same ground, and a few map points: in the world, where the reference pose puts
 them, and where the map photograph sees them. With an estimated pose, which results hold, they
-project to where that pose puts them. One album serves all methods; no localizer reads it.
+project to where that pose puts them. One album serves all methods; no localizer reads it. It also
+keeps what the data set was made of, so that a later run can say what changed.
 """
 
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -24,7 +26,7 @@ from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.pictures import project_points, spread
 from scene.camera import Camera
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.files import written_whole
+from scene.files import parse_json, written_whole
 from scene.hdf5 import array, attribute, group, groups, set_text
 from scene.images import read_rgb
 from scene.pose import Pose
@@ -80,11 +82,19 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class Album:
-    """Queries and map photographs by name; ``sha256`` is the data set's."""
+    """What the page shows of a data set.
+
+    Attributes:
+        sha256: of the data set.
+        entries: queries by name.
+        neighbours: map photographs by name.
+        parts: of the data set, see ``Dataset.parts``; none in an album of an older version.
+    """
 
     sha256: str
     entries: Mapping[str, Entry]
     neighbours: Mapping[str, Neighbour]
+    parts: Mapping[str, str] = field(default_factory=dict)
 
 
 def make_album(dataset: Dataset, sparse_map: SparseMap) -> Album:
@@ -104,7 +114,7 @@ def make_album(dataset: Dataset, sparse_map: SparseMap) -> Album:
                 photograph = webp(read_rgb(dataset.images / entry.neighbour, camera))
                 neighbours[entry.neighbour] = Neighbour(camera.width, camera.height, photograph)
             advance(len(entries))
-    return Album(dataset.sha256, entries, neighbours)
+    return Album(dataset.sha256, entries, neighbours, dataset.parts)
 
 
 def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
@@ -168,6 +178,7 @@ def write_album(path: Path, album: Album) -> None:
     with written_whole(path) as partial, h5py.File(partial, "w") as file:
         file.attrs["schema"] = 1
         set_text(file, "dataset_sha256", album.sha256)
+        file["parts"] = np.frombuffer(json.dumps(album.parts).encode(), np.uint8)
         for number, (name, entry) in enumerate(album.entries.items()):
             part = file.create_group(f"queries/{number:06d}")
             set_text(part, "name", name)
@@ -181,6 +192,23 @@ def write_album(path: Path, album: Album) -> None:
             set_text(part, "name", name)
             part.attrs["size"] = [neighbour.width, neighbour.height]
             part["photograph"] = np.frombuffer(neighbour.photograph, np.uint8)
+
+
+def album_parts(path: Path, sha256: str) -> dict[str, str] | None:
+    """The parts of the data set of an album; None where it is of another, or of nobody knows
+    what."""
+    try:
+        with h5py.File(path, "r") as file:
+            if attribute(file, "dataset_sha256") != sha256:
+                return None
+            return _parts(file)
+    except HDF5_DAMAGE:
+        return None
+
+
+def _parts(file: h5py.File) -> dict[str, str]:
+    parts = parse_json(array(file, "parts").tobytes().decode()) if "parts" in file else {}
+    return {str(part): str(digest) for part, digest in parts.items()}
 
 
 def read_album(path: Path, sha256: str) -> Album | None:
@@ -216,6 +244,7 @@ def read_album(path: Path, sha256: str) -> Album | None:
                 )
                 for _, part in groups(group(file, "queries"))
             }
+            parts = _parts(file)
     except HDF5_DAMAGE as error:
         raise InputError(
             f"album {path} is damaged ({error}); remove it, and evaluate makes it again"
@@ -225,4 +254,4 @@ def read_album(path: Path, sha256: str) -> Album | None:
         for entry in entries.values()
     ):
         raise InputError(f"album {path} lacks a map photograph; remove it and evaluate again")
-    return Album(sha256, entries, neighbours)
+    return Album(sha256, entries, neighbours, parts)

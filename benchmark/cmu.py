@@ -14,13 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from benchmark.datasets import BenchmarkQuery, Dataset, digest
+from benchmark.datasets import BenchmarkQuery, Dataset
+from benchmark.identity import parts_of
 from benchmark.textfiles import read_cameras, read_poses
 from scene.camera import Camera
 from scene.cmu import CAMERAS, SIMULATED, ImageName, surroundings
 from scene.colmap import read_map
 from scene.errors import InputError
-from scene.files import read_text, sha256_of
+from scene.files import read_text
 from scene.pose import Pose
 
 TRACK: Final = "cmu"
@@ -169,8 +170,9 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
     return Dataset(
         name=f"cmu-{surroundings(number)}-slice{number}",
         track=_track(folder.parent),
-        sha256=digest(sparse_map, queries, [sha256_of(query.image) for query in queries]),
+        parts=parts_of(folder / "sparse", folder / "database", sparse_map.names, queries),
         map_conditions=tuple(sorted({condition(name) for name in sparse_map.images})),
+        model=folder / "sparse",
         load_map=lambda: sparse_map,
         images=folder / "database",
         queries=queries,

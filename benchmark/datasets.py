@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
+from benchmark.identity import sha256_of_parts
 from scene.camera import Camera
 from scene.errors import InputError
 from scene.images import read_rgb
@@ -55,8 +56,9 @@ class Dataset:
         name: folder of its results.
         track: what it can show: "uav-sim" (changed season and light), "flight" (photographs) or
             "cmu" (a car's photographs through a year; "cmu-sim" when they are simulated).
-        sha256: digest of what is scored; see ``digest``.
+        parts: digests of all it is made of, by what a person calls it; see ``benchmark.identity``.
         map_conditions: conditions the map's photographs were taken under.
+        model: folder of the map's files.
         load_map: reads the map.
         images: folder that the map's image names are relative to.
         queries: in the order of the data set's own list; never empty.
@@ -64,11 +66,17 @@ class Dataset:
 
     name: str
     track: str
-    sha256: str
+    parts: Mapping[str, str]
     map_conditions: tuple[str, ...]
+    model: Path
     load_map: Callable[[], SparseMap]
     images: Path
     queries: tuple[BenchmarkQuery, ...]
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of all parts: with another byte in one of them it is another data set."""
+        return sha256_of_parts(self.parts)
 
 
 def open_datasets(path: Path) -> list[Dataset]:
@@ -102,37 +110,3 @@ def open_datasets(path: Path) -> list[Dataset]:
     if whole != path and is_flight(whole):
         return [d for d in open_flight(whole, sparse=True) if d.name == path.name]
     raise InputError(f"data set {path} does not exist")
-
-
-def digest(
-    sparse_map: SparseMap, queries: Sequence[BenchmarkQuery], photographs: Sequence[str]
-) -> str:
-    """Hex SHA-256 of the map, the queries with what localizers are told, and the reference poses.
-
-    Numbers enter rounded to nanometres, so that the last bit of another processor's arithmetic
-    does not make another data set.
-
-    Args:
-        sparse_map: the map.
-        queries: in order.
-        photographs: digest of each query's image file.
-    """
-
-    def rounded(numbers: Iterable[float]) -> str:
-        return " ".join(f"{x + 0.0:.9f}" for x in numbers)
-
-    sha = hashlib.sha256(sparse_map.sha256.encode())
-    for query, photograph in zip(queries, photographs, strict=True):
-        words = [query.name, query.condition, str(query.camera), photograph]
-        words.append(rounded(query.reference.matrix().flatten().tolist()))
-        if query.prior is not None:
-            prior = query.prior
-            words.append(rounded(prior.position))
-            if prior.position_sigma is not None:
-                words.append(rounded(prior.position_sigma))
-            if prior.cam_from_world_rotation is not None:
-                words.append(rounded(prior.cam_from_world_rotation.ravel()))
-            if prior.attitude_sigma_deg is not None:
-                words.append(rounded([prior.attitude_sigma_deg]))
-        sha.update("\n".join([*words, ""]).encode())
-    return sha.hexdigest()

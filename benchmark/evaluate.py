@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmark.album import ALBUM, keep_album
+from benchmark.album import ALBUM, album_parts, keep_album
 from benchmark.datasets import BenchmarkQuery, Dataset
+from benchmark.identity import changes, require_unchanged
 from benchmark.journal import Journal, journal_path
 from benchmark.pictures import median_query, query_overlay
 from benchmark.registry import create, known
@@ -28,6 +29,7 @@ from benchmark.results import (
     PoseNumbers,
     QueryResult,
     Results,
+    load,
 )
 from benchmark.starts import NONE, PRIOR, Ask, Start
 from benchmark.uncertainty import normalised_error
@@ -60,7 +62,9 @@ def evaluate(
     Beside it go ``<method>-query.png``, the map drawn into the query of median error, and
     ``album.h5``, what the page shows of each query. A method that raises an exception on a query
     has failed on that query, and the run goes on. Finished queries are kept in a hidden journal
-    until then: the same run, interrupted, goes on there.
+    until then: the same run, interrupted, goes on there. What was finished on another data set is
+    not taken, and a line of the log says what changed; nothing is written of a data set that
+    changes during the run.
 
     Args:
         dataset: what to run on.
@@ -74,8 +78,8 @@ def evaluate(
             then those of the first worker, its own start included; memory is the largest worker's.
 
     Raises:
-        InputError: the map or a photograph is missing or broken, ``out`` cannot be written, or
-            there is no such cluster.
+        InputError: the map or a photograph is missing, broken or changed meanwhile, ``out`` cannot
+            be written, or there is no such cluster.
     """
     require_folder(out)
     start = _given(start, dataset)
@@ -83,7 +87,9 @@ def evaluate(
     target = results_path(out, dataset, localizer)
     # Nodes of a cluster need not see ``out``.
     run = _Run(dataset, localizer, start, cache, None if cluster else out)
-    with Journal(journal_path(target), _key(method, dataset, start)) as journal:
+    key = _key(method, dataset, start)
+    with Journal(journal_path(target), key, dataset.parts) as journal:
+        _say_what_changed(dataset, target, journal)
         with (
             _answering(run, jobs, cluster) as (prepare, ask),
             closing(ask([q for q in dataset.queries if q.name not in journal.done])) as answers,
@@ -95,6 +101,11 @@ def evaluate(
                 journal.add(result)
                 peak = max(filter(None, (peak, memory)), default=None)
                 advance(len(journal.done))
+        try:
+            require_unchanged(dataset, run.sparse_map.names)
+        except InputError:
+            journal.done.clear()  # nobody knows which bytes they are of
+            raise
         queries = [journal.done[query.name] for query in dataset.queries]
         results = Results.of(method, identity(dataset), start.name, queries, prepare, peak)
         # Before the results, so that a run interrupted here has lost nothing.
@@ -197,6 +208,24 @@ def _in_threads(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def _say_what_changed(dataset: Dataset, target: Path, journal: Journal) -> None:
+    """Name what of the data set is not as it was when the journal, or else the results that are
+    replaced, were written."""
+    path, before = journal.path, journal.dropped
+    if before is None and target.is_file():
+        path = target
+        try:
+            written = load(target).dataset.sha256
+        except InputError:
+            return  # no results
+        if written != dataset.sha256:
+            before = album_parts(target.with_name(ALBUM), written) or {}
+    if before is None or before == dataset.parts:
+        return
+    changed = changes(before, dataset.parts) if before else "which part was not recorded"
+    log.warning("the data set %s changed since %s was written: %s", dataset.name, path, changed)
 
 
 def require_folder(out: Path) -> None:

@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.datasets import BenchmarkQuery, Dataset, digest
+from benchmark.datasets import BenchmarkQuery, Dataset
+from benchmark.identity import parts_of
 from benchmark.textfiles import read_cameras, read_gps, read_poses, read_priors
 from scene.colmap import read_map
 from scene.errors import InputError
-from scene.files import sha256_of
 from scene.localizer import Prior
 from scene.sparse_map import SparseMap
 
@@ -85,8 +85,9 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
     return Dataset(
         name=name,
         track=TRACK,
-        sha256=digest(sparse_map, queries, [sha256_of(query.image) for query in queries]),
+        parts=parts_of(model, images, sparse_map.names, queries),
         map_conditions=(_CONDITION,),
+        model=model,
         load_map=lambda: sparse_map,
         images=images,
         queries=queries,

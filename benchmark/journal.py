@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
@@ -28,15 +29,22 @@ class Journal:
     a context manager; while it is open no second run writes the same results.
     """
 
-    def __init__(self, path: Path, key: str) -> None:
+    def __init__(self, path: Path, key: str, parts: Mapping[str, str] | None = None) -> None:
         """
         Args:
             path: of the file.
             key: digest of everything that decides the results.
+            parts: digests of what the data set is made of, to tell a later run what changed.
+
+        Attributes:
+            done: finished queries by name.
+            dropped: the parts of the data set whose finished queries were not taken; None where
+                there were none, or nobody knows.
         """
         self.path = path
         self.done: dict[str, QueryResult] = {}
-        self._key = key
+        self.dropped: dict[str, str] | None = None
+        self._key, self._parts = key, dict(parts or {})
 
     def __enter__(self) -> Journal:
         """Read what is there.
@@ -68,7 +76,10 @@ class Journal:
         self._file.seek(0)
         lines = self._file.read().splitlines(keepends=True)
         good = 0
-        if lines and _key(lines[0]) == self._key:
+        header = _header(lines[0]) if lines else {}
+        if header.get("key") != self._key:
+            self.dropped = _parts(header) if _finished(lines[1:]) else None
+        else:
             self.done = _finished(lines[1:])
             good = sum(
                 len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(self.done)]
@@ -76,7 +87,7 @@ class Journal:
         # What follows was cut short, or belongs to another run.
         self._file.truncate(good)
         if not good:
-            self._put(json.dumps({"key": self._key}))
+            self._put(json.dumps({"key": self._key, "parts": self._parts}))
 
     def __exit__(
         self,
@@ -111,12 +122,19 @@ class Journal:
             raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
 
 
-def _key(line: str) -> object:
+def _header(line: str) -> dict[str, object]:
     try:
         header = parse_json(line)
     except ValueError:
+        return {}
+    return header if isinstance(header, dict) else {}
+
+
+def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
+    parts = header.get("parts")
+    if not isinstance(parts, dict) or not all(isinstance(of, str) for of in parts.values()):
         return None
-    return header.get("key") if isinstance(header, dict) else None
+    return parts
 
 
 def _finished(lines: list[str]) -> dict[str, QueryResult]:

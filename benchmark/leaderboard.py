@@ -26,7 +26,8 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
 
     Raises:
         InputError: no results, a file that is none or whose figures do not follow from its
-            queries, a damaged album or basin beside it, or ``out`` cannot be written.
+            queries, two files of one run that differ, a damaged album or basin beside it, or
+            ``out`` cannot be written.
     """
     found = groups(results)
     boards = [table(group) for group in found]

@@ -100,9 +100,16 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]:
-    if before.dataset.sha256 != after.dataset.sha256 or before.start != after.start:
+    if before.dataset.sha256 != after.dataset.sha256:
         raise InputError(
-            f"{name}: the baseline is of other data or another start; record it again with --update"
+            f"{name}: the results are of data set {after.dataset.sha256[:12]}, the baseline of "
+            f"{before.dataset.sha256[:12]}: where photographs, map or poses changed, recall cannot "
+            "be compared; record the baseline again with --update"
+        )
+    if before.start != after.start:
+        raise InputError(
+            f"{name}: the results start from {after.start}, the baseline from {before.start}; "
+            "evaluate from the same, or record the baseline again with --update"
         )
     by_name = {query.name: query for query in after.queries}
     conditions = dict.fromkeys(query.condition for query in before.queries)

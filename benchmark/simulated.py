@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from benchmark.datasets import BenchmarkQuery, Dataset, digest
+from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.flight import TRACK as FLIGHT
+from benchmark.identity import parts_of
 from scene.bundle import MANIFEST, Scene
 from scene.colmap_files import check_pose
 from scene.errors import InputError
@@ -42,8 +43,9 @@ def open_scene(path: Path) -> Dataset:
     return Dataset(
         name=scene.name,
         track=TRACK if scene.manifest.reference == "exact" else FLIGHT,
-        sha256=digest(sparse_map, queries, [_photograph(scene, query.name) for query in queries]),
+        parts=parts_of(scene.map_path, scene.images_root, sparse_map.names, queries),
         map_conditions=tuple(sorted({_condition(scene, name) for name in sparse_map.images})),
+        model=scene.map_path,
         load_map=scene.sparse_map,
         images=scene.images_root,
         queries=queries,
@@ -91,11 +93,3 @@ def _condition(scene: Scene, name: str) -> str:
     if session not in scene.sessions:
         raise InputError(f"scene {scene.path}: map image {name} belongs to no session")
     return scene.sessions[session].condition
-
-
-def _photograph(scene: Scene, name: str) -> str:
-    """Digest of a photograph, as the scene's manifest recorded it."""
-    file = f"{scene.images_root.name}/{name}"
-    if file not in scene.manifest.sha256:
-        raise InputError(f"scene {scene.path}: its manifest does not list the query image {file}")
-    return scene.manifest.sha256[file]

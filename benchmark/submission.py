@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
 from typing import Final
 
 from benchmark.cmu import Slice, open_slices
 from benchmark.textfiles import pose_line
 from scene.colmap import read_map
+from scene.digests import digests
 from scene.errors import InputError
 from scene.files import read_text, write_text
 from scene.images import read_rgb
@@ -64,8 +66,10 @@ def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) ->
     """Lines of one slice, read from ``path`` when they are there already."""
     sparse_map = read_map(part.folder / "sparse")
     words = [localizer.name, localizer.config.model_dump_json(), str(localizer.weights_sha256)]
-    words += [sparse_map.sha256, *part.queries]
-    header = f"# {hashlib.sha256(' '.join(words).encode()).hexdigest()}"
+    words += [sparse_map.sha256, *digests(part.folder / "database" / n for n in sparse_map.names)]
+    words += [f"{name} {part.camera(name)}" for name in part.queries]
+    words += digests(part.folder / "query" / name for name in part.queries)
+    header = f"# {hashlib.sha256(json.dumps(words).encode()).hexdigest()}"
     if path.is_file():
         first, *lines = read_text(path, "finished slice").splitlines() or [""]
         if first == header:

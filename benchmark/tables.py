@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import json
+import logging
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from benchmark.results import Results, Summary, load, results_files
 from benchmark.score import THRESHOLDS
+from scene.errors import InputError
+from scene.files import sha256_of
+
+log = logging.getLogger(__name__)
 
 # The classical method that sets the bar, and the recall (percent) that leaves none to reach.
 _BAR: Final = "sift"
@@ -80,14 +86,14 @@ def groups(results: Sequence[Path]) -> list[Group]:
         results: results files, or folders of them.
 
     Raises:
-        InputError: no results, or a file that is none or whose figures do not follow from its
-            queries.
+        InputError: no results, a file that is none or whose figures do not follow from its
+            queries, or two files of one run that differ.
     """
     loaded: dict[tuple[str, str, str, str], list[tuple[Path, Results]]] = {}
-    for path in dict.fromkeys(file.resolve() for given in results for file in results_files(given)):
-        run = load(path)
+    for path, run in _distinct([file for given in results for file in results_files(given)]):
         key = (run.dataset.track, run.dataset.name, run.dataset.sha256, run.start)
         loaded.setdefault(key, []).append((path, run))
+    _name_versions(key[:3] for key in loaded)
     return [
         Group(*key, together[0][1].dataset.map_conditions, tuple(_runs(together)))
         for key, together in sorted(loaded.items(), key=lambda item: item[0])
@@ -145,6 +151,50 @@ def saturation(board: Table) -> str | None:
                 "keep up there."
             )
     return "\n".join(notes) or None
+
+
+def _distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:
+    """Every run once: queries that are counted twice make intervals too narrow."""
+    by_bytes: dict[str, Path] = {}
+    by_run: dict[str, Path] = {}
+    for path in files:
+        results = load(path)
+        same = by_bytes.setdefault(sha256_of(path), path)
+        if same is not path:
+            log.warning("%s holds the same results as %s: they count once", path, same)
+            continue
+        first = by_run.setdefault(_run_of(results), path)
+        if first is not path:
+            raise InputError(
+                f"{first} and {path} are two results of {results.method.name} with one "
+                f"configuration on one data set ({results.dataset.name}) from one start: give one "
+                "of them"
+            )
+        yield path.resolve(), results
+
+
+def _run_of(results: Results) -> str:
+    """What was run on what: two results of which this is the same are of the same run."""
+    dataset, start = results.dataset.sha256, results.start
+    queries = [query.name for query in results.queries]
+    return json.dumps([dataset, start, queries, results.method.model_dump()], sort_keys=True)
+
+
+def _name_versions(datasets: Iterable[tuple[str, str, str]]) -> None:
+    """Say which data sets (track, name, digest) go by one name: they may be one that was changed,
+    and stand apart."""
+    versions: dict[tuple[str, str], dict[str, None]] = {}
+    for track, name, sha256 in datasets:
+        versions.setdefault((track, name), {})[sha256[:12]] = None
+    for (_, name), digests in versions.items():
+        if len(digests) > 1:
+            log.warning(
+                "results are of %d data sets called %s (%s): each has tables of its own; if it is "
+                "one data set that was changed, leave out the results of before",
+                len(digests),
+                name,
+                ", ".join(digests),
+            )
 
 
 def _rows(run: Run) -> Iterator[Row]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import shutil
 import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import lru_cache
 from glob import escape
@@ -32,6 +33,7 @@ from scene.bundle import MODEL_FILES, Scene, finish
 from scene.camera import Camera
 from scene.cluster import crew
 from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
+from scene.digests import digests, require_unchanged
 from scene.errors import InputError
 from scene.files import (
     MARK,
@@ -128,10 +130,17 @@ def _make(
             "%d of %d photographs share too little with others for a depth map, as %s",
             len(skipped), len(sparse_map.names), skipped[0],
         )  # fmt: skip
-    key = {"map": sparse_map.sha256, "size": size, "sources": sources, "stereo": stereo,
-           "seed": seed}  # fmt: skip
+    files = [scene.images_root / name for name in sparse_map.names]
+    photographs = digests(files)
+    key = {"map": sparse_map.sha256, "photographs": _one(photographs), "size": size,
+           "sources": sources, "stereo": stereo, "seed": seed}  # fmt: skip
     workspace = _open_workspace(scene, key)
     _write_photographs(scene, sparse_map, cameras, workspace)
+    try:
+        require_unchanged(files, photographs)
+    except InputError:
+        shutil.rmtree(workspace.path)  # nobody knows which bytes it was made of
+        raise
     _write_model(pinhole_map, workspace)
     workspace.write_lists(pairs)
     maps = _Maps(pinhole_map, workspace, pairs, seed)
@@ -155,6 +164,11 @@ def _make(
     result = report(scene, pinhole_map, workspace, tuple(pairs), len(xyz), seconds, truth)
     _finish(scene, workspace)
     return result
+
+
+def _one(several: Sequence[str]) -> str:
+    """Digest of digests."""
+    return hashlib.sha256(" ".join(several).encode()).hexdigest()
 
 
 def _choose_all(sparse_map: SparseMap, count: int) -> dict[str, list[str]]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from scene.errors import InputError
 from scene.files import inside, require_readable
 from scene.pose import Pose
 from scene.sparse_map import MapImage, SparseMap
+
+MODEL_FILES: Final = ("cameras.bin", "images.bin", "points3D.bin")
+"""What ``read_model`` reads."""
 
 # Model identifiers of the binary format.
 _MODEL_IDS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -103,14 +104,16 @@ class SparseMap:
 
     @cached_property
     def sha256(self) -> str:
-        """Digest of cameras, poses, observations and points; colours and errors are left out."""
+        """Digest of cameras, poses, observations and points, of all that localizers read; colours
+        and errors are left out."""
         digest = hashlib.sha256()
         for name in self.names:
             image = self.images[name]
-            digest.update(f"{name} {image.camera}".encode())
+            digest.update(json.dumps([name, str(image.camera), len(image.xy)]).encode())
             for array in (image.cam_from_world, image.xy, image.point_rows):
                 digest.update(np.ascontiguousarray(array).tobytes())
-        digest.update(np.ascontiguousarray(self.xyz).tobytes())
+        for array in (self.xyz, self.track_length):
+            digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
     def reprojection_error(self) -> float:

@@ -17,6 +17,7 @@ import torch
 from hypothesis import settings
 
 from scene.bundle import Scene
+from scene.digests import FOLDER_VARIABLE
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.mapping import build_map
@@ -65,6 +66,15 @@ def _alike_before_and_after() -> Iterator[None]:
     after = state()
     changed = [name for name in before if before[name] != after[name]]
     assert not changed, f"the test leaves another {', '.join(changed)} behind"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Digests of files are remembered in a folder of the tests, never in the user's."""
+    folder = tmp_path_factory.mktemp("digests")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(FOLDER_VARIABLE, str(folder))
+        yield folder
 
 
 @pytest.fixture(scope="session")

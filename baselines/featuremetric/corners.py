@@ -6,6 +6,7 @@ snow hides them. What stays to be seen is corners of roofs, roads, walls and cro
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -69,7 +70,12 @@ class CornerFinder:
 
 
 def all_corners(
-    sparse_map: SparseMap, images: Path, most: int, longest: int, path: Path
+    sparse_map: SparseMap,
+    images: Path,
+    most: int,
+    longest: int,
+    path: Path,
+    check: Callable[[], None] = lambda: None,
 ) -> list[NDArray[np.float64]]:
     """Places (N, 3) of the corners of every photograph of a map, kept in a file for every method.
 
@@ -79,6 +85,7 @@ def all_corners(
         most: corners of a photograph.
         longest: see ``CornerFinder``.
         path: of the file.
+        check: called before it is written; where it raises, nothing is kept.
 
     Raises:
         InputError: a photograph is missing or damaged, or the file is.
@@ -90,6 +97,7 @@ def all_corners(
             for done, name in enumerate(sparse_map.names, 1):
                 found.append(find(name).xyz)
                 advance(done)
+        check()
         with written_whole(path) as partial, h5py.File(partial, "w") as file:
             file["xyz"] = np.concatenate([np.empty((0, 3)), *found])
             file["ends"] = np.cumsum([len(xyz) for xyz in found])

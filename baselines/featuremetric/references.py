@@ -6,7 +6,7 @@ Only features at points are needed of the photographs, and these are few.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
 from baselines.shelf import Shelf, written_shelf
 from baselines.views import View, north
-from scene.files import sha256_of
+from scene.digests import digests, require_unchanged
 from scene.held import Held, room
 from scene.images import check_photographs, read_rgb
 from scene.pose import Pose
@@ -121,10 +121,12 @@ def references(
         memory_mb: for the whole process; observations stay in memory as far as there is room.
 
     Raises:
-        InputError: a photograph is missing, broken, or not of its camera's size.
+        InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
     """
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
-    photographs = [sha256_of(images / name) for name in sparse_map.names]
+    files = [images / name for name in sparse_map.names]
+    photographs = digests(files)
+    check = partial(require_unchanged, files, photographs)
 
     def file(of: str, *parts: object) -> Path:
         words = " ".join(map(str, (_FORMAT, sparse_map.sha256, photographs, *parts)))
@@ -135,8 +137,8 @@ def references(
         beside = [np.empty((0, 3))] * len(sparse_map.names)
         if corners:
             kept = file("corners", corners, extract.longest)
-            beside = all_corners(sparse_map, images, corners, extract.longest, kept)
-        write_references(path, sparse_map, images, extract, points, beside, name)
+            beside = all_corners(sparse_map, images, corners, extract.longest, kept, check)
+        write_references(path, sparse_map, images, extract, points, beside, name, check)
     return ReferenceFeatures(path, room(memory_mb))
 
 
@@ -148,10 +150,12 @@ def write_references(
     points: int,
     beside: Sequence[NDArray[np.float64]],
     name: str,
+    check: Callable[[], None],
 ) -> None:
     """Run the network on every photograph of a map and keep what its points look like.
 
-    ``beside`` are further points (N, 3) of each photograph.
+    ``beside`` are further points (N, 3) of each photograph. Where ``check`` raises at the end,
+    nothing is kept.
     """
     posed = [sparse_map.images[each] for each in sparse_map.names]
     wanted = of_map(sparse_map, lambda camera: min(1.0, extract.largest_scale(camera)))
@@ -170,6 +174,7 @@ def write_references(
             features = {f"features/{level}": of for level, of in enumerate(seen.features)}
             add({"xyz": seen.xyz, "confidence": seen.confidence, **features})
             advance(done)
+        check()
 
 
 def observe(

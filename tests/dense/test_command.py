@@ -15,7 +15,7 @@ import torch
 from dense.command import DENSE, UNFINISHED, dense
 from dense.report import DenseReport
 from dense.sources import choose_sources, seeds_in
-from dense.undistort import pinhole_of, undistorted_map
+from dense.undistort import pinhole_of, undistorted_map, write_undistorted
 from dense.workspace import Workspace
 from scene.bundle import Scene
 from scene.colmap import PosedImage, write_posed
@@ -147,6 +147,26 @@ def test_a_finished_run_is_measured_again(scene_and_report: tuple[Scene, DenseRe
     assert digests(scene.path) == before
     assert again.accuracy == report.accuracy
     assert again.cpu_seconds_per_map is None
+
+
+def test_a_photograph_that_changed_is_looked_at_again(
+    scene_and_report: tuple[Scene, DenseReport], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = Path(shutil.copytree(scene_and_report[0].path, tmp_path / "copy"))
+    name = Scene.open(path).sparse_map().names[3]
+    photograph = path / "sessions" / name
+    shutil.copyfile(path / "sessions" / Scene.open(path).sparse_map().names[0], photograph)
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dense.command._write_model", stop)  # the photographs are written by then
+    with pytest.raises(KeyboardInterrupt):
+        dense(path, size=SIZE)
+    camera = Scene.open(path).sparse_map().images[name].camera
+    wanted = tmp_path / "wanted.jpg"
+    write_undistorted(photograph, camera, pinhole_of(camera, SIZE), wanted)
+    assert (Workspace(path / UNFINISHED).images / name).read_bytes() == wanted.read_bytes()
 
 
 def test_sources_cover_the_picture(rendered: Scene) -> None:

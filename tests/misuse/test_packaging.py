@@ -305,7 +305,7 @@ def test_the_doctors_modules_are_found() -> None:
 
 
 def python_of(version: str) -> str:
-    """A Python of this version: on the path, or of pyenv, whose stand-ins on the path may refuse."""
+    """A Python of this version: on the path, or of pyenv, whose stand-ins there may refuse."""
     found = Path.home().glob(f".pyenv/versions/{version}.*/bin/python")
     for path in filter(None, [shutil.which(f"python{version}"), *map(str, found)]):
         if subprocess.run([path, "-c", ""], check=False, capture_output=True).returncode == 0:

@@ -54,4 +54,5 @@ def test_digest_changes_with_what_a_localizer_reads() -> None:
         replace(sparse_map, images={**sparse_map.images, "a.jpg": other}) for other in others
     ]
     changed.append(replace(sparse_map, xyz=sparse_map.xyz + 1e-9))
-    assert len({digest, *(other.sha256 for other in changed)}) == 6
+    changed.append(replace(sparse_map, track_length=sparse_map.track_length + 1))
+    assert len({digest, *(other.sha256 for other in changed)}) == 7
