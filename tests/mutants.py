@@ -55,6 +55,9 @@ _FPN: Final = "tests/objconnect/test_fpn.py"
 _LOCALIZER: Final = "tests/objconnect/test_localizer.py"
 _PIXLOC: Final = "tests/baselines/pixloc/test_training.py"
 _CONTRAST: Final = "tests/baselines/training/test_contrastive.py"
+_D2NET: Final = "tests/baselines/d2net/test_training.py"
+_VGG: Final = "tests/baselines/test_vgg.py"
+_STARTS: Final = "tests/baselines/align/test_hypotheses.py"
 
 MUTANTS: Final = (
     Mutant(
@@ -140,6 +143,170 @@ MUTANTS: Final = (
         "multistart: bool = True",
         "multistart: bool = False",
         (f"{_LOCALIZER}::test_a_start_beyond_the_reach_of_one_alignment",),
+    ),
+    Mutant(
+        "no place elsewhere is a negative",
+        "baselines/training/contrastive.py",
+        "logits = torch.cat([to_near, to_far], -1)",
+        "logits = to_near",
+        (f"{_CONTRAST}::test_places_elsewhere_are_told_from_the_true_one",),
+    ),
+    Mutant(
+        "the true place is its own negative",
+        "baselines/training/contrastive.py",
+        ".masked_fill(too_close, -torch.inf)",
+        "",
+        (f"{_CONTRAST}::test_the_true_place_is_no_other_place",),
+    ),
+    Mutant(
+        "the length of features counts in the contrast",
+        "baselines/training/contrastive.py",
+        "points = functional.normalize(sample(features_a, cells_a), dim=-1)",
+        "points = sample(features_a, cells_a)",
+        (f"{_CONTRAST}::test_features_count_by_their_direction",),
+    ),
+    Mutant(
+        "the confidence of places bends the features",
+        "baselines/pixloc/training.py",
+        "torch.exp(-lost.detach())",
+        "torch.exp(-lost)",
+        (f"{_PIXLOC}::test_confidence_does_not_bend_features",),
+    ),
+    Mutant(
+        "confidence is taught at the other picture's places",
+        "baselines/pixloc/training.py",
+        "zip(confidence.chunk(2), cells, strict=True)",
+        "zip(confidence.chunk(2), cells[::-1], strict=True)",
+        (f"{_PIXLOC}::test_confidence_learns_where_places_are_found_again",),
+    ),
+    Mutant(
+        "the length of features counts in the alignment",
+        "baselines/pixloc/training.py",
+        "functional.normalize(b, dim=1),",
+        "b,",
+        (f"{_PIXLOC}::test_alignment_sees_directions_of_features_alone",),
+    ),
+    Mutant(
+        "pixloc learns nothing by the pose",
+        "baselines/pixloc/training.py",
+        "POSE_SHARE: Final = 0.3",
+        "POSE_SHARE: Final = 0.0",
+        (
+            f"{_PIXLOC}::test_the_loss_is_the_sum_of_its_parts[0.5]",
+            f"{_PIXLOC}::test_every_part_of_the_loss_teaches",
+        ),
+    ),
+    Mutant(
+        "pixloc learns from points that do not count",
+        "baselines/pixloc/training.py",
+        "factors, _UNROLLED, batch.valid)",
+        "factors, _UNROLLED)",
+        (f"{_PIXLOC}::test_poses_are_those_of_eight_plain_steps_on_the_points_that_count",),
+    ),
+    Mutant(
+        "pixloc learns from the steps that help alone",
+        "baselines/pixloc/training.py",
+        "Options(iterations=8, careful=False)",
+        "Options(iterations=8)",
+        (f"{_PIXLOC}::test_poses_are_those_of_eight_plain_steps_on_the_points_that_count",),
+    ),
+    Mutant(
+        "learned damping decays",
+        "baselines/pixloc/training.py",
+        ', "weight_decay": 0}',
+        "}",
+        (f"{_PIXLOC}::test_damping_learns_thirty_times_faster_than_filters",),
+    ),
+    Mutant(
+        "d2net learns by triplets alone",
+        "baselines/d2net/training.py",
+        "return contrast + means.loss,",
+        "return means.loss,",
+        (f"{_D2NET}::test_the_loss_is_the_sum_of_its_parts[0.25]",),
+    ),
+    Mutant(
+        "d2net learns by no triplet",
+        "baselines/d2net/training.py",
+        "return contrast + means.loss,",
+        "return contrast,",
+        (f"{_D2NET}::test_the_loss_is_the_sum_of_its_parts[0.25]",),
+    ),
+    Mutant(
+        "d2net has no warm-up",
+        "baselines/d2net/training.py",
+        "if progress < self._warm_up:",
+        "if False:",
+        (f"{_D2NET}::test_the_loss_is_the_sum_of_its_parts[0.24]",),
+    ),
+    Mutant(
+        "d2net takes red for blue",
+        "baselines/d2net/training.py",
+        ".flip(1))",
+        ")",
+        (f"{_D2NET}::test_pixlocs_encoder_sees_the_same_in_other_units",),
+    ),
+    Mutant(
+        "d2net takes the encoder in other units",
+        "baselines/d2net/training.py",
+        "(theirs[0].weight / spread)",
+        "theirs[0].weight",
+        (f"{_D2NET}::test_pixlocs_encoder_sees_the_same_in_other_units",),
+    ),
+    Mutant(
+        "objconnect begins blind",
+        "objconnect/network.py",
+        "        keep_variance(self)\n",
+        "",
+        (f"{_VGG}::test_networks_that_begin_from_nothing_see_in_all_their_blocks[objconnect]",),
+    ),
+    Mutant(
+        "confidence means doubt",
+        "objconnect/network.py",
+        "torch.sigmoid(-self.confidence[number](maps))",
+        "torch.sigmoid(self.confidence[number](maps))",
+        (f"{_NETWORK}::test_going_on_from_weights",),
+    ),
+    Mutant(
+        "the distance of features is only logged",
+        "objconnect/training.py",
+        "total(contrast, distance, poses)",
+        "total(contrast, distance.detach(), poses)",
+        (f"{_TRAINING}::test_every_part_of_the_loss_teaches",),
+    ),
+    Mutant(
+        "the confidence of objects is only logged",
+        "objconnect/training.py",
+        "loss = loss + trust",
+        "loss = loss + trust.detach()",
+        (f"{_TRAINING}::test_every_part_of_the_loss_teaches",),
+    ),
+    Mutant(
+        "the prior itself is not tried",
+        "baselines/align/hypotheses.py",
+        "return torch.cat([prior[:, None], picked], 1)",
+        "return picked",
+        (f"{_STARTS}::test_the_prior_itself_is_tried",),
+    ),
+    Mutant(
+        "a few points that fit win over many",
+        "baselines/align/hypotheses.py",
+        "won = found.seen * (_chance(level, scale)[:, None] - found.cost)",
+        "won = -found.cost",
+        (f"{_STARTS}::test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly",),
+    ),
+    Mutant(
+        "hypotheses that have met stay many",
+        "baselines/align/hypotheses.py",
+        "kept[:, k] = ~(same[:, k, :k] & kept[:, :k]).any(-1)",
+        "pass",
+        (f"{_STARTS}::test_hypotheses_that_have_met_go_on_as_one",),
+    ),
+    Mutant(
+        "a fit no better than chance is an answer",
+        "baselines/featuremetric/localizer.py",
+        "_BETTER: Final = 0.93",
+        "_BETTER: Final = 9.0",
+        (f"{_LOCALIZER}::test_a_picture_of_something_else_is_no_fix",),
     ),
 )
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -42,6 +40,18 @@ def test_a_start_beyond_the_reach_of_one_alignment(localizer: Localizer) -> None
     """A third of the altitude aside and ten degrees off: found from many starts alone."""
     metres, degrees = found_from(localizer, looking_down(15.0, 3.6, (7.0, -6.0, 10.0)))
     assert metres < 0.2 and degrees < 0.5
+
+
+def test_a_picture_of_something_else_is_no_fix(localizer: Localizer) -> None:
+    """Patches of the ground in another order: as much to see, and nothing where it should be."""
+    patches = photograph(TRUTH).reshape(6, 32, 8, 32, 3).swapaxes(1, 2).reshape(48, 32, 32, 3)
+    mixed = np.random.default_rng(0).permutation(patches).reshape(6, 8, 32, 32, 3)
+    image = mixed.swapaxes(1, 2).reshape(192, 256, 3)
+    start = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
+    prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
+    estimate = localizer.localize(Query("query.png", image, CAMERA, prior))
+    assert estimate.status is Status.FALLBACK
+    assert "hardly better than it would by chance" in estimate.reason
 
 
 def test_without_an_attitude(localizer: Localizer) -> None:

@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+import objconnect.training
 from baselines.pixloc.training import both, contrast_of, levels_of
 from baselines.training.config import TrainConfig
 from benchmark.registry import TRAINABLE, trainable
@@ -21,6 +22,7 @@ from scene.errors import InputError
 from scene.pose import Pose
 from tests.baselines.pixloc.test_training import pose_term
 from tests.baselines.training.made_pairs import pairs
+from tests.baselines.training.slopes import watched
 
 TINY = TrainConfig(width=0.05, warm_up=0.5, network={"segment_side": 16, "pyramid": 16})
 
@@ -66,7 +68,9 @@ def test_pose_distance_is_equation_7_and_total_is_8() -> None:
     assert float(total(*parts[:2], None)) == pytest.approx(1 + 0.1 * 2)
 
 
-@pytest.mark.parametrize(("progress", "segmentation"), [(0.49, "slic"), (0.5, "slic"), (0.5, "none")])
+@pytest.mark.parametrize(
+    ("progress", "segmentation"), [(0.49, "slic"), (0.5, "slic"), (0.5, "none")]
+)
 def test_the_loss_is_the_sum_of_its_parts(progress: float, segmentation: str) -> None:
     """A tenth of the distance of features, three tenths of the pose's after the warm-up and of the
     confidence's, the objects' confidence as it is."""
@@ -87,6 +91,16 @@ def test_the_loss_is_the_sum_of_its_parts(progress: float, segmentation: str) ->
         assert figures["trust"] > 0.1
         expected += figures["trust"]
     assert float(loss.detach()) == pytest.approx(expected, rel=1e-4)
+
+
+def test_every_part_of_the_loss_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its share: nothing is only logged."""
+    shares = {"contrast_of": 1, "feature_distance": 0.1, "pose_distance": 0.3, "trust_loss": 1}
+    parts = watched(monkeypatch, objconnect.training, shares)
+    loss, _ = made().loss(pairs(1), 1.0)
+    loss.backward()  # type: ignore[no-untyped-call]
+    slopes = {name: float(part.grad) for name, part in parts.items() if part.grad is not None}
+    assert slopes == pytest.approx(shares)
 
 
 def test_equation_6_teaches_the_features_of_both_pictures_on_every_level() -> None:
