@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from baselines.pixloc.network import PixlocNet, PixlocNetConfig
 from baselines.weights import write_weights
@@ -100,6 +101,40 @@ def test_objects_lie_where_they_are() -> None:
     assert 0 < objects.confidence[0, 3] < 1
 
 
+def test_vectors_are_the_features_at_the_centre_not_their_mean() -> None:
+    """Of the set V: a ring's centre is none of its own cells."""
+    made = network()
+    made_here: list[Tensor] = []
+    made.objects_of[-1].register_forward_hook(lambda *call: made_here.append(call[2]))
+    labels = torch.full((1, 64, 64), -1)
+    labels[0, 20:40, 8:28], labels[0, 24:36, 12:24] = 0, 1  # in cells of 4, the hole is 3 x 3
+    labels[0, 48:52, 40:56] = 2  # 4 cells: the centre lies between two
+    with torch.no_grad():
+        objects = made.objects(pictures(1, 64, 64), labels)
+    (features,) = made_here
+    ring, hole, row = objects.vectors[0, :3]
+    torch.testing.assert_close(ring, features[0, :, 7, 4])
+    torch.testing.assert_close(hole, ring)
+    torch.testing.assert_close(row, features[0, :, 12, 11:13].mean(1))
+    means = torch.stack([features[0, :, 5:10, 2:7].mean((1, 2)), features[0, :, 12, 10:14].mean(1)])
+    assert (means - objects.vectors[0, [0, 2]]).abs().max() > 0.05 * features.std()
+
+
+def test_trust_judges_features_and_does_not_bend_them() -> None:
+    made = network().train()
+    objects = made.objects(pictures(2, 64, 64))
+    objects.confidence.sum().backward()
+    taught = {name for name, p in made.named_parameters() if p.grad is not None and p.grad.any()}
+    assert taught == {"trust.weight", "trust.bias"}
+
+
+def test_what_objects_look_like_can_teach_features() -> None:
+    made = network().train()
+    made.objects(pictures(2, 64, 64)).vectors.square().sum().backward()
+    taught = {name.split(".")[0] for name, p in made.named_parameters() if p.grad is not None}
+    assert taught == {"encoder", "decoder", "objects_of"}
+
+
 @pytest.mark.parametrize("kind", ["slic", "felzenszwalb", "grid"])
 def test_constant_pictures_and_single_segments_are_finite(kind: str) -> None:
     made = network(segmentation=kind, segments=1).train()
@@ -155,6 +190,13 @@ def test_going_on_from_weights(tmp_path: Path) -> None:
     assert ours.config == ObjConnectNetConfig(width=0.1, segments=50)
     for a, b in zip(ours.encoder.parameters(), theirs.encoder.parameters(), strict=True):
         assert torch.equal(a, b)
+
+    # Without objects it is PixLoc's network to the last layer.
+    plain = start_from(path, {"segmentation": "none", **OFF}).eval()
+    image = pictures(1, 48, 64)
+    with torch.no_grad():
+        for a, b in zip(plain(image), theirs.eval()(image), strict=True):
+            torch.testing.assert_close(a, b)
 
     plain = network(segmentation="none", **OFF)
     write_weights(path, plain, plain.config.model_dump(mode="json"))

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
+import objconnect.training
 from baselines.pixloc.training import both, contrast_of, levels_of
 from baselines.training.config import TrainConfig
 from benchmark.registry import TRAINABLE, trainable
-from objconnect.loss import (
-    FEATURE_SHARE,
-    POSE_SHARE,
-    feature_distance,
-    kept_together,
-    pose_distance,
-    total,
-    trust_loss,
-)
+from objconnect.loss import feature_distance, kept_together, pose_distance, total, trust_loss
+from objconnect.segmentation import segment
 from objconnect.training import ObjConnectTraining
 from scene.errors import InputError
 from scene.pose import Pose
-from tests.objconnect.made import pairs
+from tests.baselines.pixloc.test_training import pose_term
+from tests.baselines.training.made_pairs import pairs
+from tests.baselines.training.slopes import watched
 
 TINY = TrainConfig(width=0.05, warm_up=0.5, network={"segment_side": 16, "pyramid": 16})
 
@@ -65,8 +64,103 @@ def test_pose_distance_is_equation_7_and_total_is_8() -> None:
     loss, _ = pose_distance([moved, batch.b_from_a], (16, 4), batch)
     assert float(loss) == pytest.approx(huber / 2, rel=1e-3)
     parts = [torch.tensor(v) for v in (1.0, 2.0, 3.0)]
-    assert float(total(*parts)) == pytest.approx(1 + 2 * FEATURE_SHARE + 3 * POSE_SHARE)
-    assert float(total(*parts[:2], None)) == pytest.approx(1 + 2 * FEATURE_SHARE)
+    assert float(total(*parts)) == pytest.approx(1 + 0.1 * 2 + 0.3 * 3)
+    assert float(total(*parts[:2], None)) == pytest.approx(1 + 0.1 * 2)
+
+
+@pytest.mark.parametrize(
+    ("progress", "segmentation"), [(0.49, "slic"), (0.5, "slic"), (0.5, "none")]
+)
+def test_the_loss_is_the_sum_of_its_parts(progress: float, segmentation: str) -> None:
+    """A tenth of the distance of features, three tenths of the pose's after the warm-up and of the
+    confidence's, the objects' confidence as it is."""
+    off = dict.fromkeys(("attention", "object_graph", "scene_graph"), segmentation != "none")
+    loss, figures = made(segmentation=segmentation, **off).loss(pairs(1), progress)
+    contrast = sum(figures[f"contrastive/{stride}"] for stride in (16, 4, 2)) / 3
+    expected = contrast + 0.3 * figures["confidence"] + 0.1 * figures["features"]
+    assert figures["features"] > 0.1
+    if progress == 0.5:
+        pose = pose_term(figures, (16, 4, 2))
+        assert pose > 0.1
+        expected += 0.3 * pose
+    else:
+        assert not any(name.startswith("pixels") for name in figures)
+    if segmentation == "none":
+        assert "trust" not in figures
+    else:
+        assert figures["trust"] > 0.1
+        expected += figures["trust"]
+    assert float(loss.detach()) == pytest.approx(expected, rel=1e-4)
+
+
+def test_every_part_of_the_loss_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its share: nothing is only logged."""
+    shares = {"contrast_of": 1, "feature_distance": 0.1, "pose_distance": 0.3, "trust_loss": 1}
+    parts = watched(monkeypatch, objconnect.training, shares)
+    loss, _ = made().loss(pairs(1), 1.0)
+    loss.backward()  # type: ignore[no-untyped-call]
+    slopes = {name: float(part.grad) for name, part in parts.items() if part.grad is not None}
+    assert slopes == pytest.approx(shares)
+
+
+def test_equation_6_teaches_the_features_of_both_pictures_on_every_level() -> None:
+    batch, levels, leaves = pairs(), [], []
+    torch.manual_seed(0)
+    for stride in (16, 4):
+        features = torch.randn(4, 8, 96 // stride, 96 // stride, requires_grad=True)
+        levels.append((features, torch.ones(4, 1, 96 // stride, 96 // stride)))
+        leaves.append(features)
+    loss = feature_distance(levels_of(levels, (16, 4), batch), batch)
+    for slope in torch.autograd.grad(loss, leaves):
+        assert all(half.any() for half in slope.chunk(2))
+
+
+def test_points_that_are_not_valid_do_not_count_in_equation_6() -> None:
+    batch = pairs()
+    torch.manual_seed(0)
+    levels = levels_of([(torch.randn(4, 8, 24, 24), torch.ones(4, 1, 24, 24))], [4], batch)
+    some = batch._replace(valid=torch.arange(64).expand(2, 64) < 40)
+    fewer = batch._replace(xy_b=batch.xy_b[:, :40], valid=some.valid[:, :40])
+    cut = [replace(level, reference=level.reference[:, :40]) for level in levels]
+    torch.testing.assert_close(feature_distance(levels, some), feature_distance(cut, fewer))
+
+
+def test_each_picture_is_cut_into_its_own_segments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An object's confidence learns from where its points lie among the other picture's objects.
+
+    The pictures have nothing in common, so that their segments differ.
+    """
+    training = made()
+    config, batch = training.network_config, pairs(2, 96, 400)
+    batch = batch._replace(image_b=batch.image_a.flip(0), xy_b=batch.xy_a)
+    seen = []
+    describe = training.network.describe
+
+    def spy(images: Tensor, labels: Tensor) -> Any:
+        seen.append((images, labels, describe(images, labels)))
+        return seen[-1][2]
+
+    monkeypatch.setattr(training.network, "describe", spy)
+    _, figures = training.loss(batch, 0.0)
+    ((images, labels, (_, objects)),) = seen
+    assert torch.equal(images, torch.cat([batch.image_a, batch.image_b]))
+    cut = torch.cat([segment(batch.image_a, config), segment(batch.image_b, config)])
+    assert torch.equal(labels, cut)
+
+    entropies = []
+    # Pictures of the batch are a0, a1, b0, b1.
+    for number, partner in ((0, 2), (1, 3), (2, 0), (3, 1)):
+        column, row = (batch.xy_a[number % 2] * 48 / 96).long().T
+        own, other = (labels[which][row, column].tolist() for which in (number, partner))
+        for item in set(own):
+            here = {k for k, label in enumerate(own) if label == item}
+            if len(here) < 4:
+                continue
+            there = [{k for k, label in enumerate(other) if label == its} for its in set(other)]
+            kept = max(len(here & points) / len(here | points) for points in there)
+            p = float(objects.confidence[number, item].detach())
+            entropies.append(-kept * math.log(p) - (1 - kept) * math.log(1 - p))
+    assert figures["trust"] == pytest.approx(sum(entropies) / len(entropies), rel=1e-3)
 
 
 def test_equal_features_satisfy_equation_6_but_not_the_contrast() -> None:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from baselines.align.descent import Options
-from baselines.align.hypotheses import Reach, align_from_many, around, promise
+from baselines.align.hypotheses import Reach, _best, align_from_many, around, promise
 from scene.pose import Pose
 from tests.baselines.align.problems import DAMPING, Small, batch, small, stacked
 from tests.baselines.align.world import PINHOLE, looking_down, wrong
@@ -81,6 +81,41 @@ def test_many_starts_reach_what_one_does_not() -> None:
     assert (many.pose.error_to(everything.truth)[0] < 0.25).all()
     assert (single.pose.error_to(everything.truth)[0] < 0.25).sum() <= len(SEEDS) // 2
     torch.testing.assert_close(many.by_level[-1].matrix(), many.pose.matrix())
+
+
+def test_the_prior_itself_is_tried() -> None:
+    """A grid spread over 400 m has gaps of 50 m, and the prior stands in one."""
+    for seed in SEEDS:
+        problem = small(seed)
+        start = stacked([wrong(problem.truth, 1, 1, seed)])
+        place = problem.points, PINHOLE.intrinsics(), start
+        reach = Reach(400, 60)
+        found = align_from_many(problem.levels, *place, DAMPING, Options(), reach)
+        assert float(found.pose.error_to(problem.truth)[0]) < 0.25
+
+
+def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> None:
+    problem = small(0)
+    twice = [wrong(problem.truth, 0.1, 0.1, seed) for seed in range(3)]
+    found = problem.align(Pose(*(t[None] for t in vars(stacked(twice)).values())))
+    level, scale = problem.levels[-1], Options().scale
+    ranked = replace(
+        found,
+        cost=torch.tensor([[0.0, 0.004, 0.001]]).to(found.cost),
+        seen=torch.tensor([[12, 180, 200]]),
+        failure=torch.tensor([[0, 0, 1]]),
+    )
+    assert _best(ranked, level, scale, 3).seen.tolist() == [[180, 12, 200]]
+
+
+def test_hypotheses_that_have_met_go_on_as_one() -> None:
+    """Nine starts, four steps each at most; from there on it takes what one start does."""
+    problem = small(0)
+    start = stacked([wrong(problem.truth, 0.5, 0.5, 0)])
+    place = problem.points, PINHOLE.intrinsics(), start
+    found = align_from_many(problem.levels, *place, DAMPING, Options(), Reach(1, 1))
+    alone = problem.align(start)
+    assert found.iterations.item() <= 9 * 4 + alone.iterations.item()
 
 
 def test_starts_near_the_truth_promise_more_than_those_far_off() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,11 +9,16 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.d2net.loss import triplet_loss
+import baselines.d2net.training
+from baselines.d2net.loss import TripletLoss, triplet_loss
 from baselines.d2net.network import D2Net, D2NetNetConfig, soft_scores
-from baselines.d2net.training import D2NetTraining
+from baselines.d2net.training import D2NetTraining, start_from
+from baselines.pixloc.network import PixlocNet, PixlocNetConfig
 from baselines.training.config import TrainConfig
 from baselines.training.pairs import Pair, PairBatch, Pinhole, collate
+from baselines.vgg import encode
+from baselines.weights import write_weights
+from tests.baselines.training.slopes import watched
 
 SMALL = TrainConfig(width=0.125, warm_up=0.25)
 
@@ -81,6 +87,33 @@ def test_training_learns_to_tell_places_apart() -> None:
         losses.append(figures["loss"])
         assert figures["pairs"] == 1
     assert losses[-1] < 0.8 * losses[0]
+
+
+@pytest.mark.parametrize("progress", [0.24, 0.25])
+def test_the_loss_is_the_sum_of_its_parts(progress: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The contrast, and with it the triplets after the warm-up."""
+    parts = watched(monkeypatch, baselines.d2net.training, ["mean_over", "triplet_loss"])
+    loss, figures = D2NetTraining(SMALL).loss(shifted_pairs(1), progress)
+    expected = {"contrastive"} | ({*TripletLoss._fields, "pairs"} if progress == 0.25 else set())
+    assert set(figures) == expected
+    total = figures["contrastive"] + figures.get("loss", 0.0)
+    assert float(loss.detach()) == pytest.approx(total, rel=1e-5)
+    loss.backward()
+    slopes = {name: float(part.grad) for name, part in parts.items() if part.grad is not None}
+    assert slopes == {"mean_over": 1} | ({"triplet_loss": 1} if progress == 0.25 else {})
+
+
+@torch.no_grad()
+def test_pixlocs_encoder_sees_the_same_in_other_units(tmp_path: Path) -> None:
+    """Its colours are red, green, blue in 0..1, D2-Net's blue, green, red in 0..255."""
+    torch.manual_seed(0)
+    theirs = PixlocNet(PixlocNetConfig(width=0.125)).eval()
+    path = tmp_path / "pixloc.safetensors"
+    write_weights(path, theirs, theirs.config.model_dump())
+    image = smooth(96, 1) * torch.tensor([1.0, 0.6, 0.2]).view(3, 1, 1)
+    ours, expected = functional.relu(start_from(path)(image)), encode(theirs.encoder, image)[3]
+    # The means that are taken off differ in the third digit.
+    assert (ours - expected).norm() < 0.05 * expected.norm()
 
 
 def test_pairs_with_too_few_correspondences_are_left_out() -> None:

@@ -1,0 +1,107 @@
+"""The weights that come with the project find poses: on a summer noon as the map's, and in snow.
+
+A network that has unlearned what it knew, by another loader, layout or order of its blocks, still
+gives feature maps of the right form. Poses tell.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from baselines.weights import SHIPPED
+from benchmark.datasets import Dataset, open_datasets
+from benchmark.evaluate import evaluate
+from benchmark.registry import create
+from benchmark.results import Summary
+from benchmark.starts import parse_start
+from simulate.command import simulate
+from simulate.config import SimulateConfig
+from simulate.mapping import build_map
+from simulate.render.libraries import require_libraries
+
+# Where 320 pixels a side suffice for a map, half a metre in snow takes more: a third of a metre on
+# the ground per pixel left `pixloc` at 0.5 to 0.9 m.
+SNOWED: Final = SimulateConfig.model_validate(
+    {
+        "seed": 11,
+        "area": 120,
+        "size": 416,
+        "spp": 2,
+        "sessions": [
+            {"condition": "summer-noon", "flight": "nadir", "role": "map", "frames": 10},
+            {"condition": "summer-noon", "flight": "nadir", "role": "query", "frames": 3},
+            {"condition": "snow-dusk", "flight": "nadir", "role": "query", "frames": 5},
+        ],
+    }
+)
+START: Final = parse_start("error=3m,5deg")
+# The method of each file of weights.
+METHODS: Final = {
+    "objconnect": "objconnect",
+    "objconnect-objects": "objconnect",
+    "pixloc": "pixloc",
+    "d2net": "d2net",
+}
+
+
+@pytest.fixture(scope="module")
+def snowed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A small town mapped on a summer noon, and queries of that noon and of dusk over snow."""
+    require_libraries()
+    path = tmp_path_factory.mktemp("rendered") / "snowed"
+    simulate(SNOWED, path)
+    build_map(path)
+    (dataset,) = open_datasets(path)
+    return dataset
+
+
+def by_condition(
+    dataset: Dataset, method: str, options: dict[str, Any], out: Path
+) -> dict[str, Summary]:
+    return evaluate(dataset, create(method, options), out, START).by_condition
+
+
+def found(part: Summary) -> int:
+    """Queries found within 0.5 m and 5 degrees."""
+    return round(part.recall["0.5m_5deg"].value * part.queries / 100)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_shipped_weights_find_poses(name: str, snowed: Dataset, tmp_path: Path) -> None:
+    """From 3 m and 5 degrees off.
+
+    When this was written all four found 3 of 3 in summer, at most 0.09 m off, and 5, 4, 4 and 5 of
+    5 in snow, at most 0.83 m. A renderer's rounding on another processor may cost a query: one less
+    in summer, and two less than the best in snow, still pass.
+    """
+    chosen = {} if name == METHODS[name] else {"weights": SHIPPED / f"{name}.safetensors"}
+    parts = by_condition(snowed, METHODS[name], chosen, tmp_path)
+    summer, snow = parts["summer-noon"], parts["snow-dusk"]
+    assert (summer.queries, snow.queries) == (3, 5)
+    assert found(summer) >= 2 and found(snow) >= 3
+    assert summer.median_t_m is not None and summer.median_t_m < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", METHODS)
+def test_weights_in_another_order_find_none(name: str, snowed: Dataset, tmp_path: Path) -> None:
+    """The numbers of every filter are those shipped, and have changed places."""
+    torch.manual_seed(0)
+    with safe_open(SHIPPED / f"{name}.safetensors", "pt") as file:
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        metadata = file.metadata()
+    shuffled = {
+        key: tensor.flatten()[torch.randperm(tensor.numel())].view(tensor.shape)
+        for key, tensor in tensors.items()
+    }
+    weights = tmp_path / "shuffled.safetensors"
+    save_file(shuffled, weights, metadata)
+    parts = by_condition(snowed, METHODS[name], {"weights": weights}, tmp_path)
+    assert found(parts["summer-noon"]) <= 1
+    assert found(parts["snow-dusk"]) <= 1

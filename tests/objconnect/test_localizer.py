@@ -1,0 +1,65 @@
+"""The localizer as it is shipped: nobody says a weight or an option."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmark.registry import create
+from scene.localizer import Localizer, Prior, Query, Status
+from scene.pose import Pose
+from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
+
+TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
+
+
+@pytest.fixture(scope="module")
+def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
+    images = tmp_path_factory.mktemp("map") / "images"
+    made = create("objconnect", {})
+    made.prepare(write_map(images), images)
+    return made
+
+
+def found_from(localizer: Localizer, start: Pose) -> tuple[float, float]:
+    """Metres and degrees from the truth."""
+    prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
+    estimate = localizer.localize(Query("query.png", photograph(TRUTH), CAMERA, prior))
+    assert estimate.status is Status.OK, estimate.reason
+    assert estimate.cam_from_world is not None
+    metres, degrees = estimate.cam_from_world.error_to(TRUTH)
+    return float(metres), float(degrees)
+
+
+def test_a_near_start(localizer: Localizer) -> None:
+    metres, degrees = found_from(localizer, looking_down(8.9, -0.1, (0.5, 0.0, 3.0)))
+    assert metres < 0.1 and degrees < 0.25
+
+
+def test_a_start_beyond_the_reach_of_one_alignment(localizer: Localizer) -> None:
+    """A third of the altitude aside and ten degrees off: found from many starts alone."""
+    metres, degrees = found_from(localizer, looking_down(15.0, 3.6, (7.0, -6.0, 10.0)))
+    assert metres < 0.2 and degrees < 0.5
+
+
+def test_a_picture_of_something_else_is_no_fix(localizer: Localizer) -> None:
+    """Patches of the ground in another order: as much to see, and nothing where it should be."""
+    patches = photograph(TRUTH).reshape(6, 32, 8, 32, 3).swapaxes(1, 2).reshape(48, 32, 32, 3)
+    mixed = np.random.default_rng(0).permutation(patches).reshape(6, 8, 32, 32, 3)
+    image = mixed.swapaxes(1, 2).reshape(192, 256, 3)
+    start = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
+    prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
+    estimate = localizer.localize(Query("query.png", image, CAMERA, prior))
+    assert estimate.status is Status.FALLBACK
+    assert "hardly better than it would by chance" in estimate.reason
+
+
+def test_without_an_attitude(localizer: Localizer) -> None:
+    """Every heading is looked at from the prior: the camera was turned by 140 degrees."""
+    truth = looking_down(9.3, -0.4, (1.5, -1.0, 140.0))
+    prior = Prior(np.array([9.0, 0.4, 20.5]))
+    estimate = localizer.localize(Query("query.png", photograph(truth), CAMERA, prior))
+    assert estimate.status is Status.OK, estimate.reason
+    assert estimate.cam_from_world is not None
+    metres, degrees = estimate.cam_from_world.error_to(truth)
+    assert metres < 0.1 and degrees < 0.25

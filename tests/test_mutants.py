@@ -1,0 +1,29 @@
+"""Changed lines are noticed: see ``tests.mutants``."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.mutants import MUTANTS, ROOT, Mutant, unlisted
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
+def test_the_list_is_true(mutant: Mutant) -> None:
+    assert not unlisted(mutant)
+
+
+def test_an_entry_that_is_not_true_any_more_is_an_error() -> None:
+    first = MUTANTS[0]
+    assert "0 times, not once" in unlisted(first._replace(old="TAKEN_OUT: Final = 0.1"))
+    assert "no test" in unlisted(first._replace(killed_by=("tests/test_line.py::test_nothing",)))
+
+
+def test_every_mutant_dies() -> None:
+    """In a process of its own: those it begins must know nothing of the unchanged tree."""
+    command = [sys.executable, "-m", "tests.mutants"]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert ended.stdout.count("dies") == len(MUTANTS)
