@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import lru_cache
-from glob import escape
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,17 +28,17 @@ from dense.sources import choose_sources, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
 from dense.warp import View
 from dense.workspace import KINDS, Stage, Workspace
-from scene.bundle import MODEL_FILES, Scene, finish
+from scene.bundle import Scene, finish
 from scene.camera import Camera
 from scene.cluster import crew
 from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
+from scene.colmap_files import MODEL_FILES, RIG_FILES
 from scene.digests import digests, require_unchanged
 from scene.errors import InputError
 from scene.files import (
     MARK,
     folder_written_whole,
     link_or_copy,
-    matches,
     read_text,
     remove_partial,
     replace_folder,
@@ -208,14 +207,14 @@ def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
     return Workspace(unfinished)
 
 
-def owned(workspace: Workspace) -> list[str]:
+def owned(workspace: Workspace) -> set[str]:
     """What we wrote into a folder, as ``scene.files.folder_written_whole`` takes it: photographs
     and maps of every photograph that has a depth map."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
-    found = [*lists, *(f"sparse/{file}" for file in MODEL_FILES)]
-    for name in map(escape, workspace.names()):
-        found += [f"images/{name}"]
-        found += [f"stereo/{kind}/{name}.{stage}.bin" for kind in KINDS for stage in _STAGES]
+    found = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
+    for name in workspace.names():
+        found.add(f"images/{name}")
+        found |= {f"stereo/{kind}/{name}.{stage}.bin" for kind in KINDS for stage in _STAGES}
     return found
 
 
@@ -225,7 +224,7 @@ def _link_finished(whole: Path, unfinished: Path) -> None:
     for path in sorted(whole.rglob("*")):
         name = path.relative_to(whole).as_posix()
         # COLMAP writes the cloud anew, in place.
-        if path.is_file() and matches(name, ours) and not name.startswith(cloud):
+        if path.is_file() and name in ours and not name.startswith(cloud):
             (unfinished / name).parent.mkdir(parents=True, exist_ok=True)
             link_or_copy(path, unfinished / name)
 
@@ -257,7 +256,7 @@ def _write_photographs(
 def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
     images = [sparse_map.images[name] for name in sparse_map.names]
     posed = [PosedImage(image.name, image.camera, image.cam_from_world) for image in images]
-    with folder_written_whole(workspace.sparse, MODEL_FILES) as folder:
+    with folder_written_whole(workspace.sparse, (*MODEL_FILES, *RIG_FILES)) as folder:
         write_posed(posed, sparse_map, folder)
 
 

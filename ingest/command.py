@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from glob import escape
 from importlib.metadata import version
 from pathlib import Path
 
@@ -154,13 +153,12 @@ def _ingest(
     return report
 
 
-def _owned(roll: Roll) -> list[str]:
+def _owned(roll: Roll) -> set[str]:
     """What we write into the folder of a scene, as ``scene.files.remove_owned`` takes it."""
-    copies = [f"sessions/{escape(shot.name)}" for shot in roll.shots]
+    copies = [f"sessions/{shot.name}" for shot in roll.shots]
     frames = f"sessions/{SESSION}/frames.h5"
     lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, "pictures/ingest.png"]
-    model = [f"map/{pattern}" for pattern in MAP_FILES]
-    return [f"{_WORK}/*", *copies, frames, *lists, *model]
+    return {*copies, frames, *lists, *(f"map/{file}" for file in MAP_FILES)}
 
 
 def _build(

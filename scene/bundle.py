@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.colmap import read_map
+from scene.colmap_files import MODEL_FILES, RIG_FILES
 from scene.covisibility import Covisibility, read_covisibility
 from scene.errors import InputError
 from scene.files import sha256_of
@@ -27,9 +28,7 @@ from scene.supplement import ADDED_FEATURES, SUPPLEMENT, added_rows
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
 FEATURES = "features.h5"
-MODEL_FILES = tuple(f"{part}.bin" for part in ("cameras", "images", "points3D", "frames", "rigs"))
-"""A COLMAP model."""
-MAP_FILES = (*MODEL_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
+MAP_FILES = (*MODEL_FILES, *RIG_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
 """What we write into the folder of a map, as ``scene.files.folder_written_whole`` takes it."""
 
 

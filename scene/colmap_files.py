@@ -24,6 +24,9 @@ from scene.pose import Pose
 from scene.sparse_map import MapImage, SparseMap
 
 MODEL_FILES: Final = ("cameras.bin", "images.bin", "points3D.bin")
+"""What a model is read from."""
+RIG_FILES: Final = ("rigs.bin", "frames.bin")
+"""What COLMAP writes beside it from 3.12 on."""
 """What ``read_model`` reads."""
 
 # Model identifiers of the binary format.

@@ -14,10 +14,9 @@ import re
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from fnmatch import fnmatchcase
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from filelock import FileLock, Timeout
@@ -31,7 +30,6 @@ PARTIAL = ".partial"
 _ASIDE = ".aside"
 _TEMPORARY = re.compile(rf"{re.escape(MARK)}[a-z0-9_]{{8}}({PARTIAL}|{_ASIDE})")
 _LOCK = f"{MARK}lock"
-_WILD = re.compile(r"[*?[]")
 # Bytes of a name, in every usual file system.
 _LONGEST = 255
 # A disk with less left is full.
@@ -156,15 +154,15 @@ def remove_partial(folder: Path) -> None:
 
 
 @contextmanager
-def folder_written_whole(path: Path, owned: Sequence[str] = ()) -> Iterator[Path]:
+def folder_written_whole(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
     """The same for a folder: ``path`` is replaced only when the block succeeds.
 
     Files of the old folder that the block did not write again stay, but for ``owned``.
 
     Args:
         path: of the folder; where it is a symbolic link, the folder it leads to is replaced.
-        owned: patterns of the files that we write there, relative to the folder; ``*`` matches
-            ``/``, too. Those of the old folder that are not written again go.
+        owned: paths, relative to the folder, of the files that we write there. Those of the old
+            folder that are not written again go.
 
     Raises:
         InputError: the parent folder cannot be written, or the disk is full.
@@ -186,15 +184,15 @@ def folder_written_whole(path: Path, owned: Sequence[str] = ()) -> Iterator[Path
             shutil.rmtree(partial, ignore_errors=True)
 
 
-def replace_folder(path: Path, new: Path, owned: Sequence[str]) -> None:
+def replace_folder(path: Path, new: Path, owned: Collection[str]) -> None:
     """Put the folder ``new`` in the place of ``path``, with what ``path`` holds and we did not
-    write: every file that ``new`` does not have and that matches none of the patterns ``owned`` (as
-    of ``folder_written_whole``).
+    write: every file that ``new`` does not have and that is not ``owned`` (as of
+    ``folder_written_whole``).
 
     Args:
         path: of the folder; there may be none.
         new: beside it.
-        owned: patterns.
+        owned: paths of our files.
 
     Raises:
         OSError: the folder cannot be written.
@@ -209,11 +207,11 @@ def replace_folder(path: Path, new: Path, owned: Sequence[str]) -> None:
         new.replace(path)
 
 
-def _keep_others(old: Path, new: Path, owned: Sequence[str]) -> None:
+def _keep_others(old: Path, new: Path, owned: Collection[str]) -> None:
     for path in sorted(old.rglob("*")):
         name = path.relative_to(old).as_posix()
         kept = new / name
-        if os.path.lexists(kept) or matches(name, owned):
+        if os.path.lexists(kept) or name in owned:
             continue
         if path.is_dir() and not path.is_symlink():
             if not any(path.iterdir()):
@@ -235,25 +233,20 @@ def link_or_copy(old: Path, new: Path) -> None:
         shutil.copy2(old, new, follow_symlinks=False)
 
 
-def matches(name: str, owned: Sequence[str]) -> bool:
-    """Whether a path relative to its folder matches one of the patterns of files that we write."""
-    # Plain names are many, where photographs are listed, and patterns take a while to compile.
-    return name in owned or any(
-        fnmatchcase(name, pattern) for pattern in owned if _WILD.search(pattern)
-    )
-
-
-def remove_owned(folder: Path, owned: Sequence[str]) -> None:
-    """Remove the files of a folder that match ``owned`` (as of ``folder_written_whole``), and the
-    folders that are empty then, itself included. What else it holds stays."""
+def remove_owned(folder: Path, owned: Collection[str]) -> None:
+    """Remove the files of a folder that are ``owned`` (as of ``folder_written_whole``), our
+    temporary ones, and the folders that held them, itself included, unless they hold more."""
     if folder.is_symlink() or not folder.is_dir():
         return
+    held = {str(parent) for name in owned for parent in PurePosixPath(name).parents}
     for path in sorted(folder.rglob("*"), reverse=True):
         name = path.relative_to(folder).as_posix()
+        ours = any(map(is_ours, name.split("/")))
         if path.is_dir() and not path.is_symlink():
-            with suppress(OSError):  # it holds something
-                path.rmdir()
-        elif matches(name, owned):
+            if ours or name in held:
+                with suppress(OSError):  # it holds something
+                    path.rmdir()
+        elif ours or name in owned:
             path.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()

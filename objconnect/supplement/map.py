@@ -14,7 +14,7 @@ from scene.bundle import MAP_FILES, Scene, finish
 from scene.colmap import NewPoint, add_points, read_map, remove_points
 from scene.errors import InputError
 from scene.features import Features, write_features
-from scene.files import folder_written_whole, matches, remove_partial, sole_writer
+from scene.files import folder_written_whole, remove_partial, sole_writer
 from scene.images import read_rgb
 from scene.manifest import write_json
 from scene.supplement import (
@@ -86,8 +86,7 @@ def remove_from_map(path: Path) -> int:
 def _copy_before(scene: Scene, folder: Path) -> None:
     """The map as it was before anything was added to it."""
     for file in scene.map_path.iterdir():
-        owned = file.is_file() and matches(file.name, MAP_FILES)
-        if owned and file.name not in (SUPPLEMENT, ADDED_FEATURES):
+        if file.name in MAP_FILES and file.name not in (SUPPLEMENT, ADDED_FEATURES):
             shutil.copyfile(file, folder / file.name)
     supplement = read_supplement(scene.map_path)
     if supplement is not None:
