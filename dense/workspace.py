@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.files import write_text, written_whole
+from scene.files import require_readable, write_text, written_whole
 
 Stage = Literal["photometric", "geometric"]
 Kind = Literal["depth_maps", "normal_maps"]
@@ -88,6 +88,7 @@ class Workspace:
         Raises:
             InputError: missing or damaged.
         """
+        require_readable(self.cloud, "cloud")
         try:
             data = self.cloud.read_bytes()
         except OSError as error:
@@ -128,6 +129,7 @@ def read_array(path: Path, channels: int) -> NDArray[np.float32]:
     Raises:
         InputError: missing, not such a file, of other channels, or not as long as it claims.
     """
+    require_readable(path, "depth map")
     try:
         data = path.read_bytes()
     except OSError as error:
