@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.files import MARK, remove_partial, write_text, written_whole
+from scene.marks import JPEG_MARK
+from scene.outputs import Output, claim
+from scene.printed import printed
 from scene.progress import progress_bar
 from simulate.command import render_job
 from simulate.config import SessionConfig, SimulateConfig
@@ -29,6 +32,8 @@ from simulate.render.pool import RenderError, render
 
 PAGE, PICTURES = "gallery.md", "gallery"
 _RENDERED = f"{MARK}gallery"
+# Stands near the beginning of every page.
+_MARK = b"Every kind of place and every condition, as the simulator renders them."
 # From an orbit, from above and from the street, each with the exposures one is chosen from.
 _VIEWS = ((ObliqueFlight(), 1), (NadirFlight(), 1), (StreetFlight(yaws_deg=(15,)), 40))
 _AHEAD_M = 40.0  # what lies there is in the middle of a picture from the street
@@ -76,6 +81,11 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     kinds = [_of_place(configs[name], world, shown_in) for name, world in places.items()]
     light, weather = _of_conditions(configs[config.preset], places[config.preset])
     pictures = [*kinds, light, weather]
+    page = Output(out / PAGE, _MARK)
+    # Beside a page of ours its pictures are ours.
+    mark = b"" if page.path.is_file() else JPEG_MARK
+    shown = (out / PICTURES / f"{picture.name}.jpg" for picture in pictures)
+    claim([page, *(Output(path, mark) for path in shown)], within=out)
     rendered = out / _RENDERED
     jobs = {_folder(job): job for picture in pictures for job, _ in picture.shots}
     try:
@@ -155,7 +165,8 @@ def _draw(picture: _Picture, config: SimulateConfig, rendered: Path, path: Path)
             ax.text(-0.02, 0.5, picture.rows[row], fontsize=9, rotation=90, ha="right",
                     va="center", transform=ax.transAxes)  # fmt: skip
     with written_whole(path) as partial:
-        figure.savefig(partial, format="jpeg", dpi=_INCH, pil_kwargs={"quality": _JPEG_QUALITY})
+        figure.savefig(partial, format="jpeg", dpi=_INCH,
+                       pil_kwargs={"quality": _JPEG_QUALITY, "comment": JPEG_MARK})  # fmt: skip
 
 
 def _photograph(folder: Path, frame: int) -> NDArray[np.uint8]:
@@ -179,7 +190,7 @@ def _page(config: SimulateConfig, out: Path, shown_in: str, places: Mapping[str,
 Every kind of place and every condition, as the simulator renders them. Made by
 
 ```sh
-objconnect gallery --out {out} --preset {config.preset} --condition {shown_in} \\
+objconnect gallery --out {printed(out)} --preset {config.preset} --condition {shown_in} \\
   --seed {config.seed} --area {config.area:g} --size {config.size} --spp {config.spp}
 ```
 
