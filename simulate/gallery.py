@@ -31,6 +31,7 @@ from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 
 PAGE, PICTURES = "gallery.md", "gallery"
+_LIGHT, _WEATHER = "light", "weather"
 _RENDERED = f"{MARK}gallery"
 # Stands near the beginning of every page.
 _MARK = b"Every kind of place and every condition, as the simulator renders them."
@@ -72,6 +73,7 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
             ``out`` cannot be written.
     """
     shown_in = condition(shown_in, config.origin).name
+    _claim(out)
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     configs = {
         name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
@@ -81,11 +83,6 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     kinds = [_of_place(configs[name], world, shown_in) for name, world in places.items()]
     light, weather = _of_conditions(configs[config.preset], places[config.preset])
     pictures = [*kinds, light, weather]
-    page = Output(out / PAGE, _MARK)
-    # Beside a page of ours its pictures are ours.
-    mark = b"" if page.path.is_file() else JPEG_MARK
-    shown = (out / PICTURES / f"{picture.name}.jpg" for picture in pictures)
-    claim([page, *(Output(path, mark) for path in shown)], within=out)
     rendered = out / _RENDERED
     jobs = {_folder(job): job for picture in pictures for job, _ in picture.shots}
     try:
@@ -106,6 +103,15 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     return out / PAGE
 
 
+def _claim(out: Path) -> None:
+    """Refuse a folder where the page or a picture of somebody else would be replaced."""
+    page = Output(out / PAGE, _MARK)
+    # Beside a page of ours its pictures are ours.
+    mark = b"" if page.path.is_file() else JPEG_MARK
+    names = (*PLANS, _LIGHT, _WEATHER)
+    claim([page, *(Output(out / PICTURES / f"{name}.jpg", mark) for name in names)], within=out)
+
+
 def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
     """A place from every view."""
     name = config.preset
@@ -122,7 +128,7 @@ def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Pic
         shots = tuple((_job(config, text, world, 1), 0) for text in names)
         return _Picture(name, tuple(SEASONS), tuple(columns), shots)
 
-    return picture("light", LIGHTS, "{}"), picture("weather", WEATHER, "noon-{}")
+    return picture(_LIGHT, LIGHTS, "{}"), picture(_WEATHER, WEATHER, "noon-{}")
 
 
 def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> RenderJob:
