@@ -18,6 +18,7 @@ from baselines.training.config import TrainConfig
 from baselines.weights import shipped
 from benchmark.datasets import Dataset
 from benchmark.evaluate import evaluate, method_of, results_path
+from benchmark.markdown import escaped
 from benchmark.paired import compare, mcnemar
 from benchmark.registry import create, trainable
 from benchmark.results import TOTAL, QueryResult, Results, load
@@ -27,9 +28,12 @@ from objconnect.config import ObjConnectNetConfig
 from objconnect.localizer import ObjConnectConfig
 from scene.config import Config
 from scene.files import write_text
+from scene.outputs import Output, claim, claim_folder
 
 METHOD: Final = "objconnect"
 TABLE: Final = "ablation.md"
+# Stands near the beginning of every table.
+_MARK: Final = b"| variant |"
 # That of the paper's table.
 _THRESHOLD: Final = THRESHOLDS[1]
 
@@ -102,6 +106,8 @@ def ablate(
     Raises:
         InputError: as ``train`` and ``evaluate``.
     """
+    claim_folder(out, [*data, *validation])
+    claim([Output(out / TABLE, _MARK)], within=out)
     rows: list[_Row] = []
     trained: list[tuple[ObjConnectNetConfig, Path]] = []
     for variant in plan.variants:
@@ -143,7 +149,9 @@ def _given(config: Config) -> dict[str, Any]:
 
 def _table(rows: Sequence[_Row]) -> Iterator[str]:
     conditions = list(dict.fromkeys(query.condition for query in rows[0].queries()))
-    counts = [f"{condition} ({len(rows[0].queries(condition))})" for condition in conditions]
+    counts = [
+        f"{escaped(condition)} ({len(rows[0].queries(condition))})" for condition in conditions
+    ]
     header = ["variant", *counts, f"against {rows[0].name}", "s/query"]
     yield "| " + " | ".join(header) + " |"
     yield "| --- |" + " --: |" * (len(header) - 1)

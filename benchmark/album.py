@@ -34,6 +34,8 @@ from scene.progress import progress_bar
 from scene.sparse_map import SparseMap
 
 ALBUM: Final = "album.h5"
+ALBUM_MARK: Final = b"dataset_sha256"
+"""What stands near the beginning of every album."""
 # Longest side of a photograph, pixels: sharp on a screen, and a page can still shrink it.
 SIDE: Final = 480
 _QUALITY: Final = 55

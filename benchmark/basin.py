@@ -23,13 +23,15 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from benchmark.datasets import Dataset
 from benchmark.evaluate import attempt, identity, method_of, require_folder, scored
-from benchmark.results import BASIN, DatasetId, Environment, Method, QueryResult, Recall
+from benchmark.results import BASIN, HEAD, DatasetId, Environment, Method, QueryResult, Recall
 from benchmark.score import THRESHOLDS, is_correct, wilson
 from benchmark.starts import moved_prior
 from scene.errors import InputError
 from scene.files import write_text
 from scene.localizer import Localizer, Status
 from scene.manifest import read_json
+from scene.outputs import Output, claim
+from scene.pose import FARTHEST_M
 from scene.progress import progress_bar
 from scene.scratch import kept_or_scratch
 
@@ -129,6 +131,8 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
         if found is None:
             raise InputError(f"errors are listed as 1m/2deg,3m/5deg; got {word.strip()!r}")
         size = Size(float(found.group(1)), float(found.group(2)))
+        if size.metres > FARTHEST_M:
+            raise InputError(f"a position cannot be wrong by {size.metres:g} metres")
         if size.degrees > 180:
             raise InputError(f"an attitude cannot be wrong by {size.degrees:g} degrees")
         if size in sizes:
@@ -164,6 +168,8 @@ def basin(
         InputError: the map or a photograph is missing or broken, or ``out`` cannot be written.
     """
     require_folder(out)
+    target = basin_path(out, dataset, localizer)
+    claim([Output(target, HEAD)], within=out)
     sparse_map = dataset.load_map()
     with kept_or_scratch(cache, out) as folder:
         localizer.prepare(sparse_map, dataset.images, folder)
@@ -189,7 +195,7 @@ def basin(
         levels=tuple(_level(size, found) for size, found in zip(sizes, answers, strict=True)),
     )
     text = result.model_dump_json(indent=1, by_alias=True) + "\n"
-    write_text(basin_path(out, dataset, localizer), text)
+    write_text(target, text)
     return result
 
 

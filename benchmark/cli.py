@@ -122,12 +122,12 @@ def evaluate(
 
     Writes RESULTS/<dataset>/<method>.json and a picture of the query of median error, each when its
     last query is done, and once per data set album.h5, which the leaderboard's page shows. Run
-    again, an interrupted evaluation goes on where it was. An older file of the same name is
-    replaced.
+    again, an interrupted evaluation goes on where it was. Older results of the same name are
+    replaced, but none that score wrote, and no other file.
     """
     from benchmark.datasets import open_datasets
+    from benchmark.evaluate import claim_evaluation, results_path
     from benchmark.evaluate import evaluate as run
-    from benchmark.evaluate import results_path
     from benchmark.markdown import markdown
     from benchmark.registry import create
     from benchmark.starts import parse_start
@@ -139,6 +139,9 @@ def evaluate(
     told = parse_start(start)
     opened = [dataset for path in datasets for dataset in open_datasets(path)]
     _require_distinct_names(opened)
+    for dataset in opened:
+        for localizer in localizers.values():
+            claim_evaluation(dataset, localizer, out)
     written = []
     for dataset in opened:
         for localizer in localizers.values():
@@ -197,7 +200,10 @@ def score(
     ] = "none",
     as_json: Json = False,
 ) -> None:
-    """Score poses that another program found; a query without a line has failed."""
+    """Score poses that another program found; a query without a line has failed.
+
+    Older results of the same name are replaced if score wrote them; those of evaluate never are.
+    """
     from benchmark.datasets import open_datasets
     from benchmark.elsewhere import score as run
     from benchmark.markdown import markdown
@@ -205,11 +211,7 @@ def score(
 
     opened = [dataset for path in reference for dataset in open_datasets(path)]
     _require_distinct_names(opened)
-    name = method or poses.stem
-    written = []
-    for results in run(poses, opened, name, start):
-        written.append(out / results.dataset.name / f"{name}.json")
-        results.write(written[-1])
+    written = run(poses, opened, method or poses.stem, out, start)
     boards = tables(written)
     if as_json:
         _print_json({"results": [str(path) for path in written], "tables": boards})
@@ -313,11 +315,18 @@ def localize(
     ] = None,
     priors: Annotated[
         Path | None,
-        typer.Option(metavar="CSV", help="Positions and attitudes; else positions from EXIF."),
+        typer.Option(metavar="CSV", help="Positions and attitudes; else those in EXIF and XMP."),
     ] = None,
     gps_sigma: Annotated[
-        float, typer.Option(help="Standard deviation of EXIF positions, metres.", min=0.01)
+        float,
+        typer.Option(help="Standard deviation of EXIF positions, metres.", min=0.01, max=1e6),
     ] = 10.0,
+    gimbal_sigma: Annotated[
+        float,
+        typer.Option(
+            help="Standard deviation of the gimbal's attitudes in XMP, degrees.", min=0.01, max=180
+        ),
+    ] = 5.0,
     overrides: Settings = None,
     cache: Cache = None,
     as_json: Json = False,
@@ -325,7 +334,8 @@ def localize(
     """Find the poses of new photographs in a map.
 
     Writes POSES (name qw qx qy qz tx ty tz, world to camera) and a CSV beside it with latitude,
-    longitude, altitude, sigma and, for photographs not found, the reason.
+    longitude, altitude, sigma and, for photographs not found, the reason. A photograph that cannot
+    be read is a row of the CSV, too. Run again, an interrupted run goes on where it was.
     """
     from benchmark.localize import localize as run
     from benchmark.localize import open_place
@@ -340,6 +350,7 @@ def localize(
         camera=Camera.parse(camera.split()) if camera is not None else None,
         priors=priors,
         gps_sigma_m=gps_sigma,
+        gimbal_sigma_deg=gimbal_sigma,
         cache=cache,
     )
     found = sum(item.found for item in located)
@@ -956,6 +967,8 @@ def _settings(overrides: list[str]) -> dict[str, Any]:
             settings[key] = yaml.safe_load(value)
         except (yaml.YAMLError, ValueError, RecursionError):
             raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
+        if settings[key] is None:
+            raise InputError(f"--set {key}: {value!r} is no value; leave it out for the default")
     return settings
 
 

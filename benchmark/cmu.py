@@ -22,6 +22,7 @@ from scene.cmu import CAMERAS, SIMULATED, ImageName, surroundings
 from scene.colmap import read_map
 from scene.errors import InputError
 from scene.files import read_text
+from scene.listing import files_in
 from scene.pose import Pose
 
 TRACK: Final = "cmu"
@@ -98,7 +99,9 @@ def open_slices(path: Path) -> list[Slice]:
     folders, cameras = _find(path)
     found = []
     for folder in folders:
-        names = tuple(sorted(image.name for image in (folder / "query").glob("*.jpg")))
+        photographs = folder / "query"
+        images = files_in(photographs, (".jpg",)) if photographs.is_dir() else []
+        names = tuple(image.name for image in images)
         for name in names:
             ImageName.parse(name)
         if names:
@@ -143,7 +146,8 @@ def _slices(root: Path) -> list[Path]:
 def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
     """One slice, or None when none of its query poses is public."""
     references: dict[str, Pose] = {}
-    for file in sorted((folder / "camera-poses").glob("*.txt")):
+    listed = folder / "camera-poses"
+    for file in files_in(listed, (".txt",)) if listed.is_dir() else []:
         for name, pose in read_poses(file, centres=True).items():
             if name in references:
                 raise InputError(f"{file}: {name} has a pose in another file already")

@@ -12,7 +12,9 @@ from scene.camera import Camera
 from scene.errors import InputError
 from scene.images import read_rgb
 from scene.localizer import Prior, Query
+from scene.names import is_utf8
 from scene.pose import Pose
+from scene.printed import printed
 from scene.sparse_map import SparseMap
 
 
@@ -72,6 +74,12 @@ class Dataset:
     load_map: Callable[[], SparseMap]
     images: Path
     queries: tuple[BenchmarkQuery, ...]
+
+    def __post_init__(self) -> None:
+        """InputError: a name that no results file can hold."""
+        for name in (self.name, *(query.name for query in self.queries)):
+            if not is_utf8(name):
+                raise InputError(f"{printed(name)!r}: this name is not UTF-8: rename it")
 
     @cached_property
     def sha256(self) -> str:

@@ -7,18 +7,22 @@ from pathlib import Path
 
 from benchmark.datasets import Dataset
 from benchmark.evaluate import identity, scored
-from benchmark.results import Method, Results
+from benchmark.results import BASIN, Method, Results, claim_results
 from benchmark.starts import parse_start
 from benchmark.textfiles import read_poses
 from scene.errors import InputError
 from scene.files import sha256_of
 from scene.localizer import Estimate, Status
+from scene.outputs import require_name
 
 
 def score(
-    poses: Path, datasets: Sequence[Dataset], method: str, start: str = "none"
-) -> list[Results]:
-    """Score a file of poses in the format of hloc: ``name qw qx qy qz tx ty tz``, world to camera.
+    poses: Path, datasets: Sequence[Dataset], method: str, out: Path, start: str = "none"
+) -> list[Path]:
+    """Score a file of poses in the format of hloc, ``name qw qx qy qz tx ty tz``, world to camera,
+    and write ``OUT/<dataset>/<method>.json``.
+
+    Results of the same name are replaced only if they are of this command.
 
     A query without a line counts as failed. Names may be those of the data set or, where that is
     not ambiguous, their last part, as hloc writes them for Aachen.
@@ -26,19 +30,25 @@ def score(
     Args:
         poses: text file.
         datasets: those whose queries the file may hold.
-        method: name to go by in the results.
+        method: name to go by in the results, and theirs.
+        out: folder of the results.
         start: what the method was told: see ``benchmark.starts.parse_start``.
 
     Returns:
-        Results per data set; a data set none of whose queries is in the file is left out.
+        The results files; of a data set none of whose queries is in the file there is none.
 
     Raises:
-        InputError: unreadable file, a pose of no query, or a query with two.
+        InputError: unreadable file, a pose of no query, a query with two, a method whose name
+            cannot name a file, or results that this command did not write.
     """
+    require_name(method, "method")
+    if f"{method}.json".endswith(BASIN):
+        raise InputError(f"method {method!r}: files that end in {BASIN} are of basins")
     told = parse_start(start)
     found = read_poses(poses)
+    digest = sha256_of(poses)
     left = set(found)
-    results = []
+    results: dict[Path, Results] = {}
     for dataset in datasets:
         names = _named(found, dataset, poses)
         if not names:
@@ -52,15 +62,19 @@ def score(
             else:
                 estimate = Estimate(Status.FAILED, reason=f"no line in {poses.name}")
             queries.append(scored(query, estimate, sparse_map, None))
-        made_by = Method(name=method, config={"poses": sha256_of(poses)}, weights_sha256=None)
-        results.append(Results.of(made_by, identity(dataset), told.name, queries))
+        made_by = Method.elsewhere(method, digest)
+        target = out / dataset.name / f"{method}.json"
+        claim_results(target, made_by, out)
+        results[target] = Results.of(made_by, identity(dataset), told.name, queries)
     if left:
         raise InputError(
             f"{poses}: {len(left)} poses are of no query of the reference, such as {min(left)}"
         )
     if not results:
         raise InputError(f"{poses} holds no pose")
-    return results
+    for target, scores in results.items():
+        scores.write(target)
+    return list(results)
 
 
 def _named(found: Collection[str], dataset: Dataset, poses: Path) -> dict[str, str]:

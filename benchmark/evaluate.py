@@ -12,16 +12,16 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
 import torch
 
-from benchmark.album import ALBUM, album_parts, keep_album
+from benchmark.album import ALBUM, ALBUM_MARK, album_parts, keep_album
 from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.identity import changes, require_unchanged
 from benchmark.journal import Journal, journal_path
 from benchmark.pictures import median_query, query_overlay
 from benchmark.registry import create, known
 from benchmark.results import (
+    LARGEST_NEES,
     TOTAL,
     DatasetId,
     Environment,
@@ -29,6 +29,7 @@ from benchmark.results import (
     PoseNumbers,
     QueryResult,
     Results,
+    claim_results,
     load,
 )
 from benchmark.starts import NONE, PRIOR, Ask, Start
@@ -36,8 +37,10 @@ from benchmark.uncertainty import normalised_error
 from scene.cluster import crew, shares
 from scene.errors import InputError
 from scene.localizer import Estimate, Localizer, Query, Status
+from scene.marks import PNG_MARK
 from scene.memory import peak_megabytes, reset_peak
-from scene.pose import Pose
+from scene.outputs import Output, claim
+from scene.pose import FARTHEST_M, Pose
 from scene.progress import progress_bar
 from scene.scratch import kept_or_scratch
 from scene.sparse_map import SparseMap
@@ -85,6 +88,7 @@ def evaluate(
     start = _given(start, dataset)
     method = method_of(localizer)
     target = results_path(out, dataset, localizer)
+    claim_evaluation(dataset, localizer, out)
     # Nodes of a cluster need not see ``out``.
     run = _Run(dataset, localizer, start, cache, None if cluster else out)
     key = _key(method, dataset, start)
@@ -111,7 +115,7 @@ def evaluate(
         # Before the results, so that a run interrupted here has lost nothing.
         keep_album(target.with_name(ALBUM), dataset, run.sparse_map)
         results.write(target)
-    _draw_median(dataset, run.sparse_map, results, target.with_name(f"{localizer.name}-query.png"))
+    _draw_median(dataset, run.sparse_map, results, _picture(target))
     return results
 
 
@@ -239,6 +243,23 @@ def results_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
     return out / dataset.name / f"{localizer.name}.json"
 
 
+def _picture(results: Path) -> Path:
+    """Of the query of median error."""
+    return results.with_name(f"{results.stem}-query.png")
+
+
+def claim_evaluation(dataset: Dataset, localizer: Localizer, out: Path) -> None:
+    """Refuse, before any work, an evaluation whose files would replace somebody else's.
+
+    Raises:
+        InputError: they would, or cannot be written.
+    """
+    target = results_path(out, dataset, localizer)
+    claim_results(target, method_of(localizer), out)
+    drawn = Output(_picture(target), b"" if target.is_file() else PNG_MARK)
+    claim([drawn, Output(target.with_name(ALBUM), ALBUM_MARK)], within=out)
+
+
 def method_of(localizer: Localizer) -> Method:
     """What results say of their method."""
     return Method(
@@ -290,8 +311,11 @@ def attempt(localizer: Localizer, query: Query) -> Estimate:
         return estimate
     if estimate.cam_from_world is None:
         return Estimate(Status.FAILED, reason=f"answered '{estimate.status}' without a pose")
-    if not bool(estimate.cam_from_world.matrix().isfinite().all()):
+    matrix = estimate.cam_from_world.matrix()
+    if not bool(matrix.isfinite().all()):
         return Estimate(Status.FAILED, reason="the pose is not finite")
+    if bool((matrix.abs() > FARTHEST_M).any()):
+        return Estimate(Status.FAILED, reason=f"the pose is more than {FARTHEST_M:g} m away")
     return estimate
 
 
@@ -308,6 +332,7 @@ def scored(
         metres, degrees = _pose(numbers).error_to(query.reference)
         t_err, r_err = float(metres), float(degrees)
         nees = normalised_error(_pose(numbers), query.reference, estimate.covariance)
+        nees = None if nees is None else min(nees, LARGEST_NEES)
     sigma = estimate.sigma_position()
     return QueryResult(
         name=query.name,
@@ -319,7 +344,8 @@ def scored(
         t_err_m=t_err,
         r_err_deg=r_err,
         cam_from_world=numbers,
-        sigma_t_m=sigma if sigma is not None and np.isfinite(sigma) else None,
+        # A covariance beyond all bounds says as little as none.
+        sigma_t_m=sigma if sigma is not None and sigma <= FARTHEST_M else None,
         nees=nees,
         iterations=estimate.iterations,
         inliers=estimate.inliers,

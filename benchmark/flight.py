@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.identity import parts_of
-from benchmark.textfiles import read_cameras, read_gps, read_poses, read_priors
+from benchmark.textfiles import read_cameras, read_gps, read_poses, read_priors, require_same_case
 from scene.colmap import read_map
 from scene.errors import InputError
 from scene.localizer import Prior
@@ -75,7 +75,7 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
     sparse_map = read_map(model)
     for query in cameras.keys() & sparse_map.images.keys():
         raise InputError(f"{query_list}: query {query} is a photograph of the map {model}")
-    priors = _priors(path, sparse_map)
+    priors = _priors(path, sparse_map, {*cameras, *sparse_map.images})
     queries = tuple(
         BenchmarkQuery(
             query, _CONDITION, name, camera, images / query, priors.get(query), references[query]
@@ -94,13 +94,16 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
     )
 
 
-def _priors(path: Path, sparse_map: SparseMap) -> dict[str, Prior]:
+def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[str, Prior]:
     """Starting information by photograph; empty where the flight has none."""
     if (path / "priors.csv").exists():
-        return read_priors(path / "priors.csv")
+        priors = read_priors(path / "priors.csv")
+        require_same_case(path / "priors.csv", priors, photographs)
+        return priors
     if not (path / "gps.csv").exists():
         return {}
     fixes = read_gps(path / "gps.csv")
+    require_same_case(path / "gps.csv", fixes, photographs)
     sigma = gps_sigma(fixes, sparse_map)
     return {name: Prior(position, sigma) for name, position in fixes.items()}
 

@@ -9,12 +9,15 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Generic, TypeVar
 
 from pydantic import ValidationError
 
-from benchmark.results import QueryResult
+from benchmark.results import Named, QueryResult
 from scene.errors import WriteError
 from scene.files import MARK, locked, parse_json
+
+Entry = TypeVar("Entry", bound=Named)
 
 
 def journal_path(results: Path) -> Path:
@@ -22,18 +25,21 @@ def journal_path(results: Path) -> Path:
     return results.with_name(f"{MARK}{results.stem}.journal")
 
 
-class Journal:
+class JournalOf(Generic[Entry]):
     """A file of one line per finished query; it goes when the run is complete.
 
     A run of another key (other data, method, configuration, start or version) starts over. Used as
     a context manager; while it is open no second run writes the same results.
     """
 
-    def __init__(self, path: Path, key: str, parts: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, path: Path, key: str, model: type[Entry], parts: Mapping[str, str] | None = None
+    ) -> None:
         """
         Args:
             path: of the file.
             key: digest of everything that decides the results.
+            model: of what is kept of a query.
             parts: digests of what the data set is made of, to tell a later run what changed.
 
         Attributes:
@@ -42,11 +48,11 @@ class Journal:
                 there were none, or nobody knows.
         """
         self.path = path
-        self.done: dict[str, QueryResult] = {}
+        self.done: dict[str, Entry] = {}
         self.dropped: dict[str, str] | None = None
-        self._key, self._parts = key, dict(parts or {})
+        self._key, self._model, self._parts = key, model, dict(parts or {})
 
-    def __enter__(self) -> Journal:
+    def __enter__(self) -> JournalOf[Entry]:
         """Read what is there.
 
         Raises:
@@ -78,9 +84,9 @@ class Journal:
         good = 0
         header = _header(lines[0]) if lines else {}
         if header.get("key") != self._key:
-            self.dropped = _parts(header) if _finished(lines[1:]) else None
+            self.dropped = _parts(header) if _finished(lines[1:], self._model) else None
         else:
-            self.done = _finished(lines[1:])
+            self.done = _finished(lines[1:], self._model)
             good = sum(
                 len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(self.done)]
             )
@@ -103,7 +109,7 @@ class Journal:
             with suppress(OSError):  # it holds something
                 folder.rmdir()
 
-    def add(self, result: QueryResult) -> None:
+    def add(self, result: Entry) -> None:
         """Note a finished query.
 
         Raises:
@@ -122,6 +128,14 @@ class Journal:
             raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
 
 
+class Journal(JournalOf[QueryResult]):
+    """Of an evaluation."""
+
+    def __init__(self, path: Path, key: str, parts: Mapping[str, str] | None = None) -> None:
+        """As of ``JournalOf``."""
+        super().__init__(path, key, QueryResult, parts)
+
+
 def _header(line: str) -> dict[str, object]:
     try:
         header = parse_json(line)
@@ -137,12 +151,12 @@ def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
     return parts
 
 
-def _finished(lines: list[str]) -> dict[str, QueryResult]:
+def _finished(lines: list[str], model: type[Entry]) -> dict[str, Entry]:
     """Queries up to the first line that is none: the process died while writing it."""
-    done: dict[str, QueryResult] = {}
+    done: dict[str, Entry] = {}
     for line in lines:
         try:
-            result = QueryResult.model_validate_json(line)
+            result = model.model_validate_json(line)
         except ValidationError:
             break
         if result.name in done or not line.endswith("\n"):

@@ -9,6 +9,7 @@ from benchmark.paper import TITLE, Cell, Line, columns
 from benchmark.results import TOTAL
 from benchmark.score import THRESHOLDS
 from benchmark.tables import Table
+from scene.printed import printed
 
 _ESCAPED: Final = str.maketrans(
     {
@@ -20,7 +21,6 @@ _ESCAPED: Final = str.maketrans(
         "<": r"\textless{}",
         ">": r"\textgreater{}",
         "|": r"\textbar{}",
-        "\n": " ",
         **{sign: f"\\{sign}" for sign in "&%$#_{}"},
     }
 )
@@ -40,7 +40,7 @@ def latex(boards: Sequence[Table], lines: Sequence[Line], note: str) -> str:
 
 def escape(text: str) -> str:
     """Text that LaTeX prints as it is."""
-    return text.translate(_ESCAPED)
+    return printed(text.replace("\n", " ")).translate(_ESCAPED)
 
 
 def _caption(board: Table) -> str:

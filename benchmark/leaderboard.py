@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from benchmark.latex import latex
 from benchmark.markdown import markdown, paper_markdown
@@ -11,6 +12,14 @@ from benchmark.page import page
 from benchmark.paper import note, side_by_side
 from benchmark.tables import groups, table
 from scene.files import write_text
+from scene.outputs import Output, claim
+
+# What stands near the beginning of each file that this command wrote.
+_MARKS: Final = {
+    "leaderboard.md": b"Recall is the percentage of all listed queries",
+    "leaderboard.tex": b"% \\usepackage{booktabs} and \\usepackage{textcomp} in the preamble.",
+    "leaderboard.html": b"<title>ObjConnect leaderboard</title>",
+}
 
 
 def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
@@ -29,13 +38,15 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
             queries, two files of one run that differ, a damaged album or basin beside it, or
             ``out`` cannot be written.
     """
+    if out is not None:
+        claim((Output(out / name, mark) for name, mark in _MARKS.items()), results, within=out)
     found = groups(results)
     boards = [table(group) for group in found]
     lines = side_by_side(found)
     text = markdown(boards) + paper_markdown(lines, note())
     if out is not None:
         html = page(found)
-        write_text(out / "leaderboard.md", text)
-        write_text(out / "leaderboard.tex", latex(boards, lines, note()))
-        write_text(out / "leaderboard.html", html)
+        texts = (text, latex(boards, lines, note()), html)
+        for name, written in zip(_MARKS, texts, strict=True):
+            write_text(out / name, written)
     return text

@@ -3,31 +3,48 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
+import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from benchmark.evaluate import attempt, method_of
+from benchmark.journal import JournalOf, journal_path
+from benchmark.results import Environment, Named, PoseNumbers
 from benchmark.simulated import is_scene
-from benchmark.textfiles import pose_line, read_priors
+from benchmark.textfiles import pose_line, read_priors, require_same_case
+from ingest.attitude import gimbal_pose
 from scene.bundle import Scene
 from scene.camera import Camera
 from scene.colmap import read_map
+from scene.digests import digests
 from scene.errors import InputError
-from scene.files import parse_json, read_text, write_text
+from scene.files import parse_json, read_text, sha256_of, write_text
 from scene.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from scene.images import read_exif, read_rgb
+from scene.listing import PHOTOGRAPHS, files_in
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
+from scene.names import written, written_cell
+from scene.outputs import Output, claim
+from scene.pose import Pose
+from scene.printed import printed
 from scene.progress import progress_bar
 from scene.scratch import kept_or_scratch
 from scene.sparse_map import SparseMap
 
-_PHOTOGRAPHS = (".jpg", ".jpeg", ".png")
+log = logging.getLogger(__name__)
+
+# First line of the poses, and header of the table: without them a file is none of ours.
+_HEADER = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
+_TABLE = ".csv"
 _WHERE = ("e", "n", "u", "latitude", "longitude", "altitude")
 _COLUMNS = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
 
@@ -78,73 +95,228 @@ def localize(
     camera: Camera | None = None,
     priors: Path | None = None,
     gps_sigma_m: float = 10.0,
+    gimbal_sigma_deg: float = 5.0,
     cache: Path | None = None,
 ) -> list[Located]:
     """Localize every photograph of a folder and write ``out`` and, beside it, ``out`` as CSV.
 
     The text file has a line ``name qw qx qy qz tx ty tz`` (world to camera, metres) for each
     photograph found; the CSV has a row for each photograph: status, camera centre in the map's
-    frame, latitude, longitude, altitude, sigma and the reason of a failure.
+    frame, latitude, longitude, altitude, sigma and the reason of a failure. A photograph that
+    cannot be read, or has no camera, has failed for that reason. Answers are kept in a hidden
+    journal until the end: the same run, interrupted, goes on there.
 
     Args:
         place: the map.
         photographs: folder.
         localizer: method.
-        out: text file of the poses.
+        out: text file of the poses; it and the CSV replace nothing but files of this command.
         camera: of the photographs; None takes the map's own where it has one of their size.
-        priors: CSV of positions and attitudes; None takes positions from EXIF, where there are any.
+        priors: CSV of positions and attitudes; None takes positions from EXIF and the gimbal's
+            attitudes from XMP, where there are any.
         gps_sigma_m: standard deviation of EXIF positions, per axis.
-        cache: folder for the method's per-map state.
+        gimbal_sigma_deg: standard deviation of the gimbal's attitudes, per axis.
+        cache: folder for the method's per-map state; None keeps none.
 
     Raises:
-        InputError: no photograph, a damaged one, no camera for one, or ``out`` cannot be written.
+        InputError: no photograph, or none that can be read and has a camera; priors that cannot be
+            read or are of none of the photographs; outputs that would replace somebody else's file
+            or cannot be written.
     """
-    names = _photographs(photographs)
-    cameras = {name: camera or _camera(photographs / name, place) for name in names}
-    known = read_priors(priors) if priors is not None else None
-    with kept_or_scratch(cache, out.parent) as kept:
+    paths = {path.name: path for path in _photographs(photographs)}
+    table = _outputs(out, [*paths.values(), *([] if priors is None else [priors])])
+    asker = _Asker(place, camera, _priors(priors, paths), gps_sigma_m, gimbal_sigma_deg)
+    _require_one(asker, paths, photographs)
+    located: list[Located] = []
+    with (
+        JournalOf(journal_path(out), _key(place, localizer), Answer) as journal,
+        # Beside the output, where there is room for what is made per map.
+        kept_or_scratch(cache, out.parent) as kept,
+    ):
         localizer.prepare(place.sparse_map, place.images, kept)
-    located = []
-    with progress_bar(f"localize with {localizer.name}", len(names)) as advance:
-        for name in names:
-            path = photographs / name
-            prior = _exif_prior(path, place, gps_sigma_m) if known is None else known.get(name)
-            query = Query(name, read_rgb(path, cameras[name]), cameras[name], prior)
-            estimate = localizer.localize(query)
-            located.append(Located(name, estimate, _geodetic(estimate, place)))
-            advance(len(located))
-    write_text(out, _pose_lines(located))
-    write_text(out.with_suffix(".csv"), _table(located))
+        with progress_bar(f"localize with {localizer.name}", len(paths)) as advance:
+            for name, path in paths.items():
+                estimate = _answered(asker, localizer, journal, name, path)
+                located.append(Located(name, estimate, _geodetic(estimate, place)))
+                advance(len(located))
+        write_text(out, _pose_lines(located))
+        write_text(table, _table(located))
     return located
 
 
-def _photographs(folder: Path) -> list[str]:
+class Answer(Named):
+    """What the journal keeps of a photograph.
+
+    Attributes:
+        name: as ``scene.names.written`` has it: JSON cannot hold every name of a file.
+        asked: digest of the photograph, its camera and its prior.
+        status: and the rest: of the estimate.
+    """
+
+    asked: str
+    status: Status
+    reason: str
+    cam_from_world: PoseNumbers | None
+    covariance: tuple[float, ...] | None = Field(min_length=36, max_length=36)
+    inliers: int
+
+    @staticmethod
+    def of(name: str, asked: str, estimate: Estimate) -> Answer:
+        """To an estimate; a covariance with a number that is none says nothing."""
+        pose, covariance = estimate.cam_from_world, estimate.covariance
+        known = covariance is not None and np.isfinite(covariance).all()
+        return Answer(
+            name=written(name),
+            asked=asked,
+            status=estimate.status,
+            reason=printed(estimate.reason),
+            cam_from_world=None
+            if pose is None
+            else (*pose.quaternion().tolist(), *pose.translation.tolist()),
+            covariance=tuple(covariance.ravel().tolist())
+            if covariance is not None and known
+            else None,
+            inliers=estimate.inliers,
+        )
+
+    def estimate(self) -> Estimate:
+        """The answer as it was given."""
+        numbers, covariance = self.cam_from_world, self.covariance
+        return Estimate(
+            self.status,
+            None if numbers is None else Pose.from_quaternion(numbers[:4], numbers[4:]),
+            None if covariance is None else np.reshape(covariance, (6, 6)),
+            inliers=self.inliers,
+            reason=self.reason,
+        )
+
+
+@dataclass(frozen=True)
+class _Asker:
+    """How photographs are put to a method."""
+
+    place: Place
+    camera: Camera | None
+    priors: Mapping[str, Prior] | None
+    gps_sigma_m: float
+    gimbal_sigma_deg: float
+
+    def __call__(self, name: str, path: Path) -> Query:
+        """InputError: the photograph cannot be read, or has no camera."""
+        image = read_rgb(path, self.camera)
+        camera = self.camera or self._camera(path, image.shape[1], image.shape[0])
+        prior = self._exif_prior(path) if self.priors is None else self.priors.get(name)
+        return Query(name, image, camera, prior)
+
+    def _camera(self, path: Path, width: int, height: int) -> Camera:
+        """The map's camera of the photograph's size."""
+        cameras = {image.camera for image in self.place.sparse_map.images.values()}
+        fitting = [camera for camera in cameras if (camera.width, camera.height) == (width, height)]
+        if len(fitting) != 1:
+            raise InputError(
+                f"{path} is {width} x {height} pixels and the map has {len(fitting)} cameras of "
+                "that size: give its calibration with --camera 'MODEL width height params...'"
+            )
+        return fitting[0]
+
+    def _exif_prior(self, path: Path) -> Prior | None:
+        """Where the aircraft believed it was, and how its gimbal held the camera."""
+        exif, origin = read_exif(path), self.place.origin
+        if exif.position is None or origin is None:
+            return None
+        prior = Prior(enu_from_geodetic(exif.position, origin), np.full(3, self.gps_sigma_m))
+        if exif.gimbal is None:
+            return prior
+        return replace(
+            prior,
+            cam_from_world_rotation=gimbal_pose(*exif.gimbal).rotation.numpy(),
+            attitude_sigma_deg=self.gimbal_sigma_deg,
+        )
+
+
+def _photographs(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
-    names = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in _PHOTOGRAPHS)
-    if not names:
-        raise InputError(f"{folder} holds no photograph ({', '.join(_PHOTOGRAPHS)})")
-    return names
+    paths = files_in(folder, PHOTOGRAPHS)
+    if not paths:
+        raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)})")
+    return paths
 
 
-def _camera(path: Path, place: Place) -> Camera:
-    """The map's camera of the photograph's size."""
-    height, width = read_rgb(path).shape[:2]
-    images = place.sparse_map.images.values()
-    fitting = {i.camera for i in images if (i.camera.width, i.camera.height) == (width, height)}
-    if len(fitting) != 1:
+def _outputs(out: Path, inputs: Sequence[Path]) -> Path:
+    """The table beside the poses, when both may be written."""
+    if not out.name or out.suffix.lower() == _TABLE:
         raise InputError(
-            f"{path} is {width} x {height} pixels and the map has {len(fitting)} cameras of that "
-            "size: give its calibration with --camera 'MODEL width height params...'"
+            f"{out} cannot name the poses, for a table lies beside: let it end in .txt"
         )
-    return fitting.pop()
+    table = out.with_suffix(_TABLE)
+    claim([Output(out, _HEADER.encode()), Output(table, ",".join(_COLUMNS).encode())], inputs)
+    return table
 
 
-def _exif_prior(path: Path, place: Place, sigma_m: float) -> Prior | None:
-    position = read_exif(path).position
-    if position is None or place.origin is None:
+def _priors(path: Path | None, photographs: Mapping[str, Path]) -> dict[str, Prior] | None:
+    """Those of a table; None without one."""
+    if path is None:
         return None
-    return Prior(enu_from_geodetic(position, place.origin), np.full(3, sigma_m))
+    priors = read_priors(path)
+    require_same_case(path, priors, photographs)
+    without = [name for name in photographs if name not in priors]
+    if len(without) == len(photographs):
+        raise InputError(f"{path} has none of the photographs, such as {without[0]!r}")
+    if without:
+        log.warning("%s lacks %d of %d photographs", path, len(without), len(photographs))
+    return priors
+
+
+def _require_one(asker: _Asker, paths: Mapping[str, Path], folder: Path) -> None:
+    """InputError where not one photograph can be asked: nothing would come of the work."""
+    reason = ""
+    for name, path in paths.items():
+        try:
+            asker(name, path)
+            return
+        except InputError as error:
+            reason = reason or str(error)
+    several = f"none of the {len(paths)} photographs in {folder} can be localized: "
+    raise InputError((several if len(paths) > 1 else "") + reason)
+
+
+def _answered(
+    asker: _Asker, localizer: Localizer, journal: JournalOf[Answer], name: str, path: Path
+) -> Estimate:
+    """The method's answer, now or before an interruption; or why it cannot be asked."""
+    try:
+        query = asker(name, path)
+        asked = _digest(query, path)
+    except InputError as error:
+        return Estimate(Status.FAILED, reason=str(error))
+    except OSError as error:
+        return Estimate(Status.FAILED, reason=f"cannot read {path}: {error.strerror}")
+    before = journal.done.get(written(name))
+    if before is not None and before.asked == asked:
+        return before.estimate()
+    answer = Answer.of(name, asked, attempt(localizer, query))
+    journal.add(answer)
+    return answer.estimate()
+
+
+def _digest(query: Query, path: Path) -> str:
+    """Of the photograph's bytes and of all that the method is told beside them."""
+    words = [sha256_of(path), str(query.camera)]
+    prior = query.prior
+    if prior is not None:
+        told = (prior.position, prior.position_sigma, prior.cam_from_world_rotation)
+        words += ["" if numbers is None else str(numbers.tolist()) for numbers in told]
+        words.append(str(prior.attitude_sigma_deg))
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()
+
+
+def _key(place: Place, localizer: Localizer) -> str:
+    """Digest of all that decides the answers but the photographs."""
+    words = [method_of(localizer).model_dump_json(), place.sparse_map.sha256]
+    words += digests((place.images / name for name in place.sparse_map.names), "missing")
+    words.append(Environment.current().model_dump_json())
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
 def _geodetic(estimate: Estimate, place: Place) -> Geodetic | None:
@@ -159,7 +331,7 @@ def _centre(estimate: Estimate) -> NDArray[np.float64]:
 
 
 def _pose_lines(located: Sequence[Located]) -> str:
-    lines = ["# name qw qx qy qz tx ty tz  (world to camera, metres)"]
+    lines = [_HEADER]
     for item in located:
         pose = item.estimate.cam_from_world
         if item.found and pose is not None:
@@ -177,8 +349,9 @@ def _table(located: Sequence[Located]) -> str:
 
 def _rows(located: Sequence[Located]) -> Iterator[Mapping[str, Any]]:
     for item in located:
-        estimate, row = item.estimate, {"name": item.name, "status": item.estimate.status.value}
-        row |= {"inliers": str(estimate.inliers), "reason": estimate.reason}
+        estimate = item.estimate
+        row = {"name": written_cell(item.name), "status": estimate.status.value}
+        row |= {"inliers": str(estimate.inliers), "reason": printed(estimate.reason)}
         if estimate.cam_from_world is not None:
             row |= {k: f"{x:.4f}" for k, x in zip("enu", _centre(estimate), strict=True)}
             sigma = estimate.sigma_position()

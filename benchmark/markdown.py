@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 from benchmark.paper import TITLE, Line, columns
 from benchmark.results import TOTAL, Recall
 from benchmark.score import THRESHOLDS
 from benchmark.tables import Table, saturation
+from scene.printed import printed
+
+# What Markdown or HTML would take for markup. A line within a word is none.
+_MARKUP: Final = re.compile(r"[\\`*\[\]|~$]|(?<![^\W_])_|_(?![^\W_])")
+_HTML: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
+
+
+def escaped(text: str) -> str:
+    """A name from outside as Markdown shows it, on one line."""
+    return _MARKUP.sub(r"\\\g<0>", printed(text).translate(_HTML))
 
 
 def markdown(boards: Sequence[Table]) -> str:
@@ -20,8 +32,8 @@ def markdown(boards: Sequence[Table]) -> str:
         "are over the queries with a pose. Only rows of one table can be compared.",
     ]
     for board in boards:
-        lines += ["", f"## {board.track}: {board.dataset}", ""]
-        lines += [board.facts(), "", *_table(board)]
+        lines += ["", f"## {escaped(board.track)}: {escaped(board.dataset)}", ""]
+        lines += [escaped(board.facts()), "", *_table(board)]
         if note := saturation(board):
             lines += ["", note]
     return "\n".join(lines) + "\n"
@@ -34,7 +46,7 @@ def paper_markdown(lines: Sequence[Line], note: str) -> str:
     text.append(_line(["---", "---", *["--:"] * (len(header) - 2)]))
     for line in lines:
         cells = ["–" if cell is None else cell.text() for cell in line.cells]
-        text.append(_line([line.method, line.source, *cells]))
+        text.append(_line([escaped(line.method), escaped(line.source), *cells]))
     return "\n".join(text) + "\n"
 
 
@@ -48,8 +60,8 @@ def _table(board: Table) -> Iterator[str]:
         summary = row.summary
         yield _line(
             [
-                row.method,
-                row.condition,
+                escaped(row.method),
+                escaped(row.condition),
                 str(summary.queries),
                 *(_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 _number(summary.median_t_m),
@@ -61,7 +73,7 @@ def _table(board: Table) -> Iterator[str]:
 
 
 def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    return "| " + " | ".join(cells) + " |"
 
 
 def _recall(recall: Recall) -> str:

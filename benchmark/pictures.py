@@ -17,7 +17,9 @@ from scene.camera import Camera
 from scene.files import written_whole
 from scene.images import read_rgb
 from scene.localizer import Status
+from scene.marks import PNG_METADATA
 from scene.pose import Pose
+from scene.printed import drawn
 from scene.sparse_map import SparseMap
 
 # One point per cell of this many pixels: enough to judge by, few enough to see the ground.
@@ -89,13 +91,13 @@ def query_overlay(
     axes.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
     metres, degrees = estimated.error_to(query.reference)
     axes.set_title(
-        f"{query.name}  ({query.condition}), {method}: "
-        f"{float(metres):.3f} m, {float(degrees):.3f}° from the reference",
+        drawn(f"{query.name}  ({query.condition}), {method}: ")
+        + f"{float(metres):.3f} m, {float(degrees):.3f}° from the reference",
         fontsize=10,
     )
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     with written_whole(path) as partial:
-        figure.savefig(partial, format="png")
+        figure.savefig(partial, format="png", metadata=PNG_METADATA)
 
 
 def project_points(

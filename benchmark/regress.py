@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.paired import PairedChange, compare
-from benchmark.results import Results, load, results_files
+from benchmark.results import HEAD, Results, load, results_files
 from benchmark.score import THRESHOLDS, is_correct
+from benchmark.tables import ALL
 from scene.errors import InputError
 from scene.files import written_whole
+from scene.outputs import Output, claim, claim_folder
+from scene.printed import printed
 
 # Probability of a false alarm per baseline file, shared out among its comparisons (Bonferroni).
 _ALPHA: Final = 0.05
@@ -46,7 +49,7 @@ class Comparison:
         """One line for a person."""
         c = self.change
         verdict = "DROP" if self.dropped else "ok  "
-        return (
+        return printed(
             f"{verdict} {self.method} on {self.dataset} ({self.track}), {self.condition}, "
             f"{self.threshold}: {c.change:+.1f} points [{c.low:+.1f}, {c.high:+.1f}], "
             f"{c.lost} lost and {c.won} won of {c.queries}, p = {c.p_drop:.2g}"
@@ -86,6 +89,8 @@ def update(results: Path, baseline: Path) -> list[Path]:
         InputError: no results, or one of them is damaged or cannot be written.
     """
     names = _files(results)
+    claim_folder(baseline, [results])
+    claim((Output(baseline / name, HEAD) for name in names), (results / name for name in names))
     for name in names:
         load(results / name)  # a damaged file must not become the measure of others
     for name in names:
@@ -113,10 +118,10 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
         )
     by_name = {query.name: query for query in after.queries}
     conditions = dict.fromkeys(query.condition for query in before.queries)
-    scopes: Sequence[str] = ["all", *conditions] if len(conditions) > 1 else ["all"]
+    scopes: Sequence[str] = [ALL, *conditions] if len(conditions) > 1 else [ALL]
     level = _ALPHA / (len(scopes) * len(THRESHOLDS))
     for scope in scopes:
-        queries = [q for q in before.queries if scope in ("all", q.condition)]
+        queries = [q for q in before.queries if scope in (ALL, q.condition)]
         for threshold in THRESHOLDS:
             was = [is_correct(query, threshold) for query in queries]
             found = [by_name.get(query.name) for query in queries]

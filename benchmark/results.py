@@ -8,18 +8,30 @@ import re
 from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.score import THRESHOLDS, median_errors, recall
 from benchmark.uncertainty import consistency
 from scene.errors import InputError
-from scene.files import write_text
+from scene.files import parse_json, read_text, write_text
+from scene.listing import files_in
 from scene.localizer import Status
-from scene.manifest import read_json
+from scene.manifest import Condition, read_json
+from scene.outputs import Output, claim
+from scene.pose import FARTHEST_M
 
-PoseNumbers = tuple[float, float, float, float, float, float, float]
+# Beyond these a file's numbers are damage, and sums of them soon no numbers at all.
+_MOST: Final = 10**12
+LARGEST_NEES: Final = 1e100
+# Half a turn, and the last bits of a quaternion.
+_MOST_DEG: Final = 180.001
+_Number = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+_Length = Annotated[float, Field(ge=-10 * FARTHEST_M, le=10 * FARTHEST_M)]
+_Count = Annotated[int, Field(ge=0, le=_MOST)]
+_Time = Annotated[float, Field(ge=0, le=_MOST)]
+PoseNumbers = tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Number]
 
 # The stage that holds the whole time of a query, measured from outside the method.
 TOTAL = "total"
@@ -27,14 +39,25 @@ TOTAL = "total"
 # How files beside ``<method>.json`` end that are no results; see ``benchmark.basin``.
 BASIN: Final = ".basin.json"
 
+HEAD: Final = b'{\n "schema": 1,\n "method": {'
+"""First bytes of results and of basins: a file without them is none of ours."""
+
 # Stored and recomputed figures agree to this relative difference, or the file was changed.
 _TOLERANCE = 1e-9
 # Width of a band of altitude.
 _BAND_M = 30
+# What a method of another program is configured by.
+_POSES = "poses"
 
 
 class _File(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Named(_File):
+    """What a journal keeps: an answer, by the name of its photograph."""
+
+    name: str
 
 
 class Method(_File):
@@ -43,6 +66,16 @@ class Method(_File):
     name: str
     config: dict[str, Any]
     weights_sha256: str | None
+
+    @staticmethod
+    def elsewhere(name: str, poses_sha256: str) -> Method:
+        """Another program, of which the poses are all that is known."""
+        return Method(name=name, config={_POSES: poses_sha256}, weights_sha256=None)
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether another program was run."""
+        return set(self.config) == {_POSES}
 
 
 class DatasetId(_File):
@@ -134,7 +167,7 @@ class Summary(_File):
     peak_memory_mb: float | None
 
 
-class QueryResult(_File):
+class QueryResult(Named):
     """One query.
 
     Attributes:
@@ -154,20 +187,19 @@ class QueryResult(_File):
         seconds: by stage.
     """
 
-    name: str
-    condition: str
+    condition: Condition
     group: str
-    altitude_m: float
+    altitude_m: _Length
     status: Status
     reason: str
-    t_err_m: float | None = Field(ge=0)
-    r_err_deg: float | None = Field(ge=0)
+    t_err_m: _Length | None = Field(ge=0)
+    r_err_deg: float | None = Field(ge=0, le=_MOST_DEG)
     cam_from_world: PoseNumbers | None
-    sigma_t_m: float | None
-    nees: float | None = Field(ge=0)
-    iterations: int
-    inliers: int
-    seconds: dict[str, float]
+    sigma_t_m: _Length | None
+    nees: float | None = Field(ge=0, le=LARGEST_NEES)
+    iterations: _Count
+    inliers: _Count
+    seconds: dict[str, _Time]
 
 
 class Results(_File):
@@ -220,6 +252,33 @@ class Results(_File):
             InputError: the folder cannot be written.
         """
         write_text(path, self.model_dump_json(indent=1, by_alias=True) + "\n")
+
+
+def claim_results(path: Path, method: Method, out: Path) -> None:
+    """Refuse, before any work, results that would replace what they must not.
+
+    Results of the same name are replaced only by those of the same command: what was measured here
+    never by poses from elsewhere, nor these by it.
+
+    Args:
+        path: of the results to be.
+        method: they are of.
+        out: folder of all results.
+
+    Raises:
+        InputError: another command wrote the results there, or as ``scene.outputs.claim``.
+    """
+    claim([Output(path, HEAD)], within=out)
+    try:
+        before = Method.model_validate(parse_json(read_text(path, "results file"))["method"])
+    except (ValueError, KeyError, TypeError):
+        return  # none, or damaged ones
+    if before.is_elsewhere != method.is_elsewhere:
+        writer = "score" if before.is_elsewhere else "evaluate"
+        mend = "remove it" if before.is_elsewhere else "choose another --method"
+        raise InputError(
+            f"{path} holds results that {writer} wrote: {mend}, or choose another --out"
+        )
 
 
 def summarize(
@@ -316,12 +375,7 @@ def results_files(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise InputError(f"results {path} do not exist")
-    found = sorted(
-        file
-        for level in ("*.json", "*/*.json")
-        for file in path.glob(level)
-        if not file.name.endswith(BASIN)
-    )
+    found = [file for file in files_in(path, (".json",), depth=2) if not file.name.endswith(BASIN)]
     if not found:
         raise InputError(f"{path} holds no results file (<dataset>/<method>.json)")
     return found

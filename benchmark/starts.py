@@ -20,16 +20,19 @@ from baselines.features import map_features
 from baselines.retrieval import OnDemand, VladIndex
 from baselines.sift import Sift, SiftConfig
 from benchmark.datasets import BenchmarkQuery, Dataset
+from benchmark.textfiles import read_pairs
 from scene.errors import InputError
 from scene.files import read_text
 from scene.images import read_rgb
 from scene.localizer import Prior, Query
-from scene.pose import Pose, so3_exp
+from scene.pose import FARTHEST_M, Pose, so3_exp
 from scene.sparse_map import SparseMap
 
 _ERROR: Final = re.compile(r"error=([0-9.]+)m,([0-9.]+)deg")
-_TOP: Final = re.compile(r"retrieval(?:=([1-9][0-9]*))?")
+_TOP: Final = re.compile(r"retrieval(?:=([1-9][0-9]{0,8}))?")
 _USUAL_TOP: Final = 10
+# No rotation turns further.
+_MOST_DEG: Final = 180.0
 
 Ask = Callable[[BenchmarkQuery], Query]
 """Loads a query with what its start allows."""
@@ -116,7 +119,15 @@ def parse_start(text: str) -> Start:
             metres, degrees = float(found.group(1)), float(found.group(2))
         except ValueError:
             raise InputError(f"start {text!r}: not a number of metres and degrees") from None
-        return Start(f"error={metres:g}m,{degrees:g}deg", "error", metres=metres, degrees=degrees)
+        if metres > FARTHEST_M or degrees > _MOST_DEG:
+            raise InputError(
+                f"start {text!r}: an error is at most {FARTHEST_M:g} metres and {_MOST_DEG:g} "
+                "degrees"
+            )
+        # Never as 1e+06, which is no word of a start.
+        size = [np.format_float_positional(value, trim="-") for value in (metres, degrees)]
+        name = "error={}m,{}deg".format(*size)
+        return Start(name, "error", metres=metres, degrees=degrees)
     if text.startswith("pairs="):
         return _pairs(Path(text.removeprefix("pairs=")))
     raise InputError(
@@ -168,16 +179,6 @@ def _similar(
 
 
 def _pairs(path: Path) -> Start:
-    text = read_text(path, "pair list")
-    pairs: dict[str, list[str]] = {}
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        if len(words) != 2:
-            raise InputError(f"{path}:{number}: expected 'query reference', got {line.strip()!r}")
-        pairs.setdefault(words[0], []).append(words[1])
-    if not pairs:
-        raise InputError(f"pair list {path} holds no pair")
-    name = f"pairs={hashlib.sha256(text.encode()).hexdigest()[:12]}"
-    return Start(name, "pairs", pairs={query: tuple(found) for query, found in pairs.items()})
+    pairs = read_pairs(path)
+    digest = hashlib.sha256(read_text(path, "pair list").encode()).hexdigest()
+    return Start(f"pairs={digest[:12]}", "pairs", pairs=pairs)

@@ -11,15 +11,18 @@ from benchmark.cmu import Slice, open_slices
 from benchmark.textfiles import pose_line
 from scene.colmap import read_map
 from scene.digests import digests
-from scene.errors import InputError
+from scene.errors import InputError, WriteError
 from scene.files import read_text, write_text
 from scene.images import read_rgb
 from scene.localizer import Localizer, Query, Status
+from scene.outputs import Output, claim, claim_folder
 from scene.progress import progress_bar
 from scene.scratch import kept_or_scratch
 
 SUBMISSION: Final = "submission.txt"
 _DECIMALS: Final = 6
+# Every finished slice begins so.
+_HEAD: Final = b"# finished by objconnect: "
 
 
 def submit(
@@ -46,6 +49,15 @@ def submit(
             ``out`` cannot be written.
     """
     chosen = open_slices(path)
+    claim_folder(out, [path, *(part.folder for part in chosen)])
+    finished = [out / "slices" / f"{part.folder.name}.txt" for part in chosen]
+    claim([*(Output(file, _HEAD) for file in finished), out / SUBMISSION], within=out)
+    if (out / SUBMISSION).exists() and not any(file.is_file() for file in finished):
+        # The server takes no line but poses, so that a submission can carry no mark.
+        raise WriteError(
+            f"cannot write {out / SUBMISSION}: it stands there without the slices of an earlier "
+            "run: choose another --out"
+        )
     seen: dict[str, Slice] = {}
     for part in chosen:
         for name in part.queries:
@@ -56,8 +68,8 @@ def submit(
                 )
             seen[name] = part
     lines: list[str] = []
-    for part in chosen:
-        lines += _slice(part, localizer, out / "slices" / f"{part.folder.name}.txt", cache)
+    for part, file in zip(chosen, finished, strict=True):
+        lines += _slice(part, localizer, file, cache)
     write_text(out / SUBMISSION, "".join(f"{line}\n" for line in lines))
     return len(lines), len(seen)
 
@@ -69,7 +81,7 @@ def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) ->
     words += [sparse_map.sha256, *digests(part.folder / "database" / n for n in sparse_map.names)]
     words += [f"{name} {part.camera(name)}" for name in part.queries]
     words += digests(part.folder / "query" / name for name in part.queries)
-    header = f"# {hashlib.sha256(json.dumps(words).encode()).hexdigest()}"
+    header = f"{_HEAD.decode()}{hashlib.sha256(json.dumps(words).encode()).hexdigest()}"
     if path.is_file():
         first, *lines = read_text(path, "finished slice").splitlines() or [""]
         if first == header:

@@ -13,6 +13,8 @@ from benchmark.results import Results, Summary, load, results_files
 from benchmark.score import THRESHOLDS
 from scene.errors import InputError
 from scene.files import sha256_of
+from scene.manifest import ALL_CONDITIONS
+from scene.printed import printed
 
 log = logging.getLogger(__name__)
 
@@ -20,7 +22,7 @@ log = logging.getLogger(__name__)
 _BAR: Final = "sift"
 _SATURATED: Final = 99.0
 
-ALL: Final = "all"
+ALL: Final = ALL_CONDITIONS
 _STARTS: Final = {
     "prior": "each query's own prior",
     "none": "no prior",
@@ -146,11 +148,16 @@ def saturation(board: Table) -> str | None:
         ]
         if full:
             notes.append(
-                f"Saturated: under `{condition}`, the map's own condition, SIFT + PnP already "
-                f"reaches {_SATURATED:g} % or more at {', '.join(full)}; another method can only "
-                "keep up there."
+                f"Saturated: under `{_code(condition)}`, the map's own condition, SIFT + PnP "
+                f"already reaches {_SATURATED:g} % or more at {', '.join(full)}; another method "
+                "can only keep up there."
             )
     return "\n".join(notes) or None
+
+
+def _code(name: str) -> str:
+    """A name between Markdown's backticks."""
+    return printed(name).replace("`", "'")
 
 
 def _distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:

@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.camera import Camera
+from scene.camera import MODELS, Camera
 from scene.colmap_files import check_pose
 from scene.errors import InputError
 from scene.files import inside, read_text
 from scene.localizer import Prior
-from scene.pose import Pose
+from scene.names import from_cell, leading_name, words, written
+from scene.pose import FARTHEST_M, Pose
+from scene.tables import read_table
 
 _POSE: Final = ("name", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
 _PRIOR: Final = ("name", "e", "n", "u", "sigma_m", "qw", "qx", "qy", "qz", "sigma_deg")
 _GPS: Final = ("name", "e", "n", "u")
+
+# A sigma below this (m, deg) is none of a receiver or a gimbal, and weights beyond all numbers.
+_LEAST_SIGMA: Final = 1e-6
+
+# A name ends where the model of a camera begins.
+_MODEL: Final = re.compile(rf"\s+(?=({'|'.join(MODELS)})(\s|$))")
+_SPACE: Final = re.compile(r"\s+")
 
 T = TypeVar("T")
 
@@ -28,33 +37,38 @@ T = TypeVar("T")
 def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
     """Read ``name qw qx qy qz tx ty tz`` lines, world to camera, metres; in the file's order.
 
+    Names are as ``scene.names.written`` has them; one without quotes may hold spaces, too.
+
     Args:
         path: of the file.
         centres: the last three columns are the camera's centre in the world, not the translation.
 
     Raises:
         InputError: unreadable file, wrong number of columns, a number that is none or not finite, a
-            quaternion off unit length by more than 0.001, or a name given twice.
+            quaternion off unit length by more than 0.001, a camera further from the map than
+            anything on earth, or a name given twice.
     """
     poses: dict[str, Pose] = {}
-    for where, words in _lines(path, "pose file"):
-        if len(words) != len(_POSE):
+    for where, line in _lines(path, "pose file"):
+        try:
+            name, numbers = leading_name(line, len(_POSE) - 1)
+        except ValueError as error:
             raise InputError(
-                f"{where}: expected {len(_POSE)} columns ({' '.join(_POSE)}), got {len(words)}"
-            )
-        numbers = _numbers(where, words[1:])
-        check_pose(numbers[:4], numbers[4:], f"{where}: {words[0]}")
-        pose = Pose.from_quaternion(numbers[:4], numbers[4:])
+                f"{where}: expected {len(_POSE)} columns ({' '.join(_POSE)}), {error}"
+            ) from None
+        values = _numbers(where, numbers)
+        check_pose(values[:4], values[4:], f"{where}: {name}")
+        pose = Pose.from_quaternion(values[:4], values[4:])
         if centres:
             pose = Pose(pose.rotation, -(pose.rotation @ pose.translation))
-        _add(poses, words[0], pose, where)
+        _add(poses, name, pose, where)
     return poses
 
 
 def pose_line(name: str, cam_from_world: Pose, decimals: int) -> str:
     """A line that ``read_poses`` reads, without its end: ``name qw qx qy qz tx ty tz``."""
     numbers = [*cam_from_world.quaternion().tolist(), *cam_from_world.translation.tolist()]
-    return " ".join([name, *(f"{number:.{decimals}f}" for number in numbers)])
+    return " ".join([written(name), *(f"{number:.{decimals}f}" for number in numbers)])
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
@@ -64,15 +78,45 @@ def read_cameras(path: Path) -> dict[str, Camera]:
         InputError: unreadable file, a line that is no camera, or a name given twice.
     """
     cameras: dict[str, Camera] = {}
-    for where, words in _lines(path, "query list"):
+    for where, line in _lines(path, "query list"):
         try:
-            _add(cameras, words[0], Camera.parse(words[1:]), where)
-        except InputError as error:
-            message = str(error)
-            raise InputError(
-                message if message.startswith(where) else f"{where}: {error}"
-            ) from None
+            name, camera = _camera_of(line)
+        except ValueError as error:
+            raise InputError(f"{where}: {error}") from None
+        _add(cameras, name, camera, where)
     return cameras
+
+
+def _camera_of(line: str) -> tuple[str, Camera]:
+    """A name, which may hold spaces where a camera's model follows it, and the camera."""
+    if line.startswith('"'):
+        name, *rest = words(line)
+        return name, Camera.parse(rest)
+    model = _MODEL.search(line) or _SPACE.search(line)
+    if model is None:
+        return line, Camera.parse([])
+    return line[: model.start()], Camera.parse(line[model.end() :].split())
+
+
+def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
+    """Read the pair list of hloc: lines ``query reference``; references by query, in order.
+
+    Raises:
+        InputError: unreadable file, a line of other than two names, or no line.
+    """
+    pairs: dict[str, list[str]] = {}
+    for where, line in _lines(path, "pair list"):
+        try:
+            query, reference = words(line)
+        except ValueError:
+            raise InputError(
+                f"{where}: expected 'query reference', got {line!r}; names with spaces stand in "
+                "double quotes"
+            ) from None
+        pairs.setdefault(query, []).append(reference)
+    if not pairs:
+        raise InputError(f"pair list {path} holds no pair")
+    return {query: tuple(references) for query, references in pairs.items()}
 
 
 def read_priors(path: Path) -> dict[str, Prior]:
@@ -82,15 +126,20 @@ def read_priors(path: Path) -> dict[str, Prior]:
         InputError: as ``read_poses``, or a sigma that is not positive.
     """
     priors: dict[str, Prior] = {}
-    for where, row in _table(path, "priors", _PRIOR):
+    for where, row in read_table(path, "priors", _PRIOR):
         numbers = _numbers(where, [row[column] for column in _PRIOR[1:]])
         position, sigma, quaternion, sigma_deg = numbers[:3], numbers[3], numbers[4:8], numbers[8]
         check_pose(quaternion, position, f"{where}: {row['name']}")
         if sigma <= 0 or sigma_deg <= 0:
             raise InputError(f"{where}: sigma_m and sigma_deg must be positive")
+        if not (min(sigma, sigma_deg) >= _LEAST_SIGMA and max(sigma, sigma_deg) <= FARTHEST_M):
+            raise InputError(
+                f"{where}: sigma_m and sigma_deg must lie between {_LEAST_SIGMA:g} and "
+                f"{FARTHEST_M:g}"
+            )
         rotation = Pose.from_quaternion(quaternion, np.zeros(3)).rotation.numpy()
         prior = Prior(position, np.full(3, sigma), rotation, float(sigma_deg))
-        _add(priors, row["name"], prior, where)
+        _add(priors, _name(where, row), prior, where)
     return priors
 
 
@@ -99,35 +148,52 @@ def read_gps(path: Path) -> dict[str, NDArray[np.float64]]:
 
     Raises:
         InputError: unreadable file, a missing column, wrong number of columns, a number that is
-            none or not finite, or a name given twice.
+            none, not finite or not on earth, or a name given twice.
     """
     fixes: dict[str, NDArray[np.float64]] = {}
-    for where, row in _table(path, "GPS table", _GPS):
-        _add(fixes, row["name"], _numbers(where, [row[column] for column in _GPS[1:]]), where)
+    for where, row in read_table(path, "GPS table", _GPS):
+        position = _numbers(where, [row[column] for column in _GPS[1:]])
+        if np.abs(position).max() > FARTHEST_M:
+            raise InputError(f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away")
+        _add(fixes, _name(where, row), position, where)
     return fixes
 
 
-def _lines(path: Path, what: str) -> Iterator[tuple[str, list[str]]]:
-    """Where each line is, as ``file:line``, and its words; comments and blank lines are skipped."""
-    for number, line in enumerate(read_text(path, what).splitlines(), 1):
-        words = line.split()
-        if words and not words[0].startswith("#"):
-            yield f"{path}:{number}", words
+def require_same_case(path: Path, listed: Collection[str], photographs: Collection[str]) -> None:
+    """Refuse a table whose names differ from those of the photographs in capitals alone: on another
+    file system, or after a rename, every row of it would go unused without a word.
+
+    Args:
+        path: of the table.
+        listed: names in it.
+        photographs: names they may be of.
+
+    Raises:
+        InputError: it names a photograph only so.
+    """
+    of = {name.casefold(): name for name in photographs if name not in listed}
+    for name in listed:
+        photograph = of.get(name.casefold())
+        if photograph is not None and name not in photographs:
+            raise InputError(
+                f"{path} lists {name!r}, but the photograph is called {photograph!r}: write names "
+                "as the files have them"
+            )
 
 
-def _table(path: Path, what: str, columns: Sequence[str]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Where each row of a CSV file is, and its values by column; other columns may be there too."""
-    rows = csv.reader(read_text(path, what).splitlines())
-    header = [name.strip() for name in next(rows, [])]
-    missing = [column for column in columns if column not in header]
-    if missing:
-        raise InputError(f"{path}:1: {what} lacks the column {', '.join(missing)}")
-    for values in rows:
-        where = f"{path}:{rows.line_num}"
-        if values and len(values) != len(header):
-            raise InputError(f"{where}: expected {len(header)} columns, got {len(values)}")
-        if values:
-            yield where, dict(zip(header, (v.strip() for v in values), strict=True))
+def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
+    """Where each line is, as ``file:line``, and the line; comments and blank lines are skipped."""
+    for number, line in enumerate(read_text(path, what).split("\n"), 1):
+        stripped = line.strip()
+        if stripped and not stripped.startswith("#"):
+            yield f"{path}:{number}", stripped
+
+
+def _name(where: str, row: Mapping[str, str]) -> str:
+    try:
+        return from_cell(row["name"])
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def _numbers(where: str, words: Sequence[str]) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ and so the page opens wherever a browser does, without a library and without a n
 from __future__ import annotations
 
 import base64
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,8 +28,11 @@ from scene.errors import InputError
 from scene.files import write_text
 from scene.images import read_rgb
 from scene.manifest import SceneObject
+from scene.marks import PNG_MARK
 from scene.object_points import objects_of_points
+from scene.outputs import Output, claim
 from scene.pose import Pose
+from scene.printed import printed
 from scene.progress import progress_bar
 from scene.sparse_map import MapImage, SparseMap
 from simulate.place.world import rectangle
@@ -40,6 +44,11 @@ MOST_POINTS: Final = {"sparse": 150_000, "added": 20_000, "dense": 250_000}
 MOST_PHOTOGRAPHS: Final = 300
 """Photographs that a page holds; of more, so many evenly spread over their order."""
 
+log = logging.getLogger(__name__)
+
+_ENDINGS = (".html", ".htm")
+# Stands near the beginning of every page.
+_MARK = b"<title>ObjConnect scene</title>"
 _SIDE = 360
 # Points stand on a grid of so many steps along each side of their cloud.
 _STEPS = 65535
@@ -125,30 +134,35 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> V
         path: of a finished scene with its map.
         results: files that ``evaluate`` wrote for this scene, or folders with such files.
         out: of the page, an HTML file, the picture beside it as PNG; else both lie among the
-            scene's pictures.
+            scene's pictures. Files there are replaced only if this command wrote them.
 
     Raises:
-        InputError: not a finished scene, no map, a damaged file, or results of other photographs.
+        InputError: not a finished scene, no map, a damaged file, results of other photographs or
+            of other scenes alone, or ``out`` cannot be written.
     """
     scene = Scene.open(path)
+    page, picture = _outputs(path, results, out)
     sparse_map = scene.sparse_map()
     added = scene.added_points(sparse_map)
-    page = path / PAGE if out is None else out
-    picture = path / PICTURE if out is None else out.with_suffix(".png")
-    if page == picture:
-        raise InputError(f"{page} is no name for a page: let it end in .html")
     poses = {
         name: pose
         for session in scene.sessions
         for name, pose in zip(*_posed(scene, session), strict=True)
     }
-    found = []
+    found, others = [], []
     for source in results:
         for file in results_files(source):
             read = load(file)
             # A folder may hold other data sets beside this one.
             if source.is_file() or read.dataset.name == scene.name:
                 found.append(_method(read, poses, file))
+            else:
+                others.append(read.dataset.name)
+    if others:
+        named = ", ".join(printed(name) for name in dict.fromkeys(others))
+        if not found:
+            raise InputError(f"the results are of {named}, none of the scene {scene.name}")
+        log.warning("not shown are %d results of %s", len(others), named)
     clouds = _clouds(scene, sparse_map, added)
     things = _things(scene, sparse_map, added)
     ways = [
@@ -159,6 +173,18 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> V
     write_text(page, fill("view", _data(scene, sparse_map, poses, clouds, things, ways, found)))
     draw(scene.name, sparse_map.centres, clouds, things, ways, found, picture)
     return View(page, picture, {cloud.layer: len(cloud.xyz) for cloud in clouds})
+
+
+def _outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Path, Path]:
+    """Page and picture, none of which may replace what this command did not write."""
+    if out is None:
+        claim([path / PAGE, path / PICTURE], within=path)
+        return path / PAGE, path / PICTURE
+    if out.suffix.lower() not in _ENDINGS:
+        raise InputError(f"{out} is no name for a page: let it end in .html")
+    picture = out.with_suffix(".png")
+    claim([Output(out, _MARK), Output(picture, PNG_MARK)], [path, *results])
+    return out, picture
 
 
 def _posed(scene: Scene, session: str) -> tuple[tuple[str, ...], list[Pose]]:

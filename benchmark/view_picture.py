@@ -13,6 +13,8 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from scene.files import written_whole
+from scene.marks import PNG_METADATA
+from scene.printed import drawn
 
 if TYPE_CHECKING:
     from benchmark.view import Cloud, Method, Thing
@@ -67,18 +69,19 @@ def draw(
             ax.plot(*way[:, :2].T, "-", color="0.3", linewidth=0.8)
         for number, method in enumerate(methods):
             _draw_method(ax, method, f"C{number + 1}")
-        words = [name, *([state] if state else [])]
+        words = [drawn(name), *([state] if state else [])]
         words += [f"{having} of {len(small)} small objects have a point"] if small else []
         ax.set_title(", ".join(words), fontsize=10)
         ax.set(aspect="equal", xlabel="east (m)", ylabel="north (m)")
         ax.legend(loc="upper left", fontsize=8)
     with written_whole(path) as partial:
-        figure.savefig(partial, format="png", dpi=_DPI)
+        figure.savefig(partial, format="png", dpi=_DPI, metadata=PNG_METADATA)
 
 
 def _draw_method(ax: Axes, method: Method, colour: str) -> None:
     """Estimates, each joined with where its camera truly was."""
-    label = method.name
+    # A label that begins with a line is none to Matplotlib.
+    label = drawn(method.name).lstrip("_") or "a method"
     for query in method.queries:
         if query.centre is None:
             continue

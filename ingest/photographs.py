@@ -11,6 +11,7 @@ from scene.colmap import Photograph
 from scene.errors import InputError
 from scene.files import sha256_of
 from scene.images import Exif, image_size, read_exif
+from scene.listing import files_in
 from scene.printed import printed
 from scene.progress import progress_bar
 
@@ -70,14 +71,8 @@ def read_roll(folder: Path) -> Roll:
     """
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
-    found = (path.relative_to(folder) for path in folder.rglob("*"))
-    files = sorted(
-        path.as_posix()
-        for path in found
-        if path.suffix.lower() in _ENDINGS
-        and not (folder / path).is_dir()
-        and not any(part.startswith(".") for part in path.parts)
-    )
+    found = files_in(folder, _ENDINGS, depth=None)
+    files = sorted(path.relative_to(folder).as_posix() for path in found)
     if not files:
         raise InputError(f"{folder} holds no photograph ({', '.join(_ENDINGS)})")
     shots: dict[str, Shot] = {}

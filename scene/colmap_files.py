@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scene.camera import MODELS, Camera
 from scene.errors import InputError
 from scene.files import inside, require_readable
-from scene.pose import Pose
+from scene.pose import FARTHEST_M, Pose
 from scene.sparse_map import MapImage, SparseMap
 
 MODEL_FILES: Final = ("cameras.bin", "images.bin", "points3D.bin")
@@ -220,6 +220,9 @@ def _read_points(
     if not np.isfinite(table[:, :3]).all():
         bad = int(ids[~np.isfinite(table[:, :3]).all(1)][0])
         raise InputError(f"{path}: point {bad} has a coordinate that is not finite")
+    if n and np.abs(table[:, :3]).max() > FARTHEST_M:
+        far = int(ids[(np.abs(table[:, :3]) > FARTHEST_M).any(1)][0])
+        raise InputError(f"{path}: point {far} lies more than {FARTHEST_M:g} m away")
     if (ids[1:] == ids[:-1]).any():
         raise InputError(f"{path}: two points share an identifier")
     return (
@@ -237,11 +240,13 @@ def check_pose(
     """Refuse a pose no rigid camera has.
 
     Raises:
-        InputError: a number is not finite or the quaternion is not of unit length; the message
-            begins with ``where``.
+        InputError: a number is not finite, the camera is further away than anything on earth, or
+            the quaternion is not of unit length; the message begins with ``where``.
     """
     if not (np.isfinite(quaternion).all() and np.isfinite(translation).all()):
         raise InputError(f"{where} has a pose that is not finite")
+    if np.abs(translation).max() > FARTHEST_M:
+        raise InputError(f"{where} has a pose more than {FARTHEST_M:g} m away")
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1) > _UNIT_TOLERANCE:
         raise InputError(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from scene.errors import InputError
 from scene.files import read_text
@@ -16,11 +16,28 @@ from scene.files import read_text
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "configs"
 """Where the configurations lie that come with the project."""
 
+LARGEST: Final = 2**31 - 1
+"""Of the numbers in a configuration, either way: seeds, counts, pixels, metres, seconds."""
+
 
 class Config(BaseModel):
-    """Base of every configuration: immutable, and an unknown key is an error."""
+    """Base of every configuration: immutable, and an unknown key is an error.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    So are numbers that nothing here has: infinite ones, and those that do not fit into 31 bits and
+    a sign, which libraries cut off, or fail on when the work has long begun.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*")
+    @classmethod
+    def _not_huge(cls, value: Any) -> Any:
+        if isinstance(value, int | float) and abs(value) > LARGEST:
+            raise ValueError(f"numbers here are at most {LARGEST}")
+        if isinstance(value, tuple | list):
+            for item in value:
+                cls._not_huge(item)
+        return value
 
 
 M = TypeVar("M", bound=BaseModel)

@@ -18,6 +18,7 @@ from scene.covisibility import COVISIBLE
 from scene.errors import InputError
 from scene.files import folder_written_whole
 from scene.frames import Frames
+from scene.names import written
 
 Format = Literal["colmap", "nerfstudio", "tum", "hloc", "cmu"]
 
@@ -57,13 +58,15 @@ def export(
 
     Raises:
         InputError: not a finished scene, no such session, ``out`` holds something, nothing to
-            write, or a camera that the format cannot hold.
+            write, ``out`` lies in the scene, or a camera that the format cannot hold.
     """
     if file_format not in get_args(Format):
         raise InputError(
             f"unknown format {file_format!r}: choose one of {', '.join(get_args(Format))}"
         )
     scene = Scene.open(path)
+    if out.resolve().is_relative_to(path.resolve()):
+        raise InputError(f"{out} lies in the scene itself: choose a folder outside it")
     chosen = {name: scene.frames(name) for name in dict.fromkeys(sessions or scene.sessions)}
     require_empty(out)
     write = _WRITERS[file_format]
@@ -168,15 +171,17 @@ def _write_hloc(scene: Scene, sessions: Mapping[str, Frames], folder: Path, fina
     among = scene.covisibility.of([*references, *queries])
     mutual = among.mutual[: len(references), : len(references)]
     map_pairs = [
-        f"{references[i]} {references[j]}\n" for i, j in np.argwhere(np.triu(mutual) >= COVISIBLE)
+        f"{written(references[i])} {written(references[j])}\n"
+        for i, j in np.argwhere(np.triu(mutual) >= COVISIBLE)
     ]
     query_pairs = []
     for k, query in enumerate(queries, len(references)):
         shares = among.overlap[k, : len(references)]
         best = np.argsort(-shares, kind="stable")[:_PAIRS_PER_QUERY]
-        query_pairs += [f"{query} {references[j]}\n" for j in best if shares[j] >= COVISIBLE]
+        seen = [references[j] for j in best if shares[j] >= COVISIBLE]
+        query_pairs += [f"{written(query)} {written(name)}\n" for name in seen]
     lists = {
-        "queries_with_intrinsics.txt": [f"{name} {cameras[name]}\n" for name in queries],
+        "queries_with_intrinsics.txt": [f"{written(name)} {cameras[name]}\n" for name in queries],
         "pairs-map.txt": map_pairs,
         "pairs-query.txt": query_pairs,
     }

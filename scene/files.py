@@ -376,7 +376,8 @@ def read_text(path: Path, what: str) -> str:
             raise InputError(
                 f"cannot read {what} {path}: it is larger than {_LONGEST_TEXT >> 30} GiB"
             )
-        return path.read_text(encoding="utf-8")
+        # Windows programs begin a text with a mark of the order of its bytes.
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not a UTF-8 text file"
         raise InputError(f"cannot read {what} {path}: {reason}") from error

@@ -16,7 +16,7 @@ from scene.camera import Camera
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.files import inside, written_whole
 from scene.hdf5 import array, dataset
-from scene.pose import Pose
+from scene.pose import FARTHEST_M, Pose
 
 Layer = Literal["depth", "instance", "semantic", "normal"]
 LAYERS: dict[Layer, np.dtype[Any]] = {
@@ -193,7 +193,7 @@ def read_frames(path: Path) -> Frames:
 
     Raises:
         InputError: missing or damaged file, arrays of the wrong shape, or a number that is not
-            finite; the message names the first frame at fault.
+            finite or not on earth; the message names the first frame at fault.
     """
     with _opened(path) as file:
         try:
@@ -219,6 +219,11 @@ def read_frames(path: Path) -> Frames:
         finite = np.isfinite(values).all(tuple(range(1, values.ndim))) | absent[key]
         if not finite.all():
             raise InputError(f"{path}: {key} of frame {names[int(finite.argmin())]} is not finite")
+        near = (np.abs(values) <= FARTHEST_M).all(tuple(range(1, values.ndim))) | absent[key]
+        if key != "time" and not near.all():
+            raise InputError(
+                f"{path}: {key} of frame {names[int(near.argmin())]} is beyond {FARTHEST_M:g}"
+            )
     for name in names:
         if not inside(name):
             raise InputError(f"{path}: frame {name!r} does not lie in the scene")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,16 @@ def _folder(value: str) -> str:
     return _name(value)
 
 
+def _condition(value: str) -> str:
+    if value == ALL_CONDITIONS:
+        raise ValueError(f"no condition can be called {value!r}: tables call all of them so")
+    return value
+
+
+ALL_CONDITIONS: Final = "all"
+"""How tables call all conditions of a data set together, and so the name of none."""
+
+Condition = Annotated[str, AfterValidator(_condition)]
 Name = Annotated[str, AfterValidator(_name)]
 FolderName = Annotated[str, AfterValidator(_folder)]
 
@@ -71,7 +81,7 @@ class Session(_File):
             each row's own pose.
     """
 
-    condition: str
+    condition: Condition
     flight: str
     role: Literal["map", "query", "both"]
     change: DeclaredChange = DeclaredChange()

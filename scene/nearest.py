@@ -39,7 +39,7 @@ class Nearest:
             begin = int(first.searchsorted(place[0] - reach))
             end = int(first.searchsorted(place[0] + reach, "right"))
             squares = np.square(self._xy[begin:end] - place).sum(1)
-            within = np.flatnonzero(squares <= reach**2)
+            within = np.flatnonzero(squares <= reach * reach)  # ** of a large one is an error
             if end - begin == count:
                 within = np.arange(count)
             if len(within) >= k:

@@ -10,9 +10,14 @@ left, ``exp(delta) @ pose``. All Jacobians and covariances of the project use th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor
+
+FARTHEST_M: Final = 1e8
+"""Nothing on earth lies further from a map's origin: a larger coordinate in a file is damage, and
+its square is soon beyond all numbers."""
 
 # Below this angle (rad) the closed forms lose digits and their Taylor series are exact in float64.
 _SMALL_ANGLE = 1e-4

@@ -21,3 +21,8 @@ def printed(text: object) -> str:
         else character
         for character in str(text)
     )
+
+
+def drawn(text: object) -> str:
+    """The same for Matplotlib, which takes what stands between two dollars for a formula."""
+    return printed(text).replace("$", r"\$")

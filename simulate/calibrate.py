@@ -23,10 +23,13 @@ import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from scene.camera import MODELS, Camera
 from scene.errors import InputError
 from scene.files import written_whole
+from scene.marks import PNG_MARK, PNG_METADATA
+from scene.outputs import Output, claim
 from scene.progress import progress_bar
 from scene.scratch import scratch
 from simulate.camera.lens import rendered_through
@@ -138,12 +141,15 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
         InputError: a camera that cannot be rendered, too small for the board to be found, or
             ``out`` cannot be written.
     """
+    corners_picture = out / "corners.png"
+    views_of = (out / "views" / f"{k:06d}.png" for k in range(views))
+    claim([Output(path, PNG_MARK) for path in (corners_picture, *views_of)], within=out)
     rng = np.random.default_rng(seed)
     poses = np.stack([board_pose(camera, BOARD, rng) for _ in range(views)])
     pictures = _photographs(camera, poses, seed, out)
     for name, picture in pictures.items():
         with written_whole(out / "views" / name) as partial:
-            Image.fromarray(picture).save(partial, "PNG")
+            Image.fromarray(picture).save(partial, "PNG", pnginfo=_ours())
     found = {name: find_corners(picture, BOARD) for name, picture in pictures.items()}
     kept = [k for k, corners in enumerate(found.values()) if corners is not None]
     if len(kept) < 4:
@@ -161,8 +167,15 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
         ]
     )
     result = _solve(camera, views_kept, corners, poses[kept])
-    _save_picture(result, pictures, out / "corners.png")
+    _save_picture(result, pictures, corners_picture)
     return result
+
+
+def _ours() -> PngInfo:
+    info = PngInfo()
+    for key, value in PNG_METADATA.items():
+        info.add_text(key, value)
+    return info
 
 
 def board_points(board: Board) -> Array:
@@ -371,4 +384,4 @@ def _save_picture(result: Calibration, pictures: dict[str, NDArray[np.uint8]], p
         ax.plot(*shown.T, "+", color="cyan", ms=5, mew=0.6)
     figure.suptitle(f"found (circles) and reprojected (crosses): RMS {result.rms_px:.3f} px")
     with written_whole(path) as partial:
-        figure.savefig(partial, format="png", dpi=80)
+        figure.savefig(partial, format="png", dpi=80, metadata=PNG_METADATA)

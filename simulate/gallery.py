@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.files import MARK, remove_partial, write_text, written_whole
+from scene.marks import JPEG_MARK
+from scene.outputs import Output, claim
+from scene.printed import printed
 from scene.progress import progress_bar
 from simulate.command import render_job
 from simulate.config import SessionConfig, SimulateConfig
@@ -28,7 +31,10 @@ from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 
 PAGE, PICTURES = "gallery.md", "gallery"
+_LIGHT, _WEATHER = "light", "weather"
 _RENDERED = f"{MARK}gallery"
+# Stands near the beginning of every page.
+_MARK = b"Every kind of place and every condition, as the simulator renders them."
 # From an orbit, from above and from the street, each with the exposures one is chosen from.
 _VIEWS = ((ObliqueFlight(), 1), (NadirFlight(), 1), (StreetFlight(yaws_deg=(15,)), 40))
 _AHEAD_M = 40.0  # what lies there is in the middle of a picture from the street
@@ -67,6 +73,7 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
             ``out`` cannot be written.
     """
     shown_in = condition(shown_in, config.origin).name
+    _claim(out)
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     configs = {
         name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
@@ -96,6 +103,15 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     return out / PAGE
 
 
+def _claim(out: Path) -> None:
+    """Refuse a folder where the page or a picture of somebody else would be replaced."""
+    page = Output(out / PAGE, _MARK)
+    # Beside a page of ours its pictures are ours.
+    mark = b"" if page.path.is_file() else JPEG_MARK
+    names = (*PLANS, _LIGHT, _WEATHER)
+    claim([page, *(Output(out / PICTURES / f"{name}.jpg", mark) for name in names)], within=out)
+
+
 def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
     """A place from every view."""
     name = config.preset
@@ -112,7 +128,7 @@ def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Pic
         shots = tuple((_job(config, text, world, 1), 0) for text in names)
         return _Picture(name, tuple(SEASONS), tuple(columns), shots)
 
-    return picture("light", LIGHTS, "{}"), picture("weather", WEATHER, "noon-{}")
+    return picture(_LIGHT, LIGHTS, "{}"), picture(_WEATHER, WEATHER, "noon-{}")
 
 
 def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> RenderJob:
@@ -155,7 +171,8 @@ def _draw(picture: _Picture, config: SimulateConfig, rendered: Path, path: Path)
             ax.text(-0.02, 0.5, picture.rows[row], fontsize=9, rotation=90, ha="right",
                     va="center", transform=ax.transAxes)  # fmt: skip
     with written_whole(path) as partial:
-        figure.savefig(partial, format="jpeg", dpi=_INCH, pil_kwargs={"quality": _JPEG_QUALITY})
+        figure.savefig(partial, format="jpeg", dpi=_INCH,
+                       pil_kwargs={"quality": _JPEG_QUALITY, "comment": JPEG_MARK})  # fmt: skip
 
 
 def _photograph(folder: Path, frame: int) -> NDArray[np.uint8]:
@@ -179,7 +196,7 @@ def _page(config: SimulateConfig, out: Path, shown_in: str, places: Mapping[str,
 Every kind of place and every condition, as the simulator renders them. Made by
 
 ```sh
-objconnect gallery --out {out} --preset {config.preset} --condition {shown_in} \\
+objconnect gallery --out {printed(out)} --preset {config.preset} --condition {shown_in} \\
   --seed {config.seed} --area {config.area:g} --size {config.size} --spp {config.spp}
 ```
 

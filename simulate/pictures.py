@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scene.bundle import Scene
 from scene.files import written_whole
 from scene.images import read_rgb
+from scene.printed import drawn
 from simulate.place.world import rectangle
 
 # Frames shown of each session on the contact sheet, each with depth and instances beside it.
@@ -52,7 +53,7 @@ def _contact_sheet(scene: Scene) -> Figure:
             instance = [dense.read("instance", k) for k in chosen]
         surface = np.concatenate([image[image > 0] for image in depth])
         low, high = np.percentile(surface, [1, 99]) if len(surface) else (0.0, 1.0)
-        row[0].set_title(session, fontsize=10, loc="left")
+        row[0].set_title(drawn(session), fontsize=10, loc="left")
         for k, index in enumerate(chosen):
             photograph, planar, objects = row[3 * k : 3 * k + 3]
             photograph.imshow(read_rgb(scene.images_root / frames.names[index]))
@@ -80,13 +81,13 @@ def _flight_plan(scene: Scene) -> Figure:
         # Many points need small dots, few points large ones, to read as a picture.
         size = float(np.clip(2e4 / len(xyz), 0.5, 8))
         ax.scatter(xyz[:, 0], xyz[:, 1], s=size, c=rgb, linewidths=0)
-        ax.set_title(f"{scene.name}: flights over the map's {len(xyz)} points")
+        ax.set_title(f"{drawn(scene.name)}: flights over the map's {len(xyz)} points")
     else:
         for item in scene.objects.objects:
             colour = _FOOTPRINTS.get(item.class_name, "0.7")
             box = rectangle(item.centre[:2], item.size[:2], np.radians(item.yaw_deg))
             ax.add_patch(Polygon(box, facecolor=colour, edgecolor="none"))
-        ax.set_title(f"{scene.name}: flights over the objects' footprints")
+        ax.set_title(f"{drawn(scene.name)}: flights over the objects' footprints")
     for k, (name, session) in enumerate(scene.sessions.items()):
         poses = scene.frames(name).poses
         centres, rotation = poses.centre().numpy(), poses.rotation.numpy()
@@ -94,7 +95,13 @@ def _flight_plan(scene: Scene) -> Figure:
         colour = f"C{k}"
         ax.plot(centres[:, 0], centres[:, 1], color=colour, linewidth=0.8, alpha=0.7)
         ax.scatter(
-            centres[:, 0], centres[:, 1], marker=marker, color=colour, s=26, label=name, zorder=3
+            centres[:, 0],
+            centres[:, 1],
+            marker=marker,
+            color=colour,
+            s=26,
+            zorder=3,
+            label=drawn(name),
         )
         # The top of the picture, -y of the camera, shows the heading also when looking down.
         top = -rotation[:, 1, :2]

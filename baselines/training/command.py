@@ -14,6 +14,7 @@ from baselines.training.planes import PlanePairs
 from baselines.training.rendered import RenderedPairs
 from scene.bundle import Scene
 from scene.files import sole_writer
+from scene.outputs import claim_folder
 
 CARD: Final = "card.md"
 
@@ -43,6 +44,7 @@ def train(
         InputError: a scene is unfinished, distorted or overlaps nowhere; ``out`` holds another run
             or one that is under way; a process that makes pairs died.
     """
+    claim_folder(out, [*data, *validation])
     scenes = [Scene.open(path) for path in data]
     looked_at = [Scene.open(path) for path in validation]
     size, points = config.crop, config.points

@@ -22,7 +22,7 @@ from baselines.training.config import TrainConfig
 from baselines.training.curves import draw_curves
 from baselines.training.pairs import Pair, PairBatch, PairSource, collate
 from baselines.weights import fault_of, write_weights
-from scene.errors import InputError
+from scene.errors import InputError, WriteError
 from scene.files import parse_json, read_text, write_text, written_whole
 from scene.progress import progress_bar
 
@@ -207,6 +207,12 @@ def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
                 "another folder"
             )
     elif rank == 0:
+        for name in (_CHECKPOINT, LOG, _CURVES, WEIGHTS):
+            if os.path.lexists(out / name):
+                raise WriteError(
+                    f"cannot write {out / name}: another file stands there, and {out} holds no run "
+                    "of ours: name another folder"
+                )
         write_text(path, text)
 
 

@@ -19,9 +19,9 @@ from baselines.training.keypoints import keypoints
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
 from scene.errors import InputError
 from scene.images import read_rgb
+from scene.listing import PHOTOGRAPHS, files_in
 from scene.pose import so3_exp
 
-_SUFFIXES = (".jpg", ".jpeg", ".png")
 _HEIGHT_M = 80.0
 _TILT_DEG = 15.0
 # Pictures are turned north up before a network sees them, as well as their headings are known.
@@ -35,13 +35,10 @@ class PlanePairs:
 
     def __init__(self, folders: Sequence[Path], size: int, points: int, strength: float) -> None:
         self._paths = sorted(
-            path
-            for folder in folders
-            for path in folder.rglob("*")
-            if path.suffix.lower() in _SUFFIXES
+            path for folder in folders for path in files_in(folder, PHOTOGRAPHS, depth=None)
         )
         if not self._paths:
-            raise InputError(f"no photographs ({', '.join(_SUFFIXES)}) in {folders[0]}")
+            raise InputError(f"no photographs ({', '.join(PHOTOGRAPHS)}) in {folders[0]}")
         self._size, self._points, self._strength = size, points, strength
 
     def draw(self, rng: np.random.Generator) -> Pair:
