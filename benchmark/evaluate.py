@@ -92,7 +92,7 @@ def evaluate(
     # Nodes of a cluster need not see ``out``.
     run = _Run(dataset, localizer, start, cache, None if cluster else out)
     key = _key(method, dataset, start)
-    with Journal(journal_path(target), key, dataset.parts) as journal:
+    with Journal(journal_path(target), key, QueryResult, dataset.parts) as journal:
         _say_what_changed(dataset, target, journal)
         with (
             _answering(run, jobs, cluster) as (prepare, ask),
@@ -214,7 +214,7 @@ def _in_threads(
             raise
 
 
-def _say_what_changed(dataset: Dataset, target: Path, journal: Journal) -> None:
+def _say_what_changed(dataset: Dataset, target: Path, journal: Journal[QueryResult]) -> None:
     """Name what of the data set is not as it was when the journal, or else the results that are
     replaced, were written."""
     path, before = journal.path, journal.dropped

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Generic, TypeVar
 
 from pydantic import ValidationError
 
-from benchmark.results import Named, QueryResult
+from benchmark.results import Named
 from scene.errors import WriteError
 from scene.files import MARK, locked, parse_json
 
@@ -25,7 +26,7 @@ def journal_path(results: Path) -> Path:
     return results.with_name(f"{MARK}{results.stem}.journal")
 
 
-class JournalOf(Generic[Entry]):
+class Journal(Generic[Entry]):
     """A file of one line per finished query; it goes when the run is complete.
 
     A run of another key (other data, method, configuration, start or version) starts over. Used as
@@ -52,7 +53,7 @@ class JournalOf(Generic[Entry]):
         self.dropped: dict[str, str] | None = None
         self._key, self._model, self._parts = key, model, dict(parts or {})
 
-    def __enter__(self) -> JournalOf[Entry]:
+    def __enter__(self) -> Journal[Entry]:
         """Read what is there.
 
         Raises:
@@ -70,7 +71,7 @@ class JournalOf(Generic[Entry]):
             try:
                 # A damaged byte ends what is good, as any damage does.
                 self._file = opened.enter_context(
-                    self.path.open("a+", encoding="utf-8", errors="surrogateescape")
+                    self.path.open("a+", encoding="utf-8", errors="surrogateescape", newline="\n")
                 )
             except OSError as error:
                 raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
@@ -80,7 +81,8 @@ class JournalOf(Generic[Entry]):
 
     def _begin(self) -> None:
         self._file.seek(0)
-        lines = self._file.read().splitlines(keepends=True)
+        # Names may hold what Python takes for ends of lines, too.
+        lines = re.findall("[^\n]*\n|[^\n]+$", self._file.read())
         good = 0
         header = _header(lines[0]) if lines else {}
         if header.get("key") != self._key:
@@ -126,14 +128,6 @@ class JournalOf(Generic[Entry]):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
             raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
-
-
-class Journal(JournalOf[QueryResult]):
-    """Of an evaluation."""
-
-    def __init__(self, path: Path, key: str, parts: Mapping[str, str] | None = None) -> None:
-        """As of ``JournalOf``."""
-        super().__init__(path, key, QueryResult, parts)
 
 
 def _header(line: str) -> dict[str, object]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from benchmark.evaluate import attempt, method_of
-from benchmark.journal import JournalOf, journal_path
+from benchmark.journal import Journal, journal_path
 from benchmark.results import Environment, Named, PoseNumbers
 from benchmark.simulated import is_scene
 from benchmark.textfiles import pose_line, read_priors, require_same_case
@@ -129,7 +129,7 @@ def localize(
     _require_one(asker, paths, photographs)
     located: list[Located] = []
     with (
-        JournalOf(journal_path(out), _key(place, localizer), Answer) as journal,
+        Journal(journal_path(out), _key(place, localizer), Answer) as journal,
         # Beside the output, where there is room for what is made per map.
         kept_or_scratch(cache, out.parent) as kept,
     ):
@@ -282,7 +282,7 @@ def _require_one(asker: _Asker, paths: Mapping[str, Path], folder: Path) -> None
 
 
 def _answered(
-    asker: _Asker, localizer: Localizer, journal: JournalOf[Answer], name: str, path: Path
+    asker: _Asker, localizer: Localizer, journal: Journal[Answer], name: str, path: Path
 ) -> Estimate:
     """The method's answer, now or before an interruption; or why it cannot be asked."""
     try:

@@ -11,7 +11,7 @@ from benchmark.datasets import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.journal import Journal
 from benchmark.registry import create
-from benchmark.results import Results, load
+from benchmark.results import QueryResult, Results, load
 from benchmark.starts import NONE, PRIOR, Start
 from scene.bundle import Scene
 from scene.errors import InputError
@@ -203,7 +203,8 @@ def test_another_configuration_starts_over(interrupted: Path) -> None:
 def test_two_runs_do_not_write_the_same_results(interrupted: Path) -> None:
     journal = interrupted.parent / "out/meadow/.objconnect-fake.journal"
     before = journal.read_text()
-    with Journal(journal, json.loads(before.splitlines()[0])["key"]) as open_elsewhere:
+    key = json.loads(before.splitlines()[0])["key"]
+    with Journal(journal, key, QueryResult) as open_elsewhere:
         assert set(open_elsewhere.done) == {"b.jpg", "d.jpg"}
         with pytest.raises(InputError, match="another run is writing"):
             run(interrupted, FakeLocalizer({}))

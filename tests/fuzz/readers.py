@@ -26,7 +26,7 @@ from benchmark.cmu import open_cmu, open_slices
 from benchmark.datasets import open_datasets
 from benchmark.journal import Journal
 from benchmark.localize import _origin
-from benchmark.results import Results, load
+from benchmark.results import QueryResult, Results, load
 from benchmark.starts import parse_start
 from benchmark.textfiles import read_cameras, read_gps, read_poses, read_priors
 from dense.workspace import read_array, write_array
@@ -171,7 +171,7 @@ def _results(folder: Path) -> None:
 
 
 def _read_journal(folder: Path) -> None:
-    with Journal(folder / "journal", "k"):
+    with Journal(folder / "journal", "k", QueryResult):
         pass
 
 

@@ -14,6 +14,7 @@ import torch
 
 from benchmark.datasets import open_datasets
 from benchmark.journal import Journal
+from benchmark.results import QueryResult
 from scene.colmap import PosedImage, SiftOptions, triangulate
 from scene.errors import InputError, WriteError
 from scene.files import (
@@ -101,26 +102,27 @@ def test_a_journal(disk: Path) -> None:
     """Queries that were noted are there when there is room again."""
     filling = fill(disk, 4096)
     noted = []
-    with pytest.raises(WriteError, match="No space left"), Journal(disk / "j", "key") as journal:
+    opened = Journal(disk / "j", "key", QueryResult)
+    with pytest.raises(WriteError, match="No space left"), opened as journal:
         for k in range(100):
             journal.add(scored_query(f"{k}.jpg", 0.1))
             noted.append(f"{k}.jpg")
     assert 1 < len(noted) < 100
     filling.unlink()
-    with Journal(disk / "j", "key") as journal:
+    with Journal(disk / "j", "key", QueryResult) as journal:
         assert list(journal.done) == noted
         journal.add(scored_query("new.jpg", 0.1))
 
 
 def test_a_damaged_journal_keeps_what_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "j"
-    with pytest.raises(KeyboardInterrupt), Journal(path, "key") as journal:
+    with pytest.raises(KeyboardInterrupt), Journal(path, "key", QueryResult) as journal:
         for name in ("a", "b"):
             journal.add(scored_query(name, 0.1))
         raise KeyboardInterrupt
     data = path.read_bytes()
     path.write_bytes(data[:-30] + b"\xb3" + data[-29:])  # no UTF-8
-    with Journal(path, "key") as journal:
+    with Journal(path, "key", QueryResult) as journal:
         assert list(journal.done) == ["a"]
 
 
@@ -203,7 +205,8 @@ def test_a_disk_that_cannot_be_written(disk: Path) -> None:
         pass
     with pytest.raises(WriteError, match="Read-only"), kept_while_working(disk / "kept", "a.db"):
         pass
-    with pytest.raises(InputError, match="Read-only"), Journal(disk / "out" / "j", "key"):
+    journal = Journal(disk / "out" / "j", "key", QueryResult)
+    with pytest.raises(InputError, match="Read-only"), journal:
         pass
 
 
@@ -212,8 +215,9 @@ def test_a_killed_evaluation_has_noted_every_query(tmp_path: Path) -> None:
     code = (
         "import os, pathlib, signal, sys\n"
         "from benchmark.journal import Journal\n"
+        "from benchmark.results import QueryResult\n"
         "from tests.benchmark.made_data import scored_query\n"
-        "with Journal(pathlib.Path(sys.argv[1]), 'key') as journal:\n"
+        "with Journal(pathlib.Path(sys.argv[1]), 'key', QueryResult) as journal:\n"
         "    for k in range(5):\n"
         "        journal.add(scored_query(f'{k}.jpg', 0.1))\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -222,5 +226,5 @@ def test_a_killed_evaluation_has_noted_every_query(tmp_path: Path) -> None:
         [sys.executable, "-c", code, str(tmp_path / "j")], cwd=GATE.parents[2], check=False
     )
     assert killed.returncode == -signal.SIGKILL
-    with Journal(tmp_path / "j", "key") as journal:
+    with Journal(tmp_path / "j", "key", QueryResult) as journal:
         assert list(journal.done) == [f"{k}.jpg" for k in range(5)]
