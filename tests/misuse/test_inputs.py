@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
@@ -212,6 +212,8 @@ def test_sigterm_without_a_handler_ends_quietly() -> None:
     st.floats(-180, 180),
     st.lists(st.tuples(*[st.floats(-400, 400)] * 3), min_size=3, max_size=9),
 )
+@example(-17.0, 180.0, [(-300.0, 0, 0), (-200.0, 0, 0), (200.0, 0, 0), (300.0, 0, 0)])
+@example(51.0, -180.0, [(-300.0, 0, 0), (-200.0, 0, 0), (200.0, 0, 0), (300.0, 0, 0)])
 def test_an_origin_lies_amid_its_photographs_everywhere(
     latitude: float, longitude: float, offsets: list[tuple[float, float, float]]
 ) -> None:
