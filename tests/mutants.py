@@ -281,13 +281,6 @@ MUTANTS: Final = (
         (f"{_TRAINING}::test_every_part_of_the_loss_teaches",),
     ),
     Mutant(
-        "the prior itself is not tried",
-        "baselines/align/hypotheses.py",
-        "return torch.cat([prior[:, None], picked], 1)",
-        "return picked",
-        (f"{_STARTS}::test_the_prior_itself_is_tried",),
-    ),
-    Mutant(
         "a few points that fit win over many",
         "baselines/align/hypotheses.py",
         "won = found.seen * (_chance(level, scale)[:, None] - found.cost)",

@@ -60,7 +60,7 @@ class Reach:
 
 
 def around(start: Pose, distance: Tensor, reach: Reach, spacing_degrees: float) -> Pose:
-    """Poses on a grid around others, which are not in it: (B) -> (B, K).
+    """Poses on a grid around others, which stand in its middle: (B) -> (B, K).
 
     Args:
         start: ``cam_from_world`` (B).

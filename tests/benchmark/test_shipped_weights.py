@@ -6,6 +6,7 @@ gives feature maps of the right form. Poses tell.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -61,10 +62,18 @@ def snowed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return dataset
 
 
-def by_condition(
-    dataset: Dataset, method: str, options: dict[str, Any], out: Path
-) -> dict[str, Summary]:
-    return evaluate(dataset, create(method, options), out, START).by_condition
+@pytest.fixture(scope="module")
+def ask(
+    snowed: Dataset, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., dict[str, Summary]]:
+    """What a method with some options answers, by condition. What is kept of a map serves all."""
+    cache = tmp_path_factory.mktemp("cache")
+
+    def by_condition(method: str, **options: Any) -> dict[str, Summary]:
+        out = tmp_path_factory.mktemp("results")
+        return evaluate(snowed, create(method, options), out, START, cache).by_condition
+
+    return by_condition
 
 
 def found(part: Summary) -> int:
@@ -73,24 +82,26 @@ def found(part: Summary) -> int:
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_shipped_weights_find_poses(name: str, snowed: Dataset, tmp_path: Path) -> None:
+def test_shipped_weights_find_poses(name: str, ask: Callable[..., dict[str, Summary]]) -> None:
     """From 3 m and 5 degrees off.
 
     When this was written all four found 3 of 3 in summer, at most 0.09 m off, and 5, 4, 4 and 5 of
-    5 in snow, at most 0.83 m. A renderer's rounding on another processor may cost a query: one less
-    in summer, and two less than the best in snow, still pass.
+    5 in snow, at most 0.83 m. Another processor may round a pixel otherwise, which in snow may cost
+    a query: one less than the worst of them still passes. Snow is what tells: in the map's own
+    season filters at random find poses too.
     """
     chosen = {} if name == METHODS[name] else {"weights": SHIPPED / f"{name}.safetensors"}
-    parts = by_condition(snowed, METHODS[name], chosen, tmp_path)
+    parts = ask(METHODS[name], **chosen)
     summer, snow = parts["summer-noon"], parts["snow-dusk"]
     assert (summer.queries, snow.queries) == (3, 5)
-    assert found(summer) >= 2 and found(snow) >= 3
-    assert summer.median_t_m is not None and summer.median_t_m < 0.2
+    assert found(summer) == 3 and found(snow) >= 3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
-def test_weights_in_another_order_find_none(name: str, snowed: Dataset, tmp_path: Path) -> None:
+def test_weights_in_another_order_find_no_pose_in_snow(
+    name: str, ask: Callable[..., dict[str, Summary]], tmp_path: Path
+) -> None:
     """The numbers of every filter are those shipped, and have changed places."""
     torch.manual_seed(0)
     with safe_open(SHIPPED / f"{name}.safetensors", "pt") as file:
@@ -102,6 +113,5 @@ def test_weights_in_another_order_find_none(name: str, snowed: Dataset, tmp_path
     }
     weights = tmp_path / "shuffled.safetensors"
     save_file(shuffled, weights, metadata)
-    parts = by_condition(snowed, METHODS[name], {"weights": weights}, tmp_path)
-    assert found(parts["summer-noon"]) <= 1
+    parts = ask(METHODS[name], weights=weights)
     assert found(parts["snow-dusk"]) <= 1

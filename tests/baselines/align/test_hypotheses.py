@@ -83,17 +83,6 @@ def test_many_starts_reach_what_one_does_not() -> None:
     torch.testing.assert_close(many.by_level[-1].matrix(), many.pose.matrix())
 
 
-def test_the_prior_itself_is_tried() -> None:
-    """A grid spread over 400 m has gaps of 50 m, and the prior stands in one."""
-    for seed in SEEDS:
-        problem = small(seed)
-        start = stacked([wrong(problem.truth, 1, 1, seed)])
-        place = problem.points, PINHOLE.intrinsics(), start
-        reach = Reach(400, 60)
-        found = align_from_many(problem.levels, *place, DAMPING, Options(), reach)
-        assert float(found.pose.error_to(problem.truth)[0]) < 0.25
-
-
 def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> None:
     problem = small(0)
     twice = [wrong(problem.truth, 0.1, 0.1, seed) for seed in range(3)]
