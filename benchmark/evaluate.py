@@ -17,7 +17,7 @@ import torch
 from benchmark.album import ALBUM, ALBUM_MARK, album_parts, keep_album
 from benchmark.datasets import BenchmarkQuery, Dataset
 from benchmark.identity import changes, require_unchanged
-from benchmark.journal import Journal, journal_path
+from benchmark.journal import Journal, JournalOf, journal_path
 from benchmark.pictures import median_query, query_overlay
 from benchmark.registry import create, known
 from benchmark.results import (
@@ -214,7 +214,7 @@ def _in_threads(
             raise
 
 
-def _say_what_changed(dataset: Dataset, target: Path, journal: Journal) -> None:
+def _say_what_changed(dataset: Dataset, target: Path, journal: JournalOf[QueryResult]) -> None:
     """Name what of the data set is not as it was when the journal, or else the results that are
     replaced, were written."""
     path, before = journal.path, journal.dropped
