@@ -23,14 +23,22 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from benchmark.datasets import Dataset
 from benchmark.evaluate import attempt, identity, method_of, require_folder, scored
-from benchmark.results import BASIN, HEAD, DatasetId, Environment, Method, QueryResult, Recall
+from benchmark.results import (
+    BASIN,
+    DatasetId,
+    Environment,
+    Method,
+    QueryResult,
+    Recall,
+    method_in,
+)
 from benchmark.score import THRESHOLDS, is_correct, wilson
 from benchmark.starts import moved_prior
 from scene.errors import InputError
 from scene.files import write_text
 from scene.localizer import Localizer, Status
 from scene.manifest import read_json
-from scene.outputs import Output, claim
+from scene.outputs import claim
 from scene.pose import FARTHEST_M
 from scene.progress import progress_bar
 from scene.scratch import kept_or_scratch
@@ -169,7 +177,8 @@ def basin(
     """
     require_folder(out)
     target = basin_path(out, dataset, localizer)
-    claim([Output(target, HEAD)], within=out)
+    claim([target], within=out)
+    method_in(target)
     sparse_map = dataset.load_map()
     with kept_or_scratch(cache, out) as folder:
         localizer.prepare(sparse_map, dataset.images, folder)

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.paired import PairedChange, compare
-from benchmark.results import HEAD, Results, load, results_files
+from benchmark.results import Results, load, method_in, results_files
 from benchmark.score import THRESHOLDS, is_correct
 from benchmark.tables import ALL
 from scene.errors import InputError
 from scene.files import written_whole
-from scene.outputs import Output, claim, claim_folder
+from scene.outputs import claim, claim_folder
 from scene.printed import printed
 
 # Probability of a false alarm per baseline file, shared out among its comparisons (Bonferroni).
@@ -90,8 +90,9 @@ def update(results: Path, baseline: Path) -> list[Path]:
     """
     names = _files(results)
     claim_folder(baseline, [results])
-    claim((Output(baseline / name, HEAD) for name in names), (results / name for name in names))
+    claim([baseline / name for name in names], [results / name for name in names])
     for name in names:
+        method_in(baseline / name)
         load(results / name)  # a damaged file must not become the measure of others
     for name in names:
         with written_whole(baseline / name) as partial:

@@ -15,11 +15,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from benchmark.score import THRESHOLDS, median_errors, recall
 from benchmark.uncertainty import consistency
 from scene.errors import InputError
-from scene.files import parse_json, read_text, write_text
+from scene.files import parse_json, write_text
 from scene.listing import files_in
 from scene.localizer import Status
 from scene.manifest import Condition, read_json
-from scene.outputs import Output, claim
+from scene.outputs import another_file, claim
 from scene.pose import FARTHEST_M
 
 # Beyond these a file's numbers are damage, and sums of them soon no numbers at all.
@@ -39,8 +39,8 @@ TOTAL = "total"
 # How files beside ``<method>.json`` end that are no results; see ``benchmark.basin``.
 BASIN: Final = ".basin.json"
 
-HEAD: Final = b'{\n "schema": 1,\n "method": {'
-"""First bytes of results and of basins: a file without them is none of ours."""
+# First bytes of results and of basins as they are written here.
+_HEAD: Final = b'{\n "schema": 1,\n "method": {'
 
 # Stored and recomputed figures agree to this relative difference, or the file was changed.
 _TOLERANCE = 1e-9
@@ -254,6 +254,24 @@ class Results(_File):
         write_text(path, self.model_dump_json(indent=1, by_alias=True) + "\n")
 
 
+def method_in(path: Path) -> Method | None:
+    """The method of the results or the basin that stands somewhere; None where there is nothing, or
+    what is left of a file of ours.
+
+    Raises:
+        WriteError: somebody else's file stands there.
+    """
+    if not path.is_file():
+        return None
+    content = path.read_bytes()
+    try:
+        return Method.model_validate(parse_json(content.decode())["method"])
+    except (ValueError, KeyError, TypeError):
+        if content and not content.startswith(_HEAD):
+            raise another_file(path) from None
+    return None
+
+
 def claim_results(path: Path, method: Method, out: Path) -> None:
     """Refuse, before any work, results that would replace what they must not.
 
@@ -268,11 +286,10 @@ def claim_results(path: Path, method: Method, out: Path) -> None:
     Raises:
         InputError: another command wrote the results there, or as ``scene.outputs.claim``.
     """
-    claim([Output(path, HEAD)], within=out)
-    try:
-        before = Method.model_validate(parse_json(read_text(path, "results file"))["method"])
-    except (ValueError, KeyError, TypeError):
-        return  # none, or damaged ones
+    claim([path], within=out)
+    before = method_in(path)
+    if before is None:
+        return
     if before.is_elsewhere != method.is_elsewhere:
         writer = "score" if before.is_elsewhere else "evaluate"
         mend = "remove it" if before.is_elsewhere else "choose another --method"

@@ -140,7 +140,11 @@ def _require_ours(output: Output) -> None:
     except OSError as error:
         raise WriteError(f"cannot write {output.path}: {error.strerror}") from None
     if head and output.mark not in head:
-        raise WriteError(
-            f"cannot write {output.path}: another file stands there: remove it or choose another "
-            "output"
-        )
+        raise another_file(output.path)
+
+
+def another_file(path: Path) -> WriteError:
+    """What to raise where somebody else's file stands."""
+    return WriteError(
+        f"cannot write {path}: another file stands there: remove it or choose another output"
+    )
