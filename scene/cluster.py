@@ -9,7 +9,9 @@ import logging
 import math
 import os
 import re
+import signal
 import socket
+import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -142,12 +144,13 @@ def crew(address: str | None, work: Work[Unit, Result]) -> Iterator[Crew[Unit, R
         _require_answer(address)
     own = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
     try:
-        ray.init(
-            address=address,
-            logging_level=logging.ERROR,
-            log_to_driver=True,
-            **(own if address == "local" else {}),
-        )
+        with _kept_handler():
+            ray.init(
+                address=address,
+                logging_level=logging.ERROR,
+                log_to_driver=True,
+                **(own if address == "local" else {}),
+            )
     except Exception as error:  # Ray says it with whatever is at hand
         reason = " ".join(str(error).split("\n")[0].split())
         raise InputError(
@@ -174,6 +177,19 @@ def _ray() -> Any:
             "--cluster needs Ray, which is not installed: pip install 'objconnect[cluster]'"
         ) from None
     return ray
+
+
+@contextmanager
+def _kept_handler() -> Iterator[None]:
+    """What this process does when it is told to end stays as it is: Ray puts an exit of its own in
+    the place of our cleaning up."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        # No other thread may; None is of no Python's making.
+        if before is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
 
 
 def _require_answer(address: str) -> None:

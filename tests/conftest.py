@@ -40,13 +40,18 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         reporter.write_line(f"random order: --randomly-seed={seed}")
 
 
+# Variables that pytest and libraries set by themselves, these when they are first used.
+_SET_BY_LIBRARIES = ("PYTEST_CURRENT_TEST", "TORCHINDUCTOR_", "RAY_", "PYTHONBREAKPOINT")
+
+
 def state() -> dict[str, Any]:
     """What tests share because it is of the whole process."""
+    variables = {k: v for k, v in os.environ.items() if not k.startswith(_SET_BY_LIBRARIES)}
     return {
         "working folder": Path.cwd(),
-        "environment": {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"},
+        **{f"${name}": value for name, value in variables.items()},
         "sys.path": list(sys.path),
-        "signals": {number: signal.getsignal(number) for number in signal.valid_signals()},
+        **{str(number): signal.getsignal(number) for number in signal.valid_signals()},
         "logging": (logging.root.level, logging.root.disabled, logging.root.manager.disable),
         "torch's threads": torch.get_num_threads(),
         "torch's type": torch.get_default_dtype(),
@@ -64,7 +69,7 @@ def _alike_before_and_after() -> Iterator[None]:
     before = state()
     yield
     after = state()
-    changed = [name for name in before if before[name] != after[name]]
+    changed = [name for name in before | after if before.get(name) != after.get(name)]
     assert not changed, f"the test leaves another {', '.join(changed)} behind"
 
 

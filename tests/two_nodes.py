@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from scene.cluster import _ray
+from scene.cluster import _kept_handler, _ray
 
 # A busy machine takes longer to start a node than Ray waits.
 _ATTEMPTS = 4
@@ -99,7 +99,8 @@ def _has_unit(raylet: int) -> bool:
 def _patiently(start: Callable[[], Any]) -> Any:
     for attempt in range(_ATTEMPTS):
         try:
-            return start()
+            with _kept_handler():
+                return start()
         except Exception:
             if attempt == _ATTEMPTS - 1:
                 raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -63,7 +64,9 @@ def test_a_killed_node_loses_and_doubles_nothing(two_nodes: TwoNodes) -> None:
 
 def test_workers_keep_their_copy_of_the_work(two_nodes: TwoNodes) -> None:
     two_nodes.have(2)
+    told_to_end = signal.getsignal(signal.SIGTERM)
     with crew(two_nodes.address, Counting()) as workers:
+        assert signal.getsignal(signal.SIGTERM) is told_to_end
         counts = list(workers.spread(range(6)))
     # Two workers at most: whatever their shares, each counts on.
     assert max(counts) >= 3

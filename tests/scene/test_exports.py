@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
+from typer.testing import CliRunner
 
 from benchmark.cli import app
 from scene.bundle import Scene, finish
@@ -190,9 +191,10 @@ def test_a_session_without_queries_has_no_hloc_list(rendered: Scene, tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
-def test_command(rendered: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(rendered: Scene, tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["export", str(rendered.path), "--format", "tum", "--out", str(out), "--json"]
-    app(words, standalone_mode=False)
-    assert json.loads(capsys.readouterr().out)["frames"] == 19
+    answer = CliRunner().invoke(app, words)
+    assert answer.exit_code == 0, answer.stderr
+    assert json.loads(answer.stdout)["frames"] == 19
     assert len(list(out.iterdir())) == 3
