@@ -40,11 +40,16 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         reporter.write_line(f"random order: --randomly-seed={seed}")
 
 
+# What pytest says there of the running test, and torch of its cache at the first step of the first
+# optimizer of the process, whichever test that is.
+_OTHERS = ("PYTEST_CURRENT_TEST", "TORCHINDUCTOR_CACHE_DIR")
+
+
 def state() -> dict[str, Any]:
     """What tests share because it is of the whole process."""
     return {
         "working folder": Path.cwd(),
-        "environment": {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"},
+        "environment": {k: v for k, v in os.environ.items() if k not in _OTHERS},
         "sys.path": list(sys.path),
         "signals": {number: signal.getsignal(number) for number in signal.valid_signals()},
         "logging": (logging.root.level, logging.root.disabled, logging.root.manager.disable),
