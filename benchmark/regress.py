@@ -110,12 +110,12 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
         raise InputError(
             f"{name}: the results are of data set {after.dataset.sha256[:12]}, the baseline of "
             f"{before.dataset.sha256[:12]}: where photographs, map or poses changed, recall cannot "
-            "be compared; record the baseline again with --update"
+            "be compared; if the change was meant, record it again with --update"
         )
     if before.start != after.start:
         raise InputError(
             f"{name}: the results start from {after.start}, the baseline from {before.start}; "
-            "evaluate from the same, or record the baseline again with --update"
+            "evaluate from the same, or record it again with --update"
         )
     by_name = {query.name: query for query in after.queries}
     conditions = dict.fromkeys(query.condition for query in before.queries)

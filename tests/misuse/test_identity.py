@@ -6,7 +6,6 @@ the size and the time of the file as they were.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -186,12 +185,11 @@ def test_results_of_an_older_version_are_one_line(
 ) -> None:
     asked(made_flight, tmp_path / "out", {})
     file = tmp_path / "out/meadow/fake.json"
-    results = json.loads(file.read_text())
-    results["dataset"]["sha256"] = "0" * 64
-    file.write_text(json.dumps(results))
+    text = file.read_text()
+    file.write_text(text.replace(load(file).dataset.sha256, "0" * 64))
     asked(made_flight, tmp_path / "out", {})
     assert warning(caplog).endswith("fake.json was written: which part was not recorded")
-    file.write_bytes(b'{\n "schema": 1,\n "method": {')  # cut short
+    file.write_text(text[: len(text) // 2])
     asked(made_flight, tmp_path / "out", {})
     assert not caplog.records
 
