@@ -208,6 +208,16 @@ class _Asker:
         prior = self._exif_prior(path) if self.priors is None else self.priors.get(name)
         return Query(name, image, camera, prior)
 
+    def without_gimbal(self, query: Query) -> Query | None:
+        """The query without its gimbal's attitude; None where it has none. A picture that somebody
+        turned over since is not as its gimbal held the camera."""
+        prior = query.prior
+        if prior is None or prior.cam_from_world_rotation is None or self.priors is not None:
+            return None
+        return replace(
+            query, prior=replace(prior, cam_from_world_rotation=None, attitude_sigma_deg=None)
+        )
+
     def _camera(self, path: Path, width: int, height: int) -> Camera:
         """The map's camera of the photograph's size."""
         cameras = {image.camera for image in self.place.sparse_map.images.values()}
@@ -284,7 +294,10 @@ def _require_one(asker: _Asker, paths: Mapping[str, Path], folder: Path) -> None
 def _answered(
     asker: _Asker, localizer: Localizer, journal: Journal[Answer], name: str, path: Path
 ) -> Estimate:
-    """The method's answer, now or before an interruption; or why it cannot be asked."""
+    """The method's answer, now or before an interruption; or why it cannot be asked.
+
+    A photograph that is not found with its gimbal's attitude is asked again without.
+    """
     try:
         query = asker(name, path)
         asked = _digest(query, path)
@@ -295,7 +308,11 @@ def _answered(
     before = journal.done.get(written(name))
     if before is not None and before.asked == asked:
         return before.estimate()
-    answer = Answer.of(name, asked, attempt(localizer, query))
+    estimate = attempt(localizer, query)
+    if estimate.status is not Status.OK and (unturned := asker.without_gimbal(query)) is not None:
+        again = attempt(localizer, unturned)
+        estimate = again if again.status is Status.OK else estimate
+    answer = Answer.of(name, asked, estimate)
     journal.add(answer)
     return answer.estimate()
 

@@ -671,6 +671,28 @@ def test_the_gimbal_tells_the_attitude(
     assert method.prior("f.jpg").prior is None
 
 
+class Misled(FakeLocalizer):
+    """Finds nothing where it is told an attitude."""
+
+    def localize(self, query: Query) -> Estimate:
+        estimate = super().localize(query)
+        told = query.prior is not None and query.prior.cam_from_world_rotation is not None
+        return Estimate(Status.FALLBACK, pose_at(3), reason="the prior") if told else estimate
+
+
+def test_a_picture_that_was_turned_over_is_asked_again(
+    flight: Path, photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with_gimbal(photographs / "b.jpg", 0, -90, 180)
+    with_gimbal(photographs / "d.jpg", 0, -90, 180)
+    method = Misled({"b.jpg": Estimate(Status.OK, pose_at(1))})
+    monkeypatch.setattr(benchmark.registry, "create", lambda name, overrides: method)
+    out = tmp_path / "poses.txt"
+    assert invoke(*localizing(flight, photographs, out)).exit_code == 0
+    table = rows(out.with_suffix(".csv"))
+    assert [table[name]["status"] for name in ("b.jpg", "d.jpg")] == ["ok", "fallback"]
+
+
 def test_the_gimbal_of_a_real_flight(
     beach: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
