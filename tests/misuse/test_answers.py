@@ -29,7 +29,7 @@ from scene.errors import InputError
 from scene.exports import export
 from scene.geodesy import Geodetic, geodetic_from_enu
 from scene.images import Exif, write_jpeg
-from scene.localizer import Estimate, Query, Status
+from scene.localizer import Estimate, Prior, Query, Status
 from scene.names import from_cell, leading_name, words, written, written_cell
 from scene.nearest import Nearest
 from scene.pose import Pose
@@ -628,9 +628,9 @@ class Asked(FakeLocalizer):
         assert cache is not None, "methods are given room beside the output"
         self.kept = cache
 
-    def prior(self, name: str) -> Query:
-        (query,) = [query for query in self.seen if query.name == name]
-        return query
+    def told(self, name: str) -> Prior | None:
+        """Of a photograph, when it was first asked for."""
+        return next(query.prior for query in self.seen if query.name == name)
 
 
 def with_gimbal(path: Path, yaw: float, pitch: float, roll: float) -> None:
@@ -662,13 +662,13 @@ def test_the_gimbal_tells_the_attitude(
         "d.jpg": [[0, -1, 0], [0, 0, -1], [1, 0, 0]],  # looks east
     }
     for name, rotation in known.items():
-        prior = method.prior(name).prior
+        prior = method.told(name)
         assert prior is not None
         assert prior.attitude_sigma_deg == 3
         assert prior.cam_from_world_rotation is not None
         np.testing.assert_allclose(prior.cam_from_world_rotation, rotation, atol=1e-9)
         np.testing.assert_allclose(prior.position, [5, -3, 40], atol=0.02)
-    assert method.prior("f.jpg").prior is None
+    assert method.told("f.jpg") is None
 
 
 class Misled(FakeLocalizer):
@@ -705,7 +705,7 @@ def test_the_gimbal_of_a_real_flight(
     camera = ("--camera", "SIMPLE_RADIAL 1600 900 932.8125 800 450 0.003764")
     answer = invoke(*localizing(beach, folder, tmp_path / "poses.txt", *camera))
     assert answer.exit_code == 0, answer.stderr
-    prior = method.prior("DJI_0019.jpg").prior
+    prior = method.told("DJI_0019.jpg")
     assert prior is not None
     assert prior.cam_from_world_rotation is not None
     truth = read_poses(beach / "reference_poses.txt")["DJI_0019.jpg"]
