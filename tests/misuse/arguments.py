@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from tests.misuse.faults import (
@@ -19,6 +19,10 @@ from tests.misuse.faults import (
     Faults,
     Spoil,
 )
+
+HUGE = str(10**20)
+OPTION = "the option"
+"""Stands for the names of the option itself."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class Argument:
         reads: paths in the tree that it names.
         writes: patterns of what is written because of it.
         output: it names what is written.
+        kept: it is of use to the next run, also after one that failed.
     """
 
     given: tuple[str, ...] | None
@@ -57,21 +62,38 @@ class Argument:
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     output: bool = False
+    kept: bool = False
 
     def left_out(self) -> Argument:
         """The same, given only where it is wrong."""
         return replace(self, given=None)
 
-    def fine(self, *names: str) -> Argument:
+    def fine(self, *patterns: str) -> Argument:
         """The same, with some faults that are none for this command."""
-        assert set(names) <= set(self.faults), set(names) - set(self.faults)
-        changed = {name: replace(self.faults[name], fine=True) for name in names}
+        changed = {name: replace(self.faults[name], fine=True) for name in self._like(patterns)}
         return replace(self, faults={**self.faults, **changed})
 
-    def but(self, *names: str) -> Argument:
-        """The same without some faults, where nothing can be said of them."""
-        assert set(names) <= set(self.faults), set(names) - set(self.faults)
-        return replace(self, faults={k: v for k, v in self.faults.items() if k not in names})
+    def but(self, *patterns: str) -> Argument:
+        """The same without some faults."""
+        left_out = self._like(patterns)
+        return replace(self, faults={k: v for k, v in self.faults.items() if k not in left_out})
+
+    def only(self, *patterns: str) -> Argument:
+        """The same with no faults but some."""
+        return replace(self, faults={name: self.faults[name] for name in self._like(patterns)})
+
+    def sound(self) -> Argument:
+        """The same with nothing wrong."""
+        return replace(self, faults={})
+
+    def given_as(self, word: str) -> Argument:
+        """The same in other words."""
+        return replace(self, given=(word,))
+
+    def _like(self, patterns: Iterable[str]) -> list[str]:
+        found = [n for n in self.faults if any(fnmatchcase(n, p) for p in patterns)]
+        assert found, f"no fault is called {patterns}"
+        return found
 
     def also(self, **faults: Fault) -> Argument:
         """The same with more that can be wrong."""
@@ -89,7 +111,7 @@ def values(given: str | None, *wrong: str) -> Argument:
 
 def integer(given: str | None, *allowed: str) -> Argument:
     """A whole number; ``allowed`` are those that others would find strange."""
-    wrong = ["nan", "inf", "-1", "0", "1.5", "1e308", "", "many", f"-{10**19}", str(10**20)]
+    wrong = ["nan", "inf", "-1", "0", "1.5", "1e308", "", "many", f"-{10**19}", HUGE]
     return values(given, *(word for word in wrong if word not in allowed))
 
 
@@ -104,14 +126,17 @@ def choice(given: str | None, *wrong: str) -> Argument:
     return values(given, "", "magic", "a\nb", "\x1b[31mred", LONG, "../up", *wrong)
 
 
-def file(path: str, form: str, harmless: Iterable[str] = ()) -> Argument:
+def file(path: str, form: str) -> Argument:
     """A file to be read."""
     return Argument((path,), {**_words(path, "/dev/zero"), **_parts(path, form)}, reads=(path,))
 
 
-def part(path: str, form: str) -> dict[str, Fault]:
-    """A file in a folder that is read."""
-    return {f"{Path(path).name}:{name}": fault for name, fault in _parts(path, form).items()}
+def part(path: str, form: str, optional: bool = False) -> dict[str, Fault]:
+    """A file in a folder that is read; it need not be there when it is ``optional``."""
+    faults = _parts(path, form)
+    if optional:
+        faults["missing"] = replace(faults["missing"], fine=True)
+    return {f"{Path(path).name}:{name}": fault for name, fault in faults.items()}
 
 
 def folder(path: str, *parts: dict[str, Fault]) -> Argument:
@@ -140,12 +165,17 @@ def out_file(path: str, *writes: str) -> Argument:
     return _output(path, stands, path, *writes)
 
 
+def cache(path: str = "cache") -> Argument:
+    """A folder where methods keep what they build."""
+    return replace(out_folder(path, "*"), kept=True)
+
+
 def _output(path: str, stands: Faults, *writes: str) -> Argument:
     faults = {name: _spoiled(path, spoil) for name, spoil in stands.items()}
     faults |= _words(path, "/dev/null")
     faults["nowhere"] = Fault((f"/proc/{path}",), says=(path,))
     del faults["empty_word"]
-    faults["surrogate"] = replace(faults["surrogate"], fine=True)
+    faults["not_utf8_name"] = replace(faults["not_utf8_name"], fine=True)
     return Argument((path,), faults, writes=writes, output=True)
 
 
@@ -157,7 +187,7 @@ def _words(path: str, device: str) -> dict[str, Fault]:
         "under_a_file": Fault((f"mine/notes.txt/{path}",), says=("notes.txt",)),
         "long_name": Fault((LONG,), says=("nnn",)),
         "nul_in_name": Fault((f"{path}\0.txt",), says=(path, "null byte")),
-        "surrogate": Fault((f"{path}\udcff",), says=(path,)),
+        "not_utf8_name": Fault((f"{path}\udcff",), says=(path,)),
     }
 
 
@@ -175,13 +205,17 @@ def _spoiled(path: str, spoil: Spoil) -> Fault:
 
 
 def _told(word: str) -> tuple[str, ...]:
-    """What a message repeats of a word: all of it, or what follows its equals sign."""
-    return tuple(part for part in (word, word.partition("=")[2]) if part and part.isprintable())
+    """What a message repeats of a word: all of it, or one side of its equals sign; else it names
+    the option."""
+    key, _, value = word.partition("=")
+    return (*(part for part in (word, key, value) if part and part.isprintable()), OPTION)
 
 
 def _named(word: str) -> str:
     """A word in the name of a test."""
-    plain = "".join(c if c.isalnum() or c in "-+.=:," else "_" for c in word[:24])
+    if len(word) > 24:
+        word = f"{word[:20]}-{len(word)}"
+    plain = "".join(c if c.isalnum() or c in "-+.=:," else "_" for c in word)
     return plain or "empty"
 
 
@@ -206,7 +240,7 @@ def start(given: str | None, pairs: str) -> Argument:
     listed = {
         f"pairs:{name}": replace(fault, words=(f"pairs={pairs}",))
         for name, fault in _parts(pairs, "words").items()
-        if name not in NUMBERS
+        if name not in NUMBERS and name != "twice"
     }
     return told.also(**listed)
 
@@ -220,4 +254,4 @@ CAMERA = values(
     *(f"PINHOLE {10**20} {10**20} 80 80 48 32",),
 )
 CLUSTER = values(None, "", "magic", "host", "host:port", "local:", ":6379", "a b:1", "h:1/x")
-SEED = integer("3", "0", str(10**20))
+SEED = integer("3", "0", HUGE)

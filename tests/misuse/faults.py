@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import shutil
@@ -10,6 +11,7 @@ import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -102,7 +104,7 @@ TEXT: Faults = {
     **EMPTY,
     "not_utf8": _edited(lambda data: data + b"\xff\xfe\xe4\n"),
     "utf16": _edited(lambda data: data.decode().encode("utf-16")),
-    "nul": _edited(lambda data: data[: len(data) // 2] + b"\0" + data[len(data) // 2 :]),
+    "nul": _edited(lambda data: data.rstrip(b"\n") + b"\0\n"),
     "garbage": _edited(_garbage),
 }
 # What a spreadsheet or another system adds, and nobody sees.
@@ -176,6 +178,37 @@ OUR_JSON: Faults = {
     **JSON,
     "unknown_key": _text(lambda text: text.replace("{", '{"colour": "red", ', 1)),
 }
+
+
+def _of_results(edit: Callable[[Any], object]) -> Spoil:
+    """An edit by hand of a results file."""
+
+    def change(text: str) -> str:
+        results = json.loads(text)
+        edit(results)
+        return json.dumps(results)
+
+    return _text(change)
+
+
+RESULTS: Faults = {
+    **OUR_JSON,
+    "unknown_schema": _of_results(lambda r: r.update(schema=99)),
+    "no_schema": _of_results(lambda r: r.pop("schema")),
+    "nan": _of_results(lambda r: r["queries"][0].update(t_err_m=float("nan"))),
+    "recall_is_text": _of_results(lambda r: r["summary"]["recall"].update({"0.5m_5deg": "all"})),
+    "better_recall": _of_results(
+        lambda r: r["summary"]["recall"].update({"5m_10deg": {"value": 99, "low": 9, "high": 99}})
+    ),
+    "query_twice": _of_results(lambda r: r["queries"].append(r["queries"][0])),
+    "no_query": _of_results(lambda r: r["queries"].clear()),
+    "fewer_queries": _of_results(lambda r: r["queries"].pop()),
+    "status": _of_results(lambda r: r["queries"][0].update(status="great")),
+    "negative_error": _of_results(lambda r: r["queries"][0].update(t_err_m=-1.0)),
+    "huge_pose": _of_results(lambda r: r["queries"][0].update(cam_from_world=[1e308] * 7)),
+    "no_method": _of_results(lambda r: r.pop("method")),
+    "name_is_path": _of_results(lambda r: r["dataset"].update(name="../../x")),
+}
 YAML: Faults = {
     **{name: spoil for name, spoil in TEXT.items() if name != "empty"},
     "broken": _edited(lambda data: data + b"\n x: [1, {\n"),
@@ -208,22 +241,16 @@ def _bomb(data: bytes) -> bytes:
 PHOTOGRAPH: Faults = {
     **BYTES,
     "bomb": _edited(_bomb),
-    "gif": _edited(lambda data: _picture("L", (96, 64), "GIF")),
-}
-# Whole pictures, and yet not what the camera took.
-WRONG_PHOTOGRAPH: Faults = {
+    # A whole picture, and yet not what the camera took.
     "one_pixel": _edited(lambda data: _picture("L", (1, 1), "JPEG")),
-    "smaller": _edited(lambda data: _picture("L", (48, 32), "JPEG")),
 }
-PICTURE: Faults = BYTES
-
 FORMATS: Mapping[str, Faults] = {
     "bytes": BYTES,
     "csv": CSV,
     "json": JSON,
     "our json": OUR_JSON,
+    "results": RESULTS,
     "photograph": PHOTOGRAPH,
-    "picture": PICTURE,
     "words": WORDS,
     "yaml": YAML,
 }

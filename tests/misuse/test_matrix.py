@@ -3,10 +3,8 @@ before the work begins, and the tree is as it was."""
 
 from __future__ import annotations
 
-import os
-import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -15,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.misuse import world
-from tests.misuse.arguments import Argument, Fault
+from tests.misuse.arguments import OPTION, Fault
 from tests.misuse.commands import COMMANDS, Row
 from tests.misuse.harness import COMMAND, Begun, Outcome, differences, run, snapshot
 
@@ -28,40 +26,44 @@ class Case:
     """A command with one fault."""
 
     command: str
+    argument: str
     name: str
     fault: Fault
 
     @property
     def id(self) -> str:
-        return f"{self.command}-{self.name}"
+        return f"{self.command}-{self.argument}-{self.name}"
 
 
 def cases() -> Iterator[Case]:
+    """Each argument of each command with each of its faults, and outputs that are inputs."""
     for command, row in COMMANDS.items():
         for name, argument in row.arguments.items():
             for kind, fault in argument.faults.items():
-                yield Case(command, f"{name}-{kind}", fault)
-            if argument.output:
+                yield Case(command, name, kind, fault)
+            if argument.output and argument.faults:
                 for other, source in row.arguments.items():
-                    if other != name and source.given is not None and (source.reads or source.output):
-                        yield Case(command, f"{name}-is_{other}", Fault(source.given))
+                    if source.reads and source.given is not None:
+                        yield Case(command, name, f"is_{other}", Fault(source.reads))
 
 
 CASES = list(cases())
 
 
 def parameters(command: str) -> dict[str, Any]:
-    return {p.name: p for p in COMMAND.commands[command].params if p.name != "help"}
+    """Of a command, as it declares them itself."""
+    found = COMMAND.commands[command.partition(":")[0]].params
+    return {parameter.name: parameter for parameter in found if parameter.name != "help"}
 
 
-def words_of(command: str, row: Row, wrong: str | None, fault: Fault | None) -> list[str]:
+def words_of(command: str, row: Row, case: Case | None) -> list[str]:
     """The command line, with the fault in one argument."""
-    options, plain = [command], []
+    options, plain = [command.partition(":")[0]], []
     for name, parameter in parameters(command).items():
-        given = row.arguments[name].given
-        if name == wrong:
-            assert fault is not None
-            given = fault.words if fault.words is not None else (given or row.arguments[name].reads)
+        argument = row.arguments[name]
+        given = argument.given
+        if case is not None and name == case.argument:
+            given = case.fault.words if case.fault.words is not None else given or argument.reads
         for word in given or ():
             if parameter.param_type_name == "argument":
                 plain.append(word)
@@ -79,7 +81,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def tree(whole: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder for the tree, and beside it the system's for temporary files."""
+    """A folder for the tree, where commands run, and beside it the system's temporary files."""
     with tempfile.TemporaryDirectory(dir=whole.parent) as folder:
         root = Path(folder) / "tree"
         temporary = Path(folder) / "tmp"
@@ -93,13 +95,16 @@ def tree(whole: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def lay_out(whole: Path, row: Row, root: Path) -> None:
+    """What the words of a row name, and the user's own."""
     names = {path.split("/")[0] for a in row.arguments.values() for path in a.reads}
-    if any("pairs" in kind for a in row.arguments.values() for kind in a.faults):
-        names.add("tables")
-    world.copy(whole, {"mine", *names}, root)
+    spoiled = (fault.at for a in row.arguments.values() for fault in a.faults.values())
+    names |= {path.split("/")[0] for path in spoiled if path}
+    world.copy(whole, {"mine", *(name for name in names if (whole / name).exists())}, root)
 
 
 def stop_at_work(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The work of a command ends the command."""
+
     def begin(*arguments: object, **more: object) -> None:
         raise Begun
 
@@ -107,19 +112,36 @@ def stop_at_work(row: Row, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(work, begin)
 
 
-def check_refused(outcome: Outcome, fault: Fault, happened: dict[str, str]) -> None:
-    assert not outcome.begun, "the work began"
-    assert "Traceback" not in outcome.stderr
-    assert outcome.code == 2, outcome
+def declared(row: Row, happened: Mapping[str, str]) -> set[str]:
+    """What a row says that it writes."""
+    patterns = [*row.writes, *(p for a in row.arguments.values() for p in a.writes)]
+    return {name for name in happened if any(fnmatchcase(name, f"tree/{p}") for p in patterns)}
+
+
+def kept(row: Row, happened: Mapping[str, str]) -> set[str]:
+    """What is of use to the next run of a row."""
+    patterns = [*row.writes, *(p for a in row.arguments.values() if a.kept for p in a.writes)]
+    return {name for name in happened if any(fnmatchcase(name, f"tree/{p}") for p in patterns)}
+
+
+def check_one_line(outcome: Outcome, says: tuple[str, ...]) -> None:
+    """One line that names one of the words."""
+    assert "Traceback" not in outcome.stderr, outcome.stderr
     lines = outcome.stderr.splitlines()
     assert len(lines) == 1, outcome.stderr
     assert lines[0].startswith("objconnect: error: ")
     assert lines[0].isprintable(), lines[0]
     assert len(lines[0]) <= LONGEST
-    says = [word for word in fault.says if word.isprintable()]
-    assert not says or any(word[:60] in lines[0] for word in says), (lines[0], says)
+    assert not says or any(word[:40] in lines[0] for word in says), (lines[0], says)
     assert outcome.stdout == ""
-    assert happened == {}
+
+
+def names_of(case: Case) -> tuple[str, ...]:
+    """What a message may call the fault."""
+    parameter = parameters(case.command)[case.argument]
+    itself = (*parameter.opts, parameter.name, str(parameter.metavar))
+    words = [word for say in case.fault.says for word in (itself if say == OPTION else (say,))]
+    return tuple(word for word in words if word.isprintable())
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case.id for case in CASES])
@@ -129,16 +151,26 @@ def test_misuse(case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyP
     if case.fault.spoil is not None:
         case.fault.spoil(tree / case.fault.at)
     stop_at_work(row, monkeypatch)
-    argument = case.name.split("-")[0]
-    words = words_of(case.command, row, argument, case.fault)
     before = snapshot(tree.parent)
-    outcome = run(words)
+    outcome = run(words_of(case.command, row, case))
     happened = differences(before, snapshot(tree.parent))
     assert Path.cwd() == tree
     if case.fault.fine:
         assert outcome.code == 0, outcome
+        assert happened.keys() - declared(row, happened) - written_to(case) == set()
+        return
+    assert not outcome.begun, "the work began"
+    assert outcome.code == 2, outcome
+    if row.reports and outcome.stdout:
+        assert any(word in outcome.stdout for word in names_of(case)), outcome
+        assert outcome.stderr == ""
     else:
-        check_refused(outcome, case.fault, happened)
+        check_one_line(outcome, names_of(case))
+    assert {name: happened[name] for name in happened.keys() - kept(row, happened)} == {}
+
+
+def written_to(case: Case) -> set[str]:
+    return set()
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -148,8 +180,8 @@ def test_right(command: str, whole: Path, tree: Path, monkeypatch: pytest.Monkey
     lay_out(whole, row, tree)
     stop_at_work(row, monkeypatch)
     before = snapshot(tree.parent)
-    outcome = run(words_of(command, row, None, None))
+    outcome = run(words_of(command, row, None))
     happened = differences(before, snapshot(tree.parent))
     assert outcome.code == 0, outcome
     assert outcome.begun == bool(row.work)
-    print(happened)
+    assert happened.keys() - declared(row, happened) == set()

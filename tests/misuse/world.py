@@ -133,6 +133,10 @@ def _tables(folder: Path) -> None:
     lines = [pose_line(name, pose_at(k), 9) for k, name in enumerate(QUERY_NAMES)]
     (folder / "poses.txt").write_text("\n".join(lines) + "\n")
     pairs = [f"{name} a.jpg\n" for name in QUERY_NAMES]
+    for session in ("summer-grid", "winter-grid"):
+        pairs += [
+            f"{session}/images/{k:06d}.jpg summer-nadir/images/000001.jpg\n" for k in range(3)
+        ]
     (folder / "pairs.txt").write_text("".join(pairs))
     rows = ["name,e,n,u,sigma_m,qw,qx,qy,qz,sigma_deg"]
     rows += [f"p{k}.jpg,{4 * k},0,40,2,0,1,0,0,3.0" for k in range(3)]
@@ -148,6 +152,9 @@ def _configs(folder: Path) -> None:
     (folder / "plan.yaml").write_text(
         "training: {steps: 1, batch: 1, workers: 0}\n"
         "variants: [{name: whole}, {name: none, network: {object_graph: false}}]\n"
+    )
+    (folder / "planned.yaml").write_text(
+        "area: 120\nsize: 64\nspp: 1\norigin: {latitude: 47, longitude: 8, altitude: 400}\n"
     )
     (folder / "survey.plan").write_text(json.dumps(PLAN))
 
@@ -183,14 +190,14 @@ def _weights(folder: Path) -> None:
 
 def _results(root: Path) -> None:
     """What the commands themselves write, beside a baseline of it."""
-    before = Path.cwd()
-    out = str(root / "results")
-    for words in (["evaluate"], ["basin", "--errors", "0m/0deg,3m/5deg"]):
-        done = run(
-            [words[0], str(root / "meadow"), "--method", "sift", "--out", out, *words[1:]]
-        )
+    out = ["--method", "sift", "--out", str(root / "results")]
+    meadow, hamlet = str(root / "meadow"), str(root / "hamlet")
+    for words in (
+        ["evaluate", meadow, hamlet, *out],
+        ["basin", meadow, *out, "--errors", "0m/0deg,3m/5deg"],
+    ):
+        done = run(words)
         assert done.code == 0, done.stderr
-    assert Path.cwd() == before
     shutil.copytree(root / "results", root / "baseline")
 
 
