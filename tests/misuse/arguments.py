@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from tests.misuse.faults import (
     ABSENT,
@@ -21,6 +21,9 @@ from tests.misuse.faults import (
 )
 
 HUGE = str(10**20)
+UNDECODED = "\udcff"
+"""A byte of a name that is no UTF-8."""
+NO_FILES = ("missing", "dangling_link", "cyclic_link", "socket", "fifo", "folder")
 OPTION = "the option"
 """Stands for the names of the option itself."""
 
@@ -53,7 +56,7 @@ class Argument:
         faults: by name.
         reads: paths in the tree that it names.
         writes: patterns of what is written because of it.
-        output: it names what is written.
+        output: it names what is written, and is none of what is read.
         kept: it is of use to the next run, also after one that failed.
     """
 
@@ -81,6 +84,10 @@ class Argument:
     def only(self, *patterns: str) -> Argument:
         """The same with no faults but some."""
         return replace(self, faults={name: self.faults[name] for name in self._like(patterns)})
+
+    def beside_inputs(self) -> Argument:
+        """The same, which may be what is read, too."""
+        return replace(self, output=False)
 
     def sound(self) -> Argument:
         """The same with nothing wrong."""
@@ -173,7 +180,7 @@ def cache(path: str = "cache") -> Argument:
 def _output(path: str, stands: Faults, *writes: str) -> Argument:
     faults = {name: _spoiled(path, spoil) for name, spoil in stands.items()}
     faults |= _words(path, "/dev/null")
-    faults["nowhere"] = Fault((f"/proc/{path}",), says=(path,))
+    faults["nowhere"] = Fault((f"/proc/{path}",), says=(path, "/proc"))
     del faults["empty_word"]
     faults["not_utf8_name"] = replace(faults["not_utf8_name"], fine=True)
     return Argument((path,), faults, writes=writes, output=True)
@@ -187,8 +194,14 @@ def _words(path: str, device: str) -> dict[str, Fault]:
         "under_a_file": Fault((f"mine/notes.txt/{path}",), says=("notes.txt",)),
         "long_name": Fault((LONG,), says=("nnn",)),
         "nul_in_name": Fault((f"{path}\0.txt",), says=(path, "null byte")),
-        "not_utf8_name": Fault((f"{path}\udcff",), says=(path,)),
+        "not_utf8_name": Fault((called(path, UNDECODED),), says=(Path(path).stem,)),
     }
+
+
+def called(path: str, more: str) -> str:
+    """A path whose last name has more before its ending."""
+    plain = PurePosixPath(path)
+    return str(plain.with_name(f"{plain.stem}{more}{plain.suffix}"))
 
 
 def _parts(path: str, form: str) -> dict[str, Fault]:
@@ -208,7 +221,8 @@ def _told(word: str) -> tuple[str, ...]:
     """What a message repeats of a word: all of it, or one side of its equals sign; else it names
     the option."""
     key, _, value = word.partition("=")
-    return (*(part for part in (word, key, value) if part and part.isprintable()), OPTION)
+    said = (word, key, value, value.replace("\0", "\\x00"))
+    return (*(part for part in said if part and part.isprintable()), OPTION)
 
 
 def _named(word: str) -> str:
@@ -224,7 +238,7 @@ SETTINGS = values(
     None,
     *("ratio", "=1", "", "colour=red", "ratio=[", "ratio=high", "ratio=.nan", "ratio=-1"),
     *("ratio=2001-99-99", "ratio=!!python/object/apply:os.getcwd []", "max_features=99999999999"),
-    *("max_error_px=.inf", "max_features=1.5", f"ratio={'[' * 20_000}", f"ratio={BOMB}"),
+    *("max_error_px=.inf", "max_features=1.5", f"ratio={'[' * 3000}", f"ratio={BOMB}"),
 )
 
 
@@ -240,7 +254,7 @@ def start(given: str | None, pairs: str) -> Argument:
     listed = {
         f"pairs:{name}": replace(fault, words=(f"pairs={pairs}",))
         for name, fault in _parts(pairs, "words").items()
-        if name not in NUMBERS and name != "twice"
+        if name not in NUMBERS and name not in ("twice", "nul")
     }
     return told.also(**listed)
 

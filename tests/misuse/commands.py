@@ -12,10 +12,12 @@ from tests.misuse.arguments import (
     CLUSTER,
     FLAG,
     HUGE,
+    NO_FILES,
     METHOD,
     SEED,
     SETTINGS,
     Argument,
+    Fault,
     cache,
     choice,
     file,
@@ -58,8 +60,6 @@ FLIGHT = (
     part("meadow/images/c.jpg", "photograph"),
     *(part(f"meadow/sparse/map/{m}.bin", "bytes") for m in ("cameras", "images", "points3D")),
 )
-# What finds out that a photograph is none is the work itself.
-FLIGHT_UNSEEN = tuple(each for each in FLIGHT if "b.jpg:missing" not in each)
 CMU_TASK = (
     part("cmu/intrinsics.txt", "words"),
     part(f"cmu/slice2/query/{CMU_QUERY}", "photograph"),
@@ -72,6 +72,10 @@ CMU = (
 QUERIED = (MANIFEST, SPLITS, QUERY_FRAMES, MODEL, MAP_PHOTOGRAPH, QUERY_PHOTOGRAPH)
 
 
+# What results say of themselves that no figure follows from.
+RETOLD = ("sift.json:no_schema", "sift.json:name_is_path")
+
+
 @dataclass(frozen=True)
 class Row:
     """A command and what it is given.
@@ -80,12 +84,14 @@ class Row:
         arguments: by the name of the parameter.
         work: functions at which its real work begins, which the matrix does not wait for.
         writes: patterns of what it writes into what it is given.
+        keeps: patterns of what is of use to the next run, also after a run that failed.
         reports: it says what is wrong with its input on standard output, and ends with 2.
     """
 
     arguments: Mapping[str, Argument]
     work: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
+    keeps: tuple[str, ...] = ()
     reports: bool = False
 
     def instead(self, **arguments: Argument) -> Row:
@@ -105,7 +111,8 @@ EVALUATE = Row(
         "jobs": integer("1", HUGE),
         "cluster": CLUSTER,
         "as_json": FLAG,
-    }
+    },
+    keeps=("out", "out/*/.objconnect-*.journal", "out/hamlet", "out/meadow"),
 )
 VALIDATE = Row(
     {
@@ -167,11 +174,15 @@ COMMANDS: dict[str, Row] = {
         {
             "results": folder(
                 "results",
-                part("results/meadow/sift.json", "results", optional=True),
-                part("results/meadow/sift.basin.json", "our json", optional=True),
-                part("results/meadow/album.h5", "bytes", optional=True),
-            ),
-            "out": out_folder("out", "leaderboard.*"),
+                part("results/meadow/sift.json", "results"),
+                part("results/meadow/sift.basin.json", "our json"),
+                part("results/meadow/album.h5", "bytes"),
+            )
+            # There are other results, and what lies beside them is shown where it is.
+            .fine("sift.json:missing", "sift.json:folder", *RETOLD)
+            .fine(*(f"{a}:{b}" for a in ("*.basin.json", "album.h5") for b in NO_FILES)),
+            # A page may lie among the results that it shows.
+            "out": out_folder("out", "leaderboard.*").beside_inputs(),
             "as_json": FLAG,
         }
     ),
@@ -205,8 +216,8 @@ COMMANDS: dict[str, Row] = {
                 *("steps", "=1", "", "colour=red", "steps=[", "steps=0", "steps=many", "rate=.nan"),
                 *("rate=.inf", "crop=1", "batch=-1", f"seed={HUGE}", "photographs=nowhere"),
                 *("weights=nowhere.safetensors", "weights=mine/notes.txt", "network=big"),
-                *("network={colour: red}", "photographs=[mine]"),
-            ),
+                "photographs=[mine]",
+            ).also(network_key=Fault(("network={colour: red}",), says=("colour",))),
             "as_json": FLAG,
         },
         work=("baselines.training.command.train_loop",),
@@ -214,7 +225,7 @@ COMMANDS: dict[str, Row] = {
     "ablate": Row(
         {
             "plan": file("configs/plan.yaml", "yaml"),
-            "datasets": folder("meadow", *FLIGHT_UNSEEN),
+            "datasets": folder("meadow", *FLIGHT_LISTS),
             "data": folder("grove", *LEARNED),
             "out": out_folder("out", "*"),
             "validation": folder("grove", *LEARNED).left_out(),
@@ -225,8 +236,12 @@ COMMANDS: dict[str, Row] = {
     ),
     "regress": Row(
         {
-            "results": folder("results", part("results/meadow/sift.json", "results")),
-            "against": folder("baseline", part("baseline/meadow/sift.json", "results")),
+            "results": folder("results", part("results/meadow/sift.json", "results")).fine(
+                *RETOLD
+            ),
+            "against": folder("baseline", part("baseline/meadow/sift.json", "results")).fine(
+                "sift.json:missing", "sift.json:folder", *RETOLD
+            ),
             "update": FLAG,
             "as_json": FLAG,
         }
@@ -302,9 +317,11 @@ COMMANDS: dict[str, Row] = {
     ),
     "ingest": Row(
         {
-            "photographs": folder("photos", part("photos/p1.jpg", "photograph")),
+            "photographs": folder("photos", part("photos/p1.jpg", "photograph")).fine(
+                "p1.jpg:one_pixel"
+            ),
             "out": out_folder("out", "*"),
-            "gps": file("tables/gps.csv", "csv"),
+            "gps": file("tables/gps.csv", "csv").fine("too_many"),
             "camera": CAMERA,
             "size": integer("96", HUGE),
             "mapper": choice("incremental"),
@@ -321,8 +338,8 @@ COMMANDS: dict[str, Row] = {
             "cluster": CLUSTER,
             "as_json": FLAG,
         },
-        work=("simulate.mapping.triangulate",),
-        writes=("hamlet/*",),
+        work=("scene.colmap._triangulate",),
+        writes=("hamlet/.objconnect-mapping*",),
     ),
     "diagnose": Row(
         {
@@ -358,6 +375,7 @@ COMMANDS: dict[str, Row] = {
         },
         work=("dense.command._make_maps",),
         writes=("hamlet/.objconnect-dense*",),
+        keeps=("hamlet/.objconnect-dense*",),
     ),
     "export": Row(
         {
@@ -374,7 +392,9 @@ COMMANDS: dict[str, Row] = {
     "view": Row(
         {
             "scene": folder("hamlet", MANIFEST, SPLITS, OBJECTS, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH),
-            "results": folder("results", part("results/hamlet/sift.json", "results")),
+            "results": folder(
+                "results/hamlet", part("results/hamlet/sift.json", "results")
+            ).fine("sift.json:no_schema"),
             "out": out_file("out.html", "out.png"),
             "show": FLAG,
             "as_json": FLAG,

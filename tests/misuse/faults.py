@@ -217,7 +217,7 @@ YAML: Faults = {
     "bomb": _edited(lambda data: BOMB.encode()),
     "cycle": _edited(lambda data: b"a: &a [*a]\n"),
     "python": _edited(lambda data: b"!!python/object/apply:os.getcwd []\n"),
-    "deep": _edited(lambda data: b"a: " + b"[" * 20_000),
+    "deep": _edited(lambda data: b"a: " + b"[" * 3000),
     "date": _edited(lambda data: b"a: 2001-99-99\n"),
     "unknown_key": _edited(lambda data: data + b"\ncolour: red\n"),
 }
