@@ -23,7 +23,7 @@ from tests.misuse.faults import (
 HUGE = str(10**20)
 UNDECODED = "\udcff"
 """A byte of a name that is no UTF-8."""
-NO_FILES = ("missing", "dangling_link", "cyclic_link", "socket", "fifo", "folder")
+NO_FILES = ("missing", "dangling_link", "cyclic_link", "socket", "fifo", "folder", "endless")
 OPTION = "the option"
 """Stands for the names of the option itself."""
 
@@ -256,7 +256,8 @@ def start(given: str | None, pairs: str) -> Argument:
         for name, fault in _parts(pairs, "words").items()
         if name not in NUMBERS and name not in ("twice", "nul")
     }
-    return told.also(**listed)
+    nothing = Fault(("pairs=",), says=("pair list",))
+    return told.also(**{**listed, "pairs=": nothing})
 
 
 CAMERA = values(

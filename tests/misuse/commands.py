@@ -193,8 +193,10 @@ COMMANDS: dict[str, Row] = {
             "out": out_folder("out", "*"),
             "errors": values(
                 "1m/2deg",
-                *("", "3m,5deg", "1m/2deg,", "nanm/5deg", "1m/500deg", "-1m/2deg"),
-                f"{'9' * 400}m/1deg",
+                *("", "3m,5deg", "1m/2deg,", "nanm/5deg", "-1m/2deg"),
+            ).also(
+                angle=Fault(("1m/500deg",), says=("500 degrees",)),
+                distance=Fault((f"{'9' * 400}m/1deg",), says=("inf metres",)),
             ),
             "seed": SEED,
             "overrides": SETTINGS,
@@ -391,7 +393,9 @@ COMMANDS: dict[str, Row] = {
     "doctor": Row({"as_json": FLAG}, work=("benchmark.doctor.doctor",)),
     "view": Row(
         {
-            "scene": folder("hamlet", MANIFEST, SPLITS, OBJECTS, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH),
+            "scene": folder(
+                "hamlet", MANIFEST, SPLITS, OBJECTS, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH
+            ).fine("000001.jpg:one_pixel"),
             "results": folder(
                 "results/hamlet", part("results/hamlet/sift.json", "results")
             ).fine("sift.json:no_schema"),
