@@ -31,6 +31,8 @@ _CLOSED_PIPE: Final = _SIGNALLED + 13
 
 # What the libraries below raise on input that they cannot take, besides our own errors.
 _FAULTS: Final = (OSError, UnicodeError, OverflowError, MemoryError, csv.Error, RecursionError)
+# Of a message, characters: an argument may be as long as it likes.
+_LONGEST: Final = 1000
 
 
 class Terminated(KeyboardInterrupt):
@@ -85,6 +87,8 @@ def _code(run: Any) -> int:
     except _FAULTS as error:
         return _say(_words(error), INPUT_AT_FAULT)
     except Exception as error:
+        if _is_cyclic_link(error):
+            return _say(f"{error}: a symbolic link leads to itself", INPUT_AT_FAULT)
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error.format_message(), file=sys.stderr)  # type: ignore[attr-defined]
             return INPUT_AT_FAULT
@@ -98,8 +102,15 @@ def _code(run: Any) -> int:
 def _say(message: str, code: int) -> int:
     """One line on standard error."""
     with suppress(OSError, ValueError):  # nobody listens
-        print(f"objconnect: {_level(code)}{printed(' '.join(message.split()))}", file=sys.stderr)
+        print(f"objconnect: {_level(code)}{_one_line(message)}", file=sys.stderr)
     return _quietly(code)
+
+
+def _one_line(message: str) -> str:
+    """What a terminal can show; of a long message its beginning and its end."""
+    line = printed(" ".join(message.split()))
+    half = _LONGEST // 2
+    return line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}"
 
 
 def _level(code: int) -> str:
@@ -127,6 +138,11 @@ def _words(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return "there is not enough memory: give less at a time or smaller sizes"
     return f"{type(error).__name__}: {error}"
+
+
+def _is_cyclic_link(error: Exception) -> bool:
+    """What ``Path.resolve`` says of one, until Python 3.13 made it an OSError."""
+    return isinstance(error, RuntimeError) and str(error).startswith("Symlink loop")
 
 
 def _is_usage(error: Exception) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +20,7 @@ from scene.errors import InputError
 
 if TYPE_CHECKING:
     from benchmark.datasets import Dataset
+    from scene.camera import Camera
 
 app = typer.Typer(
     name="objconnect",
@@ -53,11 +55,21 @@ Cache = Annotated[
     ),
 ]
 
+
+def _address(address: str | None) -> str | None:
+    """Refused before any work, not where the work is spread."""
+    from scene.cluster import require_address
+
+    require_address(address)
+    return address
+
+
 ClusterAddress = Annotated[
     str | None,
     typer.Option(
         "--cluster",
         metavar="ADDRESS",
+        callback=_address,
         help="Work on a Ray cluster: local (all cores of this machine), auto (the cluster that "
         "this machine is a node of) or HOST:PORT; see docs/cluster.md.",
     ),
@@ -139,6 +151,7 @@ def evaluate(
     told = parse_start(start)
     opened = [dataset for path in datasets for dataset in open_datasets(path)]
     _require_distinct_names(opened)
+    _claim_folders(datasets, out, cache)
     for dataset in opened:
         for localizer in localizers.values():
             claim_evaluation(dataset, localizer, out)
@@ -173,6 +186,7 @@ def submit(
     from benchmark.submission import SUBMISSION
     from benchmark.submission import submit as run
 
+    _claim_folders([path], out, cache)
     found, images = run(path, create(method, _settings(overrides or [])), out, cache)
     if as_json:
         _print_json({"submission": str(out / SUBMISSION), "images": images, "found": found})
@@ -211,7 +225,8 @@ def score(
 
     opened = [dataset for path in reference for dataset in open_datasets(path)]
     _require_distinct_names(opened)
-    written = run(poses, opened, method or poses.stem, out, start)
+    _claim_folders(reference, out)
+    written = run(poses, opened, poses.stem if method is None else method, out, start)
     boards = tables(written)
     if as_json:
         _print_json({"results": [str(path) for path in written], "tables": boards})
@@ -285,6 +300,7 @@ def basin(
     localizers = [create(name, settings) for name in method]
     opened = [dataset for path in datasets for dataset in open_datasets(path)]
     _require_distinct_names(opened)
+    _claim_folders(datasets, out, cache)
     found = {}
     for dataset in opened:
         for localizer in localizers:
@@ -340,14 +356,15 @@ def localize(
     from benchmark.localize import localize as run
     from benchmark.localize import open_place
     from benchmark.registry import create
-    from scene.camera import Camera
 
+    calibration = _camera(camera)
+    _claim_folders([place, images], cache)
     located = run(
         open_place(place),
         images,
         create(method, _settings(overrides or [])),
         out,
-        camera=Camera.parse(camera.split()) if camera is not None else None,
+        camera=calibration,
         priors=priors,
         gps_sigma_m=gps_sigma,
         gimbal_sigma_deg=gimbal_sigma,
@@ -441,6 +458,7 @@ def ablate(
     told = parse_start(start)
     opened = [dataset for path in datasets for dataset in open_datasets(path)]
     _require_distinct_names(opened)
+    _claim_folders(datasets, out)
     table = run(settings, data, validation or [], opened, out, told)
     if as_json:
         _print_json({"table": str(out / TABLE)})
@@ -610,7 +628,7 @@ def calibrate(
             "default camera of simulate.",
         ),
     ] = None,
-    views: Annotated[int, typer.Option(help="Chessboard views.", min=4)] = 20,
+    views: Annotated[int, typer.Option(help="Chessboard views.", min=4, max=1000)] = 20,
     seed: Annotated[int, typer.Option(help="Of the board's poses.", min=0)] = 0,
     as_json: Json = False,
 ) -> None:
@@ -687,13 +705,12 @@ def ingest(
     are the photographs' own structure from motion, placed by GPS.
     """
     from ingest.command import ingest as run
-    from scene.camera import Camera
 
     report = run(
         photographs,
         out,
         gps=gps,
-        camera=Camera.parse(camera.split()) if camera is not None else None,
+        camera=_camera(camera),
         size=size,
         mapper=mapper.value,
         split=split.value,
@@ -747,7 +764,10 @@ def diagnose(
         ),
     ] = None,
     cell: Annotated[
-        float, typer.Option(help="Side of a cell of ground to count points in, metres.", min=0.1)
+        float,
+        typer.Option(
+            help="Side of a cell of ground to count points in, metres.", min=0.1, max=10_000
+        ),
     ] = 5.0,
     as_json: Json = False,
 ) -> None:
@@ -891,6 +911,7 @@ def validate(
     """Check a scene's or flight's conventions and exactness, and name what is wrong."""
     from benchmark.validate import validate as run
 
+    _claim_folders([scene], cache)
     report = run(scene, cache)
     if as_json:
         _print_json(report.as_dict())
@@ -970,6 +991,25 @@ def _settings(overrides: list[str]) -> dict[str, Any]:
         if settings[key] is None:
             raise InputError(f"--set {key}: {value!r} is no value; leave it out for the default")
     return settings
+
+
+def _camera(words: str | None) -> Camera | None:
+    """The value of ``--camera``."""
+    from scene.camera import Camera
+
+    try:
+        return None if words is None else Camera.parse(words.split())
+    except InputError as error:
+        raise InputError(f"--camera: {error}") from None
+
+
+def _claim_folders(inputs: Iterable[Path], *folders: Path | None) -> None:
+    """Refuse to write among what a command reads: another data set would come of it."""
+    from scene.outputs import claim_folder
+
+    for folder in folders:
+        if folder is not None:
+            claim_folder(folder, inputs)
 
 
 def _require_distinct_names(datasets: list[Dataset]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Final
@@ -96,11 +97,12 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
 
 def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[str, Prior]:
     """Starting information by photograph; empty where the flight has none."""
-    if (path / "priors.csv").exists():
+    # What stands there, and be it a link to nowhere, is meant to be read.
+    if os.path.lexists(path / "priors.csv"):
         priors = read_priors(path / "priors.csv")
         require_same_case(path / "priors.csv", priors, photographs)
         return priors
-    if not (path / "gps.csv").exists():
+    if not os.path.lexists(path / "gps.csv"):
         return {}
     fixes = read_gps(path / "gps.csv")
     require_same_case(path / "gps.csv", fixes, photographs)

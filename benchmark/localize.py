@@ -7,6 +7,7 @@ import hashlib
 import io
 import logging
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -385,7 +386,7 @@ def _rows(located: Sequence[Located]) -> Iterator[Mapping[str, Any]]:
 def _origin(path: Path) -> Geodetic | None:
     """The flight's ``origin.json``, when it has one."""
     file = path / "origin.json"
-    if not file.is_file():
+    if not os.path.lexists(file):
         return None
     try:
         values = parse_json(read_text(file, "origin"))

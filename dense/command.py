@@ -114,6 +114,7 @@ def _make(
     scene: Scene, size: int, sources: int, stereo: Stereo, seed: int, cluster: str | None
 ) -> DenseReport:
     path = scene.path
+    scene.require_lists()
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, size) for i in sparse_map.images.values()}
     pinhole_map = undistorted_map(sparse_map, cameras)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -161,7 +162,7 @@ def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Label
             picture = source / Path(called).with_suffix(".png")
             if called in listed:
                 labels = read_coco(source, called, _ALL)
-            elif picture.is_file():
+            elif os.path.lexists(picture):
                 labels = read_label_png(picture, _ALL)
             else:
                 continue

@@ -113,6 +113,18 @@ class Scene:
         """
         return added_rows(self.map_path, len(sparse_map.xyz))
 
+    def require_lists(self) -> None:
+        """Read every list of the scene, before long work that needs them at its end.
+
+        Raises:
+            InputError: one is missing or damaged.
+        """
+        _ = self.objects
+        for session in self.sessions:
+            self.frames(session)
+            with self.dense(session):
+                pass
+
     def frames(self, session: str) -> Frames:
         """Poses, cameras and priors of a session."""
         return read_frames(self._frames_path(session))

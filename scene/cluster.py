@@ -120,6 +120,12 @@ class _RayCrew(Crew[Unit, Result]):
                 ray.cancel(unfinished, force=True)
 
 
+def require_address(address: str | None) -> None:
+    """InputError: it is none of those that ``crew`` takes."""
+    if address is not None and not _ADDRESS.fullmatch(address):
+        raise InputError(f"--cluster takes local, auto or HOST:PORT, got {address!r}")
+
+
 @contextmanager
 def crew(address: str | None, work: Work[Unit, Result]) -> Iterator[Crew[Unit, Result]]:
     """Connect to a cluster, whose workers' messages appear on this process's standard error.
@@ -137,8 +143,7 @@ def crew(address: str | None, work: Work[Unit, Result]) -> Iterator[Crew[Unit, R
     if address is None:
         yield Crew(work)
         return
-    if not _ADDRESS.fullmatch(address):
-        raise InputError(f"--cluster takes local, auto or HOST:PORT, got {address!r}")
+    require_address(address)
     ray = _ray()
     if ":" in address:
         _require_answer(address)

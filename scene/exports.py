@@ -19,6 +19,7 @@ from scene.errors import InputError
 from scene.files import folder_written_whole
 from scene.frames import Frames
 from scene.names import written
+from scene.outputs import claim_folder
 
 Format = Literal["colmap", "nerfstudio", "tum", "hloc", "cmu"]
 
@@ -69,6 +70,7 @@ def export(
         raise InputError(f"{out} lies in the scene itself: choose a folder outside it")
     chosen = {name: scene.frames(name) for name in dict.fromkeys(sessions or scene.sessions)}
     require_empty(out)
+    claim_folder(out, [path])
     write = _WRITERS[file_format]
     with folder_written_whole(out) as folder:
         write(scene, chosen, folder, out)

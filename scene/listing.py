@@ -39,6 +39,13 @@ def files_in(folder: Path, endings: Collection[str], depth: int | None = 1) -> l
     return sorted(_files(folder, frozenset(endings), depth))
 
 
+def _is_folder(entry: os.DirEntry[str], follow_symlinks: bool) -> bool:
+    try:
+        return entry.is_dir(follow_symlinks=follow_symlinks)
+    except OSError:  # a link that leads to itself
+        return False
+
+
 def _files(folder: Path, endings: frozenset[str], depth: int | None) -> Iterator[Path]:
     try:
         with os.scandir(folder) as entries:
@@ -46,7 +53,7 @@ def _files(folder: Path, endings: frozenset[str], depth: int | None) -> Iterator
                 if is_stray(entry.name):
                     continue
                 path = folder / entry.name
-                if entry.is_dir(follow_symlinks=depth is not None):
+                if _is_folder(entry, follow_symlinks=depth is not None):
                     if depth is None or depth > 1:
                         yield from _files(path, endings, depth and depth - 1)
                 elif path.suffix.lower() in endings:

@@ -63,6 +63,7 @@ def supplement(
             file; the map is as it was.
     """
     scene = Scene.open(path)
+    scene.require_lists()
     sparse_map = scene.sparse_map()
     before = sparse_map.without(scene.added_points(sparse_map))
     network = None if weights is None else read_network(weights)[0]

@@ -1,0 +1,407 @@
+"""Every command: what each of its parameters is. A new command or option joins here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from tests.fuzz.readers import CMU_QUERY
+from tests.misuse.faults import LONG
+from tests.misuse.arguments import (
+    CAMERA,
+    CLUSTER,
+    FLAG,
+    HUGE,
+    NO_FILES,
+    METHOD,
+    SEED,
+    SETTINGS,
+    Argument,
+    Fault,
+    cache,
+    choice,
+    file,
+    folder,
+    integer,
+    out_file,
+    out_folder,
+    part,
+    real,
+    start,
+    values,
+)
+
+MANIFEST = part("hamlet/scene.json", "our json")
+SPLITS = part("hamlet/splits.json", "our json")
+OBJECTS = part("hamlet/objects.json", "our json")
+COVISIBILITY = part("hamlet/covisibility.h5", "bytes")
+MAP_FRAMES = part("hamlet/sessions/summer-nadir/frames.h5", "bytes")
+QUERY_FRAMES = part("hamlet/sessions/winter-grid/frames.h5", "bytes")
+LEARNED = (
+    part("grove/scene.json", "our json"),
+    part("grove/covisibility.h5", "bytes"),
+    part("grove/sessions/summer-nadir/frames.h5", "bytes"),
+)
+MAP_PHOTOGRAPH = part("hamlet/sessions/summer-nadir/images/000001.jpg", "photograph")
+QUERY_PHOTOGRAPH = part("hamlet/sessions/winter-grid/images/000002.jpg", "photograph")
+MODEL = {
+    name: fault
+    for model in ("cameras", "images", "points3D")
+    for name, fault in part(f"hamlet/map/{model}.bin", "bytes").items()
+}
+FLIGHT_LISTS = (
+    part("meadow/queries.txt", "words"),
+    part("meadow/reference_poses.txt", "words"),
+    part("meadow/gps.csv", "csv", optional=True),
+)
+FLIGHT = (
+    *FLIGHT_LISTS,
+    part("meadow/images/b.jpg", "photograph"),
+    part("meadow/images/c.jpg", "photograph"),
+    *(part(f"meadow/sparse/map/{m}.bin", "bytes") for m in ("cameras", "images", "points3D")),
+)
+CMU_TASK = (
+    part("cmu/intrinsics.txt", "words"),
+    part(f"cmu/slice2/query/{CMU_QUERY}", "photograph"),
+    part("cmu/slice2/sparse/images.bin", "bytes"),
+)
+CMU = (
+    *CMU_TASK,
+    part("cmu/slice2/camera-poses/slice-2-gt-query-images-20101019.txt", "words"),
+)
+QUERIED = (MANIFEST, SPLITS, QUERY_FRAMES, MODEL, MAP_PHOTOGRAPH, QUERY_PHOTOGRAPH)
+
+
+# What results say of themselves that no figure follows from.
+RETOLD = ("sift.json:no_schema", "sift.json:name_is_path")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A command and what it is given.
+
+    Attributes:
+        arguments: by the name of the parameter.
+        work: functions at which its real work begins, which the matrix does not wait for.
+        writes: patterns of what it writes into what it is given.
+        keeps: patterns of what is of use to the next run, also after a run that failed.
+        reports: it says what is wrong with its input on standard output, and ends with 2.
+    """
+
+    arguments: Mapping[str, Argument]
+    work: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    keeps: tuple[str, ...] = ()
+    reports: bool = False
+
+    def instead(self, **arguments: Argument) -> Row:
+        """The same command given something else; what is the same is spoiled only once."""
+        same = {name: replace(found, faults={}) for name, found in self.arguments.items()}
+        return replace(self, arguments={**same, **arguments})
+
+
+EVALUATE = Row(
+    {
+        "datasets": folder("hamlet", *QUERIED),
+        "method": METHOD,
+        "out": out_folder("out", "*"),
+        "overrides": SETTINGS,
+        "start": start("prior", "tables/pairs.txt"),
+        "cache": cache(),
+        "jobs": integer("1", HUGE),
+        "cluster": CLUSTER,
+        "as_json": FLAG,
+    },
+    keeps=("out", "out/*/.objconnect-*.journal", "out/hamlet", "out/meadow"),
+)
+VALIDATE = Row(
+    {
+        "scene": folder("hamlet", MANIFEST, SPLITS, OBJECTS, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH),
+        "cache": FLAG,
+        "as_json": FLAG,
+    },
+    reports=True,
+)
+LOCALIZE = Row(
+    {
+        "place": folder(
+            "meadow",
+            part("meadow/origin.json", "json", optional=True),
+            part("meadow/images/c.jpg", "photograph"),
+            part("meadow/sparse/map/images.bin", "bytes"),
+        ),
+        # One of several photographs that cannot be read is a row of the answer.
+        "images": folder("photos", part("photos/p1.jpg", "photograph")).fine("p1.jpg:*"),
+        "out": out_file("out.txt", "out.csv"),
+        "method": METHOD,
+        "camera": CAMERA,
+        "priors": file("tables/priors.csv", "csv"),
+        "gps_sigma": real("10"),
+        "gimbal_sigma": real("5"),
+        "overrides": SETTINGS,
+        "cache": cache(),
+        "as_json": FLAG,
+    }
+)
+COMMANDS: dict[str, Row] = {
+    "evaluate": EVALUATE,
+    "evaluate:flight": EVALUATE.instead(datasets=folder("meadow", *FLIGHT)),
+    "evaluate:cmu": EVALUATE.instead(datasets=folder("cmu", *CMU)),
+    "submit": Row(
+        {
+            "path": folder("cmu", *CMU_TASK),
+            "out": out_folder("out", "*"),
+            "method": METHOD,
+            "overrides": SETTINGS,
+            "cache": cache(),
+            "as_json": FLAG,
+        }
+    ),
+    "score": Row(
+        {
+            "poses": file("tables/poses.txt", "words"),
+            "reference": folder("meadow", *FLIGHT_LISTS),
+            "out": out_folder("out", "*"),
+            "method": values(
+                "theirs",
+                *("", "../../x", "/x", "a/b", ".hidden", "a\nb", "\x1b[31m", "a ", LONG),
+            ),
+            "start": start("none", "tables/pairs.txt"),
+            "as_json": FLAG,
+        }
+    ),
+    "leaderboard": Row(
+        {
+            "results": folder(
+                "results",
+                part("results/meadow/sift.json", "results"),
+                part("results/meadow/sift.basin.json", "our json"),
+                part("results/meadow/album.h5", "bytes"),
+            )
+            # There are other results, and what lies beside them is shown where it is.
+            .fine("sift.json:missing", "sift.json:folder", *RETOLD)
+            .fine(*(f"{a}:{b}" for a in ("*.basin.json", "album.h5") for b in NO_FILES)),
+            # A page may lie among the results that it shows.
+            "out": out_folder("out", "leaderboard.*").beside_inputs(),
+            "as_json": FLAG,
+        }
+    ),
+    "basin": Row(
+        {
+            "datasets": folder("meadow", *FLIGHT),
+            "method": METHOD,
+            "out": out_folder("out", "*"),
+            "errors": values(
+                "1m/2deg",
+                *("", "3m,5deg", "1m/2deg,", "nanm/5deg", "-1m/2deg"),
+            ).also(
+                angle=Fault(("1m/500deg",), says=("500 degrees",)),
+                distance=Fault((f"{'9' * 400}m/1deg",), says=("inf metres",)),
+            ),
+            "seed": SEED,
+            "overrides": SETTINGS,
+            "cache": cache(),
+            "as_json": FLAG,
+        }
+    ),
+    "localize": LOCALIZE,
+    "localize:scene": LOCALIZE.instead(place=folder("hamlet", MANIFEST, MODEL, MAP_PHOTOGRAPH)),
+    "train": Row(
+        {
+            "method": values("objconnect", "", "magic", "sift", "../x", LONG),
+            "data": folder("grove", *LEARNED),
+            "out": out_folder("out", "*"),
+            "validation": folder("grove", *LEARNED).left_out(),
+            "config": file("configs/train.yaml", "yaml"),
+            "overrides": values(
+                None,
+                *("steps", "=1", "", "colour=red", "steps=[", "steps=0", "steps=many", "rate=.nan"),
+                *("rate=.inf", "crop=1", "batch=-1", f"seed={HUGE}", "photographs=nowhere"),
+                *("weights=nowhere.safetensors", "weights=mine/notes.txt", "network=big"),
+                "photographs=[mine]",
+            ).also(network_key=Fault(("network={colour: red}",), says=("colour",))),
+            "as_json": FLAG,
+        },
+        work=("baselines.training.command.train_loop",),
+    ),
+    "ablate": Row(
+        {
+            "plan": file("configs/plan.yaml", "yaml"),
+            "datasets": folder("meadow", *FLIGHT_LISTS),
+            "data": folder("grove", *LEARNED),
+            "out": out_folder("out", "*"),
+            "validation": folder("grove", *LEARNED).left_out(),
+            "start": start(None, "tables/pairs.txt"),
+            "as_json": FLAG,
+        },
+        work=("baselines.training.command.train_loop",),
+    ),
+    "regress": Row(
+        {
+            "results": folder("results", part("results/meadow/sift.json", "results")).fine(
+                *RETOLD
+            ),
+            "against": folder("baseline", part("baseline/meadow/sift.json", "results")).fine(
+                "sift.json:missing", "sift.json:folder", *RETOLD
+            ),
+            "update": FLAG,
+            "as_json": FLAG,
+        }
+    ),
+    "simulate": Row(
+        {
+            "out": out_folder("out", "*"),
+            "preset": choice("town", "TOWN"),
+            "seed": SEED,
+            "config": file("configs/simulate.yaml", "yaml"),
+            "area": real("120"),
+            "session": values(
+                "summer-noon:nadir",
+                *("", "summer-noon", "rain:nadir", "summer-noon:", "summer-noon:magic", ":nadir"),
+                *("summer-noon:nadir:magic", "summer-noon:nadir:map:cars_moved=nan"),
+                *("summer-noon:nadir:map:cars_moved=2", "summer-noon:nadir:map:colour=red"),
+                *("summer-noon:nadir:map:cars_moved=", "summer-noon:plan="),
+                *("summer-noon:plan=nowhere", "summer-noon:plan=mine"),
+                "summer-noon:plan=/dev/zero",
+            ),
+            "frames": integer("2"),
+            "size": integer("64"),
+            "spp": integer("1"),
+            "jobs": integer("1", HUGE),
+            "cluster": CLUSTER,
+            "file_format": choice("tum"),
+            "as_json": FLAG,
+        },
+        work=("simulate.command.render",),
+    ),
+    "simulate:plan": Row(
+        {
+            "out": out_folder("out", "*").sound(),
+            "preset": FLAG,
+            "seed": FLAG,
+            "config": file("configs/planned.yaml", "yaml").sound(),
+            "area": FLAG,
+            "session": folder(
+                "configs/survey.plan", part("configs/survey.plan", "json")
+            ).only("survey.plan:*").given_as("summer-noon:plan=configs/survey.plan:map"),
+            "frames": FLAG,
+            "size": FLAG,
+            "spp": FLAG,
+            "jobs": FLAG,
+            "cluster": FLAG,
+            "file_format": FLAG,
+            "as_json": FLAG,
+        },
+        work=("simulate.command.render",),
+    ),
+    "gallery": Row(
+        {
+            "out": out_folder("out", "*"),
+            "preset": choice("town"),
+            "condition": choice("summer-noon", "summer", "rain-noon", "summer-noon-lava"),
+            "seed": SEED,
+            "area": real("120"),
+            "size": integer("64"),
+            "spp": integer("1"),
+            "as_json": FLAG,
+        },
+        work=("simulate.gallery.preset",),
+    ),
+    "calibrate": Row(
+        {
+            "out": out_folder("out", "*"),
+            "camera": file("configs/camera.yaml", "yaml"),
+            "views": integer("4"),
+            "seed": SEED,
+            "as_json": FLAG,
+        },
+        work=("simulate.calibrate.render",),
+    ),
+    "ingest": Row(
+        {
+            "photographs": folder("photos", part("photos/p1.jpg", "photograph")).fine(
+                "p1.jpg:one_pixel"
+            ),
+            "out": out_folder("out", "*"),
+            "gps": file("tables/gps.csv", "csv").fine("too_many"),
+            "camera": CAMERA,
+            "size": integer("96", HUGE),
+            "mapper": choice("incremental"),
+            "split": choice("photo"),
+            "every": integer("2", HUGE),
+            "as_json": FLAG,
+        },
+        work=("ingest.command.match_photographs",),
+    ),
+    "map": Row(
+        {
+            "scene": folder("hamlet", MANIFEST, SPLITS, MAP_FRAMES, COVISIBILITY, MAP_PHOTOGRAPH),
+            "method": choice("triangulate"),
+            "cluster": CLUSTER,
+            "as_json": FLAG,
+        },
+        work=("scene.colmap._triangulate",),
+        writes=("hamlet/.objconnect-mapping*",),
+    ),
+    "diagnose": Row(
+        {
+            "scene": folder("hamlet", MANIFEST, MODEL, OBJECTS, MAP_FRAMES),
+            "masks": folder(
+                "masks/labels",
+                part("masks/labels/summer-nadir/images/000001.png", "bytes", optional=True),
+            ),
+            "cell": real("5"),
+            "as_json": FLAG,
+        },
+        writes=("hamlet/pictures*",),
+    ),
+    "supplement": Row(
+        {
+            "scene": folder("hamlet", MANIFEST, MODEL, OBJECTS, MAP_FRAMES, MAP_PHOTOGRAPH),
+            "weights": file("weights/net.safetensors", "bytes"),
+            "masks": file("masks/coco.json", "json"),
+            "remove": FLAG,
+            "as_json": FLAG,
+        },
+        work=("objconnect.supplement.command.add_to_map",),
+    ),
+    "dense": Row(
+        {
+            "scene": folder("hamlet", MANIFEST, MODEL, MAP_FRAMES, MAP_PHOTOGRAPH),
+            "size": integer("64", HUGE),
+            "sources": integer("2", HUGE),
+            "stereo": choice("own"),
+            "seed": SEED,
+            "cluster": CLUSTER,
+            "as_json": FLAG,
+        },
+        work=("dense.command._make_maps",),
+        writes=("hamlet/.objconnect-dense*",),
+        keeps=("hamlet/.objconnect-dense*",),
+    ),
+    "export": Row(
+        {
+            "scene": folder("hamlet", MANIFEST, SPLITS, QUERY_FRAMES, COVISIBILITY),
+            "file_format": choice("hloc", "HLOC"),
+            "out": out_folder("out", "*"),
+            "session": values("winter-grid", "", "magic", "../x", LONG),
+            "as_json": FLAG,
+        }
+    ),
+    "validate": VALIDATE,
+    "validate:flight": VALIDATE.instead(scene=folder("meadow", *FLIGHT), cache=cache()),
+    "doctor": Row({"as_json": FLAG}, work=("benchmark.doctor.doctor",)),
+    "view": Row(
+        {
+            "scene": folder(
+                "hamlet", MANIFEST, SPLITS, OBJECTS, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH
+            ).fine("000001.jpg:one_pixel"),
+            "results": folder(
+                "results/hamlet", part("results/hamlet/sift.json", "results")
+            ).fine("sift.json:no_schema"),
+            "out": out_file("out.html", "out.png"),
+            "show": FLAG,
+            "as_json": FLAG,
+        }
+    ),
+}

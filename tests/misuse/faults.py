@@ -1,0 +1,256 @@
+"""Ways to spoil a file or a folder, by its format. Each takes the path of what is there."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shutil
+import socket
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+Spoil = Callable[[Path], object]
+Faults = Mapping[str, Spoil]
+
+LONG = "n" * 300
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{b}: &{b} [{', '.join(['*' + a] * 9)}]\n"
+    for a, b in zip("abcdefghij", "bcdefghijk", strict=True)
+)
+
+
+def _clear(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    elif os.path.lexists(path):
+        path.unlink()
+
+
+def _replaced(make: Spoil) -> Spoil:
+    def spoil(path: Path) -> None:
+        _clear(path)
+        make(path)
+
+    return spoil
+
+
+def _edited(edit: Callable[[bytes], bytes]) -> Spoil:
+    def spoil(path: Path) -> None:
+        before = path.read_bytes()
+        after = edit(before)
+        assert after != before, f"the fault changes nothing in {path}"
+        path.write_bytes(after)
+
+    return spoil
+
+
+def _text(edit: Callable[[str], str]) -> Spoil:
+    return _edited(lambda data: edit(data.decode()).encode("utf-8", "surrogateescape"))
+
+
+def _socket(path: Path) -> None:
+    """Bound by a short relative name: the system allows no more than 108 bytes."""
+    here = Path.cwd()
+    os.chdir(path.parent)
+    try:
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(path.name)
+    finally:
+        os.chdir(here)
+
+
+def _cycle(path: Path) -> None:
+    path.symlink_to(path.name)
+
+
+def _garbage(data: bytes) -> bytes:
+    return Random(len(data)).randbytes(max(len(data), 64))
+
+
+# What may stand in the place of any file or folder.
+ABSENT: Faults = {
+    "missing": _clear,
+    "dangling_link": _replaced(lambda path: path.symlink_to("nowhere")),
+    "cyclic_link": _replaced(_cycle),
+    "fifo": _replaced(os.mkfifo),
+    "socket": _replaced(_socket),
+}
+NO_FILE: Faults = {
+    **ABSENT,
+    "folder": _replaced(lambda path: path.mkdir()),
+    "endless": _replaced(lambda path: path.symlink_to("/dev/zero")),
+}
+NO_FOLDER: Faults = {
+    **ABSENT,
+    "file": _replaced(lambda path: path.write_text("no folder\n")),
+    "empty_folder": _replaced(lambda path: path.mkdir()),
+}
+EMPTY: Faults = {"empty": _edited(lambda data: b"")}
+BYTES: Faults = {
+    **EMPTY,
+    "truncated": _edited(lambda data: data[: len(data) // 2]),
+    "zeroed": _edited(lambda data: bytes(len(data))),
+    "garbage": _edited(_garbage),
+    "text": _edited(lambda data: b"this is a text\n"),
+}
+TEXT: Faults = {
+    **EMPTY,
+    "not_utf8": _edited(lambda data: data + b"\xff\xfe\xe4\n"),
+    "utf16": _edited(lambda data: data.decode().encode("utf-16")),
+    "nul": _edited(lambda data: data.rstrip(b"\n") + b"\0\n"),
+    "garbage": _edited(_garbage),
+}
+# What a spreadsheet or another system adds, and nobody sees.
+HARMLESS_TEXT: Faults = {
+    "bom": _edited(lambda data: b"\xef\xbb\xbf" + data),
+    "crlf": _edited(lambda data: data.replace(b"\n", b"\r\n")),
+    "blank_lines": _edited(lambda data: data + b"\n\n"),
+}
+
+
+def number(becomes: str) -> Spoil:
+    """The last number of the last line becomes something else."""
+
+    def edit(text: str) -> str:
+        head, _, last = text.rstrip("\n").rpartition("\n")
+        return f"{head}\n{re.sub(r'[-+.0-9e]+$', becomes, last)}\n"
+
+    return _text(edit)
+
+
+NUMBERS: Faults = {
+    "nan": number("nan"),
+    "inf": number("inf"),
+    "word": number("west"),
+    "huge": number("1e999"),
+    "no_number": number(""),
+}
+
+
+def _columns(text: str) -> str:
+    return "".join(f"{line} 1.5\n" for line in text.splitlines())
+
+
+WORDS: Faults = {
+    **TEXT,
+    **NUMBERS,
+    "columns": _text(_columns),
+    "twice": _text(lambda text: text + text.rstrip("\n").splitlines()[-1] + "\n"),
+}
+
+
+def _header(edit: Callable[[str], str]) -> Spoil:
+    def change(text: str) -> str:
+        first, _, rest = text.partition("\n")
+        return f"{edit(first)}\n{rest}"
+
+    return _text(change)
+
+
+CSV: Faults = {
+    **TEXT,
+    **NUMBERS,
+    "no_header": _text(lambda text: text.partition("\n")[2]),
+    "lacks_column": _header(lambda line: line.rpartition(",")[0]),
+    "column_twice": _header(lambda line: f"{line},{line.split(',')[1]}"),
+    "too_many": _text(lambda text: text.rstrip("\n") + ",1,2,3\n"),
+    "stray_quote": _text(lambda text: text.replace(",", ',"', 1) + "x" * 200_000 + "\n"),
+    "twice": _text(lambda text: text + text.rstrip("\n").splitlines()[-1] + "\n"),
+}
+JSON: Faults = {
+    **TEXT,
+    "truncated": _edited(lambda data: data[: len(data) // 2]),
+    "list": _edited(lambda data: b"[1, 2]"),
+    "null": _edited(lambda data: b"null"),
+    "word": _edited(lambda data: b'"all is well"'),
+    "no_keys": _edited(lambda data: b"{}"),
+    "deep": _edited(lambda data: b"[" * 100_000),
+}
+# Of our own files, whose keys are known.
+OUR_JSON: Faults = {
+    **JSON,
+    "unknown_key": _text(lambda text: text.replace("{", '{"colour": "red", ', 1)),
+}
+
+
+def _of_results(edit: Callable[[Any], object]) -> Spoil:
+    """An edit by hand of a results file."""
+
+    def change(text: str) -> str:
+        results = json.loads(text)
+        edit(results)
+        return json.dumps(results)
+
+    return _text(change)
+
+
+RESULTS: Faults = {
+    **OUR_JSON,
+    "unknown_schema": _of_results(lambda r: r.update(schema=99)),
+    "no_schema": _of_results(lambda r: r.pop("schema")),
+    "nan": _of_results(lambda r: r["queries"][0].update(t_err_m=float("nan"))),
+    "recall_is_text": _of_results(lambda r: r["summary"]["recall"].update({"0.5m_5deg": "all"})),
+    "better_recall": _of_results(
+        lambda r: r["summary"]["recall"].update({"5m_10deg": {"value": 99, "low": 9, "high": 99}})
+    ),
+    "query_twice": _of_results(lambda r: r["queries"].append(r["queries"][0])),
+    "no_query": _of_results(lambda r: r["queries"].clear()),
+    "fewer_queries": _of_results(lambda r: r["queries"].pop()),
+    "status": _of_results(lambda r: r["queries"][0].update(status="great")),
+    "negative_error": _of_results(lambda r: r["queries"][0].update(t_err_m=-1.0)),
+    "huge_pose": _of_results(lambda r: r["queries"][0].update(cam_from_world=[1e308] * 7)),
+    "no_method": _of_results(lambda r: r.pop("method")),
+    "name_is_path": _of_results(lambda r: r["dataset"].update(name="../../x")),
+}
+YAML: Faults = {
+    **{name: spoil for name, spoil in TEXT.items() if name != "empty"},
+    "broken": _edited(lambda data: data + b"\n x: [1, {\n"),
+    "list": _edited(lambda data: b"- 1\n- 2\n"),
+    "word": _edited(lambda data: b"all is well\n"),
+    "bomb": _edited(lambda data: BOMB.encode()),
+    "cycle": _edited(lambda data: b"a: &a [*a]\n"),
+    "python": _edited(lambda data: b"!!python/object/apply:os.getcwd []\n"),
+    "deep": _edited(lambda data: b"a: " + b"[" * 3000),
+    "date": _edited(lambda data: b"a: 2001-99-99\n"),
+    "unknown_key": _edited(lambda data: data + b"\ncolour: red\n"),
+}
+
+
+def _picture(mode: str, size: tuple[int, int], file_format: str) -> bytes:
+    stream = io.BytesIO()
+    picture = np.zeros((size[1], size[0]), np.uint16 if mode == "I;16" else np.uint8)
+    Image.fromarray(picture).convert(mode if mode != "I;16" else None).save(stream, file_format)
+    return stream.getvalue()
+
+
+def _bomb(data: bytes) -> bytes:
+    """A picture that says that it has 65500 x 65500 pixels."""
+    at = data.find(b"\xff\xc0")
+    if at < 0:
+        at = data.find(b"\xff\xc2")
+    return data[: at + 5] + b"\xff\xdc\xff\xdc" + data[at + 9 :]
+
+
+PHOTOGRAPH: Faults = {
+    **BYTES,
+    "bomb": _edited(_bomb),
+    # A whole picture, and yet not what the camera took.
+    "one_pixel": _edited(lambda data: _picture("L", (1, 1), "JPEG")),
+}
+FORMATS: Mapping[str, Faults] = {
+    "bytes": BYTES,
+    "csv": CSV,
+    "json": JSON,
+    "our json": OUR_JSON,
+    "results": RESULTS,
+    "photograph": PHOTOGRAPH,
+    "words": WORDS,
+    "yaml": YAML,
+}

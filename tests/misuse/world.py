@@ -1,0 +1,206 @@
+"""The small tree that commands are misused in: whole files of every kind, made once."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from benchmark.textfiles import pose_line
+from objconnect import network as objconnect
+from objconnect.config import ObjConnectNetConfig
+from baselines.weights import write_weights
+from scene.camera import Camera
+from scene.bundle import Scene, finish
+from scene.covisibility import Covisibility, write_covisibility
+from scene.features import Features, write_features
+from scene.geodesy import Geodetic, geodetic_from_enu
+from scene.frames import write_frames
+from scene.images import Exif
+from scene.images import write_jpeg as write_photograph
+from scene.manifest import Objects, SceneObject, write_json
+from tests.benchmark.made_data import (
+    CAMERA,
+    QUERY_NAMES,
+    pose_at,
+    write_flight,
+    write_jpeg,
+    write_model,
+    write_scene,
+)
+from tests.fuzz.readers import CMU_NAME, CMU_QUERY, READERS
+from tests.misuse.harness import run
+from tests.simulate.test_qgroundcontrol import PLAN
+
+TAKEN = datetime(2026, 6, 1, 12, tzinfo=UTC)
+ORIGIN = Geodetic(47.0, 8.0, 400.0)
+
+
+def make(root: Path) -> None:
+    """Write everything that an argument of a command can name."""
+    _mine(root / "mine")
+    _hamlet(root / "hamlet")
+    _grove(root / "hamlet", root / "grove")
+    _meadow(root / "meadow")
+    _photographs(root / "photos")
+    _cmu(root)
+    _tables(root / "tables")
+    _configs(root / "configs")
+    _masks(root / "masks", Scene.open(root / "hamlet").sparse_map().names)
+    _weights(root / "weights")
+    _results(root)
+
+
+def copy(whole: Path, names: set[str], root: Path) -> None:
+    """A copy, to spoil, of some of its folders."""
+    for name in sorted(names):
+        shutil.copytree(whole / name, root / name, symlinks=True)
+
+
+def _mine(folder: Path) -> None:
+    """The user's own, which is nobody's business."""
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine\n")
+    (folder / ".snapshot.20261122").write_text("mine\n")
+
+
+def _hamlet(path: Path) -> None:
+    write_scene(path)
+    box = SceneObject(
+        id=1, class_name="car", centre=(0, 0, 1), size=(4, 2, 1.5), yaw_deg=30, size_class="medium"
+    )
+    write_json(path / "objects.json", Objects(classes={"sky": 0, "car": 1}, objects=(box,)))
+    scene = Scene.open(path)
+    names = tuple(name for session in scene.sessions for name in scene.frames(session).names)
+    overlap = np.full((len(names), len(names)), 0.6) - 0.6 * np.eye(len(names))
+    write_covisibility(path / "covisibility.h5", Covisibility(names, overlap))
+    rng = np.random.default_rng(0)
+    features = {
+        name: Features(
+            rng.uniform(1, 60, (60, 2)).astype("f4"),
+            np.ones(60, "f4"),
+            rng.integers(0, 255, (60, 128), dtype=np.uint8),
+        )
+        for name in scene.splits.map
+    }
+    write_features(path / "map" / "features.h5", features)
+    finish(path, scene.manifest)
+
+
+def _grove(hamlet: Path, path: Path) -> None:
+    """The same through a lens without distortion, to learn from."""
+    shutil.copytree(hamlet, path, ignore=shutil.ignore_patterns("images", "map"))
+    scene = Scene.open(path)
+    focal, x, y, _ = CAMERA.params
+    pinhole = Camera("PINHOLE", CAMERA.width, CAMERA.height, (focal, focal, x, y))
+    for session in scene.sessions:
+        frames = scene.frames(session)
+        straight = replace(frames, cameras=(pinhole,) * len(frames))
+        write_frames(path / "sessions" / session / "frames.h5", straight, (), iter([{}] * 9))
+    finish(path, scene.manifest)
+
+
+def _cmu(root: Path) -> None:
+    READERS["cmu"].make(root)
+    part = root / "cmu" / "slice2"
+    write_model(part / "sparse", {CMU_NAME: pose_at(0)}, points=600)
+    write_jpeg(part / "database" / CMU_NAME, 1)
+    write_jpeg(part / "query" / CMU_QUERY, 2)
+
+
+def _meadow(path: Path) -> None:
+    write_flight(path)
+    (path / "origin.json").write_text('{"lat": 47.0, "lon": 8.0, "alt": 400.5}\n')
+
+
+def _photographs(folder: Path) -> None:
+    rng = np.random.default_rng(5)
+    for k in range(3):
+        position = geodetic_from_enu(np.array([4.0 * k, 0, 40]), ORIGIN)
+        noise = rng.integers(0, 255, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+        folder.mkdir(exist_ok=True)
+        write_photograph(folder / f"p{k}.jpg", noise, Exif(position, time=TAKEN, focal_35mm=30.0), 90)
+
+
+def _tables(folder: Path) -> None:
+    folder.mkdir()
+    lines = [pose_line(name, pose_at(k), 9) for k, name in enumerate(QUERY_NAMES)]
+    (folder / "poses.txt").write_text("\n".join(lines) + "\n")
+    pairs = [f"{name} a.jpg\n" for name in QUERY_NAMES]
+    for session in ("summer-grid", "winter-grid"):
+        pairs += [
+            f"{session}/images/{k:06d}.jpg summer-nadir/images/000001.jpg\n" for k in range(3)
+        ]
+    (folder / "pairs.txt").write_text("".join(pairs))
+    rows = ["name,e,n,u,sigma_m,qw,qx,qy,qz,sigma_deg"]
+    rows += [f"p{k}.jpg,{4 * k},0,40,2,0,1,0,0,3.0" for k in range(3)]
+    (folder / "priors.csv").write_text("\n".join(rows) + "\n")
+    rows = ["name,lat,lon,alt", *(f"p{k}.jpg,47.000{k},8.0,430.0" for k in range(3))]
+    (folder / "gps.csv").write_text("\n".join(rows) + "\n")
+
+
+def _configs(folder: Path) -> None:
+    READERS["configs"].make(_made(folder))
+    (folder / "simulate.yaml").write_text("area: 120\nsize: 64\nspp: 1\nframes: 2\n")
+    (folder / "train.yaml").write_text("steps: 1\nbatch: 1\nworkers: 0\nwidth: 0.02\n")
+    (folder / "plan.yaml").write_text(
+        "training: {steps: 1, batch: 1, workers: 0}\n"
+        "variants: [{name: whole}, {name: none, network: {object_graph: false}}]\n"
+    )
+    (folder / "planned.yaml").write_text(
+        "area: 120\nsize: 64\nspp: 1\norigin: {latitude: 47, longitude: 8, altitude: 400}\n"
+    )
+    (folder / "survey.plan").write_text(json.dumps(PLAN))
+
+
+def _masks(folder: Path, names: tuple[str, ...]) -> None:
+    """Two forms of one thing, for every photograph of the map."""
+    labels = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
+    labels[20:40, 20:50] = 1
+    for name in names:
+        path = folder / "labels" / Path(name).with_suffix(".png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(labels).save(path)
+    runs = [0, *np.diff(np.flatnonzero(np.diff(labels.T.ravel(), prepend=2, append=2))).tolist()]
+    images = [{"id": k, "file_name": name} for k, name in enumerate(names)]
+    size = [CAMERA.height, CAMERA.width]
+    runs = [run for run in runs[1:]]
+    masks = [
+        {"image_id": k, "segmentation": {"size": size, "counts": runs}} for k in range(len(names))
+    ]
+    (folder / "coco.json").write_text(json.dumps({"images": images, "annotations": masks}))
+
+
+def _weights(folder: Path) -> None:
+    torch.manual_seed(0)
+    config = ObjConnectNetConfig.model_validate(
+        {"width": 0.02, "pyramid": 8, "strides": [4], "dims": [8], "segments": 4}
+    )
+    network = objconnect.ObjConnectNet(config)
+    write_weights(
+        _made(folder) / "net.safetensors", network, config.model_dump(mode="json")
+    )
+
+
+def _results(root: Path) -> None:
+    """What the commands themselves write, beside a baseline of it."""
+    out = ["--method", "sift", "--out", str(root / "results")]
+    meadow, hamlet = str(root / "meadow"), str(root / "hamlet")
+    for words in (
+        ["evaluate", meadow, hamlet, *out],
+        ["basin", meadow, *out, "--errors", "0m/0deg,3m/5deg"],
+    ):
+        done = run(words)
+        assert done.code == 0, done.stderr
+    shutil.copytree(root / "results", root / "baseline")
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
