@@ -18,6 +18,8 @@ from PIL import Image
 
 import benchmark.registry
 from baselines.structure import StructureConfig
+from baselines.training.config import TrainConfig
+from baselines.training.loop import _claim as claim_run
 from benchmark.leaderboard import leaderboard
 from benchmark.localize import open_place
 from benchmark.markdown import escaped
@@ -533,6 +535,15 @@ def test_renderers_keep_files_of_the_user(tmp_path: Path, command: str, name: st
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
     assert "another file stands there" in refused(tmp_path, command, "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["weights.safetensors", "log.jsonl", "curves.png"])
+def test_training_keeps_files_of_the_user(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine")
+    before = tree(tmp_path)
+    with pytest.raises(InputError, match="another file stands there"):
+        claim_run(tmp_path, {"config": TrainConfig().model_dump(mode="json")}, 0)
+    assert tree(tmp_path) == before
 
 
 def test_an_export_lies_outside_of_its_scene(tmp_path: Path) -> None:
