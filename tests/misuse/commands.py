@@ -224,6 +224,18 @@ COMMANDS: dict[str, Row] = {
         },
         work=("baselines.training.command.train_loop",),
     ),
+    "train:resumed": Row(
+        {
+            "method": values("objconnect"),
+            "data": folder("grove", *LEARNED).sound(),
+            "out": folder("run", part("run/run.json", "json")).only("run.json:*").fine("run.json:missing"),
+            "validation": FLAG,
+            "config": file("configs/train.yaml", "yaml").sound(),
+            "overrides": FLAG,
+            "as_json": FLAG,
+        },
+        work=("torch.optim.AdamW",),
+    ),
     "ablate": Row(
         {
             "plan": file("configs/plan.yaml", "yaml"),
@@ -404,4 +416,26 @@ COMMANDS: dict[str, Row] = {
             "as_json": FLAG,
         }
     ),
+}
+
+# Readers of files are listed in tests/fuzz; here is a file of the tree for each that a command uses.
+READ: dict[str, str] = {
+    "arrays": "results/meadow/album.h5",
+    "checkpoints": "run/run.json",
+    "cmu": "cmu/intrinsics.txt",
+    "colmap": "hamlet/map/points3D.bin",
+    "configs": "configs/simulate.yaml",
+    "covisibility": "hamlet/covisibility.h5",
+    "features": "",  # written for other programs
+    "flight": "meadow/reference_poses.txt",
+    "frames": "hamlet/sessions/winter-grid/frames.h5",
+    "manifests": "hamlet/scene.json",
+    "masks": "masks/coco.json",
+    "networks": "weights/net.safetensors",
+    "photographs": "photos/p1.jpg",
+    "plans": "configs/survey.plan",
+    "results": "results/meadow/sift.json",
+    "scene": "hamlet/splits.json",
+    "tables": "tables/gps.csv",
+    "weights": "weights/net.safetensors",
 }

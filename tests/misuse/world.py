@@ -15,9 +15,11 @@ from PIL import Image
 from benchmark.textfiles import pose_line
 from objconnect import network as objconnect
 from objconnect.config import ObjConnectNetConfig
+from baselines.training.config import TrainConfig
 from baselines.weights import write_weights
 from scene.camera import Camera
 from scene.bundle import Scene, finish
+from scene.config import load_config
 from scene.covisibility import Covisibility, write_covisibility
 from scene.features import Features, write_features
 from scene.geodesy import Geodetic, geodetic_from_enu
@@ -45,7 +47,7 @@ ORIGIN = Geodetic(47.0, 8.0, 400.0)
 def make(root: Path) -> None:
     """Write everything that an argument of a command can name."""
     _mine(root / "mine")
-    _hamlet(root / "hamlet")
+    make_scene(root / "hamlet")
     _grove(root / "hamlet", root / "grove")
     _meadow(root / "meadow")
     _photographs(root / "photos")
@@ -55,6 +57,7 @@ def make(root: Path) -> None:
     _masks(root / "masks", Scene.open(root / "hamlet").sparse_map().names)
     _weights(root / "weights")
     _results(root)
+    _run(root)
 
 
 def copy(whole: Path, names: set[str], root: Path) -> None:
@@ -70,7 +73,8 @@ def _mine(folder: Path) -> None:
     (folder / ".snapshot.20261122").write_text("mine\n")
 
 
-def _hamlet(path: Path) -> None:
+def make_scene(path: Path) -> Path:
+    """A scene with all its lists."""
     write_scene(path)
     box = SceneObject(
         id=1, class_name="car", centre=(0, 0, 1), size=(4, 2, 1.5), yaw_deg=30, size_class="medium"
@@ -91,6 +95,7 @@ def _hamlet(path: Path) -> None:
     }
     write_features(path / "map" / "features.h5", features)
     finish(path, scene.manifest)
+    return path
 
 
 def _grove(hamlet: Path, path: Path) -> None:
@@ -199,6 +204,14 @@ def _results(root: Path) -> None:
         done = run(words)
         assert done.code == 0, done.stderr
     shutil.copytree(root / "results", root / "baseline")
+
+
+def _run(root: Path) -> None:
+    """A training that was begun."""
+    config = load_config(TrainConfig, root / "configs" / "train.yaml", {})
+    seed = Scene.open(root / "grove").manifest.seed
+    run = {"config": config.model_dump(mode="json"), "method": "objconnect", "scenes": [seed]}
+    (_made(root / "run") / "run.json").write_text(json.dumps(run))
 
 
 def _made(folder: Path) -> Path:
