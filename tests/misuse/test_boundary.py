@@ -21,9 +21,9 @@ import pytest
 from scene.errors import InputError
 from simulate.render.libraries import require_libraries
 from tests.benchmark.made_data import write_flight
+from tests.misuse.cases import CASES, Case, check_one_line, lay_out, words_of
+from tests.misuse.commands import COMMANDS
 from tests.misuse.harness import run, snapshot
-from tests.misuse.test_matrix import CASES, COMMANDS, Case, check_one_line, lay_out, words_of
-from tests.misuse.test_matrix import whole as whole
 from tests.misuse.world import make_scene
 
 ROOT = Path(__file__).parents[2]
@@ -245,7 +245,9 @@ def test_a_signal_during_rendering(number: int, word: str, tmp_path: Path) -> No
     out, temporary = tmp_path / "scene", tmp_path / "tmp"
     temporary.mkdir()
     config = tmp_path / "c.yaml"
-    config.write_text("area: 120\nsize: 512\nspp: 4000\nframes: 4\nsessions: ['summer-noon:nadir']\n")
+    config.write_text(
+        "area: 120\nsize: 512\nspp: 4000\nframes: 4\nsessions: ['summer-noon:nadir']\n"
+    )
     words = ["simulate", "--config", config, "--out", out, "--jobs", 2]
     with subprocess.Popen(
         [*OBJCONNECT.split(), *(str(word) for word in words)],

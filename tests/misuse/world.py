@@ -12,21 +12,22 @@ import numpy as np
 import torch
 from PIL import Image
 
+from baselines.training.config import TrainConfig
+from baselines.weights import write_weights
 from benchmark.textfiles import pose_line
 from objconnect import network as objconnect
 from objconnect.config import ObjConnectNetConfig
-from baselines.training.config import TrainConfig
-from baselines.weights import write_weights
-from scene.camera import Camera
 from scene.bundle import Scene, finish
+from scene.camera import Camera
 from scene.config import load_config
 from scene.covisibility import Covisibility, write_covisibility
 from scene.features import Features, write_features
-from scene.geodesy import Geodetic, geodetic_from_enu
 from scene.frames import write_frames
+from scene.geodesy import Geodetic, geodetic_from_enu
 from scene.images import Exif
 from scene.images import write_jpeg as write_photograph
 from scene.manifest import Objects, SceneObject, write_json
+from scene.supplement import AddedPoint, Supplement
 from tests.benchmark.made_data import (
     CAMERA,
     QUERY_NAMES,
@@ -94,6 +95,9 @@ def make_scene(path: Path) -> Path:
         for name in scene.splits.map
     }
     write_features(path / "map" / "features.h5", features)
+    added = AddedPoint(id=60, object=0, confidence=0.5)
+    digest = scene.sparse_map().without(np.arange(60) == 59).sha256
+    write_json(path / "map" / "supplement.json", Supplement(points=(added,), map_sha256=digest))
     finish(path, scene.manifest)
     return path
 
@@ -130,7 +134,9 @@ def _photographs(folder: Path) -> None:
         position = geodetic_from_enu(np.array([4.0 * k, 0, 40]), ORIGIN)
         noise = rng.integers(0, 255, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
         folder.mkdir(exist_ok=True)
-        write_photograph(folder / f"p{k}.jpg", noise, Exif(position, time=TAKEN, focal_35mm=30.0), 90)
+        write_photograph(
+            folder / f"p{k}.jpg", noise, Exif(position, time=TAKEN, focal_35mm=30.0), 90
+        )
 
 
 def _tables(folder: Path) -> None:
@@ -188,9 +194,7 @@ def _weights(folder: Path) -> None:
         {"width": 0.02, "pyramid": 8, "strides": [4], "dims": [8], "segments": 4}
     )
     network = objconnect.ObjConnectNet(config)
-    write_weights(
-        _made(folder) / "net.safetensors", network, config.model_dump(mode="json")
-    )
+    write_weights(_made(folder) / "net.safetensors", network, config.model_dump(mode="json"))
 
 
 def _results(root: Path) -> None:
