@@ -78,7 +78,7 @@ def snapshot(root: Path) -> dict[str, str]:
                 status = entry.stat(follow_symlinks=False)
                 content = ""
                 if entry.is_symlink():
-                    content = os.fsdecode(os.readlink(entry.path))
+                    content = str(Path(os.fsdecode(entry.path)).readlink())
                 elif entry.is_dir():
                     folders.append(entry.path)
                 elif entry.is_file():

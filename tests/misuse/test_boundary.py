@@ -168,7 +168,9 @@ def at_work(
     """A command in the midst of its work."""
     temporary.mkdir()
     # A query that is being answered is waited for; nothing else is.
-    seconds = 3 if patch == EVALUATE else 60
+    seconds = 3 if patch.startswith(EVALUATE) else 60
+    if ignored is not None:
+        patch += f"\nimport signal; signal.signal({int(ignored)}, signal.SIG_IGN)"
     program = WAITING.format(patch=patch, words=[str(word) for word in words], seconds=seconds)
     with subprocess.Popen(
         [sys.executable, "-c", program],
@@ -176,7 +178,6 @@ def at_work(
         stderr=subprocess.PIPE,
         text=True,
         env=environment(TMPDIR=str(temporary)),
-        preexec_fn=lambda: ignored and signal.signal(ignored, signal.SIG_IGN),
     ) as process:
         try:
             assert process.stdout is not None
@@ -344,7 +345,7 @@ def test_a_folder_that_nobody_may_look_into(
     assert snapshot(tree.parent) == before
 
 
-class Told(Exception):
+class UnforeseenError(Exception):
     """Something that nobody foresaw."""
 
 
@@ -373,7 +374,9 @@ def test_what_an_exception_becomes(
     check_one_line(outcome, (said,))
 
 
-@pytest.mark.parametrize("error", [Told("a\nb"), ValueError(), KeyError("x"), AssertionError()])
+@pytest.mark.parametrize(
+    "error", [UnforeseenError("a\nb"), ValueError(), KeyError("x"), AssertionError()]
+)
 def test_what_nobody_foresaw_is_shown(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a traceback, to be sent to those who can mend it; never as a regression."""
     raising(error, monkeypatch)

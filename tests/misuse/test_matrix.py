@@ -56,8 +56,7 @@ def test_misuse(case: Case, whole: Path, tree: Path, monkeypatch: pytest.MonkeyP
     assert {name: happened[name] for name in happened.keys() - kept(row, happened)} == {}
 
 
-# Words that contradict each other, or are none of a command's: command, what is given, what the
-# error names.
+# Words that contradict each other, and what the error names.
 CONTRADICTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "two_of_one_name": (
         ("evaluate", "hamlet", "copy/hamlet", "--method", "sift", "--out", "out"),

@@ -178,10 +178,11 @@ def _masks(folder: Path, names: tuple[str, ...]) -> None:
         path = folder / "labels" / Path(name).with_suffix(".png")
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(labels).save(path)
-    runs = [0, *np.diff(np.flatnonzero(np.diff(labels.T.ravel(), prepend=2, append=2))).tolist()]
+    # Runs go down the columns, and begin with one of nothing.
+    changes = np.flatnonzero(np.diff(labels.T.ravel().astype(int)))
+    runs = np.diff([-1, *changes, labels.size - 1]).tolist()
     images = [{"id": k, "file_name": name} for k, name in enumerate(names)]
     size = [CAMERA.height, CAMERA.width]
-    runs = [run for run in runs[1:]]
     masks = [
         {"image_id": k, "segmentation": {"size": size, "counts": runs}} for k in range(len(names))
     ]
