@@ -63,6 +63,7 @@ class Boundary(TyperGroup):
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run a command and end the process with its exit code; never returns."""
+        _open_standard_streams()
         _never_fail_to_print()
         # Errors come here instead of being printed over several lines.
         extra["standalone_mode"] = False
@@ -155,6 +156,16 @@ def _usage(error: Any) -> str:
     message: str = error.format_message()
     context = getattr(error, "ctx", None)
     return message if context is None else f"{message} See '{context.command_path} --help'."
+
+
+def _open_standard_streams() -> None:
+    """A stream that was closed before we began leads nowhere: else the next file to be opened had
+    its number, and what libraries print went there."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
 
 
 def _never_fail_to_print() -> None:

@@ -13,7 +13,7 @@ from PIL import Image, UnidentifiedImageError
 
 from objconnect.segmentation import NOTHING, Labels, keep_largest
 from scene.errors import InputError
-from scene.files import parse_json, read_text
+from scene.files import parse_json, read_text, require_readable
 
 # More objects than a label picture of 16 bits can tell apart.
 _ALL = 1 << 16
@@ -35,6 +35,8 @@ def read_label_png(path: Path, count: int) -> Labels:
     Raises:
         InputError: missing, damaged, too large, or a picture of colours.
     """
+    if os.path.lexists(path):
+        require_readable(path, "label picture")
     try:
         with Image.open(path, formats=("PNG",)) as image:
             _check_size(image.width, image.height, f"label picture {path}")

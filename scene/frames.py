@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -224,7 +225,9 @@ def read_frames(path: Path) -> Frames:
             raise InputError(
                 f"{path}: {key} of frame {names[int(near.argmin())]} is beyond {FARTHEST_M:g}"
             )
-    for name in names:
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(f"{path}: frame {name!r} is there twice")
         if not inside(name):
             raise InputError(f"{path}: frame {name!r} does not lie in the scene")
     if len(cameras) != len(names):

@@ -22,6 +22,16 @@ class Geodetic(NamedTuple):
     altitude: float
 
 
+# No aircraft flies higher, metres.
+_HIGHEST = 1e6
+
+
+def is_on_earth(place: Geodetic) -> bool:
+    """Whether a place can be one of a flight: false for numbers that are none, too."""
+    lat, lon, alt = place
+    return abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= _HIGHEST
+
+
 def _ecef(place: Geodetic) -> NDArray[np.float64]:
     lat, lon = math.radians(place.latitude), math.radians(place.longitude)
     n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)

@@ -7,12 +7,20 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    field_validator,
+)
 
 from scene.config import describe
 from scene.errors import InputError
 from scene.files import inside, parse_json, read_text, write_text
-from scene.geodesy import Geodetic
+from scene.geodesy import Geodetic, is_on_earth
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 SizeClass = Literal["small", "medium", "large"]
@@ -112,9 +120,16 @@ class Manifest(_File):
     config: dict[str, Any]
     origin: Geodetic
     reference: Literal["exact", "sfm"] = "exact"
-    sessions: dict[FolderName, Session]
+    sessions: dict[FolderName, Session] = Field(min_length=1)
     sha256: dict[str, str]
     pixels_sha256: dict[str, dict[str, str]] = {}
+
+    @field_validator("origin")
+    @classmethod
+    def _on_earth(cls, origin: Geodetic) -> Geodetic:
+        if not is_on_earth(origin):
+            raise ValueError("latitude and longitude are degrees, altitude is metres")
+        return origin
 
 
 class SceneObject(_File):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -55,7 +56,7 @@ def read_supplement(folder: Path) -> Supplement | None:
         InputError: the file is damaged.
     """
     path = folder / SUPPLEMENT
-    return read_json(path, Supplement, "list of added points") if path.is_file() else None
+    return read_json(path, Supplement, "list of added points") if os.path.lexists(path) else None
 
 
 def added_rows(folder: Path, points: int) -> NDArray[np.bool_]:

@@ -246,7 +246,16 @@ def start(given: str | None, pairs: str) -> Argument:
     """What a method is told."""
     told = values(
         given,
-        *("", "magic", "prior ", "Prior", "error=", "error=3m", "error=nanm,5deg", "error=1.2.3m,5deg"),
+        *(
+            "",
+            "magic",
+            "prior ",
+            "Prior",
+            "error=",
+            "error=3m",
+            "error=nanm,5deg",
+            "error=1.2.3m,5deg",
+        ),
         *("error=3m,500deg", "error=-3m,5deg", f"error={'9' * 400}m,5deg", "retrieval=0"),
         *("retrieval=-1", "retrieval=many", f"retrieval={10**20}", "pairs=", "pairs=nowhere.txt"),
         *("pairs=/dev/zero", f"pairs={LONG}", "pairs=mine/notes.txt/x", "pairs=mine", "pairs=a\0b"),

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from tests.fuzz.readers import CMU_QUERY
-from tests.misuse.faults import LONG
 from tests.misuse.arguments import (
     CAMERA,
     CLUSTER,
     FLAG,
     HUGE,
-    NO_FILES,
     METHOD,
+    NO_FILES,
     SEED,
     SETTINGS,
     Argument,
@@ -30,17 +29,21 @@ from tests.misuse.arguments import (
     start,
     values,
 )
+from tests.misuse.faults import LONG
 
-MANIFEST = part("hamlet/scene.json", "our json")
-SPLITS = part("hamlet/splits.json", "our json")
+MANIFEST = part("hamlet/scene.json", "manifest")
+SPLITS = part("hamlet/splits.json", "splits")
 OBJECTS = part("hamlet/objects.json", "our json")
 COVISIBILITY = part("hamlet/covisibility.h5", "bytes")
-MAP_FRAMES = part("hamlet/sessions/summer-nadir/frames.h5", "bytes")
-QUERY_FRAMES = part("hamlet/sessions/winter-grid/frames.h5", "bytes")
+# There are no layers in it, which is all that some look for.
+UNREAD_FRAMES = part("hamlet/sessions/summer-nadir/frames.h5", "bytes")
+ADDED = part("hamlet/map/supplement.json", "our json", optional=True)
+MAP_FRAMES = part("hamlet/sessions/summer-nadir/frames.h5", "frames")
+QUERY_FRAMES = part("hamlet/sessions/winter-grid/frames.h5", "frames")
 LEARNED = (
-    part("grove/scene.json", "our json"),
+    part("grove/scene.json", "manifest"),
     part("grove/covisibility.h5", "bytes"),
-    part("grove/sessions/summer-nadir/frames.h5", "bytes"),
+    part("grove/sessions/summer-nadir/frames.h5", "frames"),
 )
 MAP_PHOTOGRAPH = part("hamlet/sessions/summer-nadir/images/000001.jpg", "photograph")
 QUERY_PHOTOGRAPH = part("hamlet/sessions/winter-grid/images/000002.jpg", "photograph")
@@ -224,6 +227,21 @@ COMMANDS: dict[str, Row] = {
         },
         work=("baselines.training.command.train_loop",),
     ),
+    "train:resumed": Row(
+        {
+            "method": values("objconnect"),
+            "data": folder("grove", *LEARNED).sound(),
+            "out": folder("run", part("run/run.json", "json"))
+            .only("run.json:*")
+            .fine("run.json:missing"),
+            "validation": FLAG,
+            "config": file("configs/train.yaml", "yaml").sound(),
+            "overrides": FLAG,
+            "as_json": FLAG,
+        },
+        work=("torch.optim.AdamW",),
+        writes=("run/*",),
+    ),
     "ablate": Row(
         {
             "plan": file("configs/plan.yaml", "yaml"),
@@ -238,9 +256,7 @@ COMMANDS: dict[str, Row] = {
     ),
     "regress": Row(
         {
-            "results": folder("results", part("results/meadow/sift.json", "results")).fine(
-                *RETOLD
-            ),
+            "results": folder("results", part("results/meadow/sift.json", "results")).fine(*RETOLD),
             "against": folder("baseline", part("baseline/meadow/sift.json", "results")).fine(
                 "sift.json:missing", "sift.json:folder", *RETOLD
             ),
@@ -281,9 +297,9 @@ COMMANDS: dict[str, Row] = {
             "seed": FLAG,
             "config": file("configs/planned.yaml", "yaml").sound(),
             "area": FLAG,
-            "session": folder(
-                "configs/survey.plan", part("configs/survey.plan", "json")
-            ).only("survey.plan:*").given_as("summer-noon:plan=configs/survey.plan:map"),
+            "session": folder("configs/survey.plan", part("configs/survey.plan", "json"))
+            .only("survey.plan:*")
+            .given_as("summer-noon:plan=configs/survey.plan:map"),
             "frames": FLAG,
             "size": FLAG,
             "spp": FLAG,
@@ -345,7 +361,7 @@ COMMANDS: dict[str, Row] = {
     ),
     "diagnose": Row(
         {
-            "scene": folder("hamlet", MANIFEST, MODEL, OBJECTS, MAP_FRAMES),
+            "scene": folder("hamlet", MANIFEST, MODEL, ADDED, OBJECTS, UNREAD_FRAMES),
             "masks": folder(
                 "masks/labels",
                 part("masks/labels/summer-nadir/images/000001.png", "bytes", optional=True),
@@ -357,7 +373,7 @@ COMMANDS: dict[str, Row] = {
     ),
     "supplement": Row(
         {
-            "scene": folder("hamlet", MANIFEST, MODEL, OBJECTS, MAP_FRAMES, MAP_PHOTOGRAPH),
+            "scene": folder("hamlet", MANIFEST, MODEL, ADDED, OBJECTS, MAP_FRAMES, MAP_PHOTOGRAPH),
             "weights": file("weights/net.safetensors", "bytes"),
             "masks": file("masks/coco.json", "json"),
             "remove": FLAG,
@@ -394,14 +410,36 @@ COMMANDS: dict[str, Row] = {
     "view": Row(
         {
             "scene": folder(
-                "hamlet", MANIFEST, SPLITS, OBJECTS, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH
+                "hamlet", MANIFEST, SPLITS, OBJECTS, MAP_FRAMES, MODEL, ADDED, MAP_PHOTOGRAPH
             ).fine("000001.jpg:one_pixel"),
-            "results": folder(
-                "results/hamlet", part("results/hamlet/sift.json", "results")
-            ).fine("sift.json:no_schema"),
+            "results": folder("results/hamlet", part("results/hamlet/sift.json", "results")).fine(
+                "sift.json:no_schema"
+            ),
             "out": out_file("out.html", "out.png"),
             "show": FLAG,
             "as_json": FLAG,
         }
     ),
+}
+
+# Readers are listed in tests/fuzz; here is a file of the tree for each that a command uses.
+READ: dict[str, str] = {
+    "arrays": "results/meadow/album.h5",
+    "checkpoints": "run/run.json",
+    "cmu": "cmu/intrinsics.txt",
+    "colmap": "hamlet/map/points3D.bin",
+    "configs": "configs/simulate.yaml",
+    "covisibility": "hamlet/covisibility.h5",
+    "features": "",  # written for other programs
+    "flight": "meadow/reference_poses.txt",
+    "frames": "hamlet/sessions/winter-grid/frames.h5",
+    "manifests": "hamlet/scene.json",
+    "masks": "masks/coco.json",
+    "networks": "weights/net.safetensors",
+    "photographs": "photos/p1.jpg",
+    "plans": "configs/survey.plan",
+    "results": "results/meadow/sift.json",
+    "scene": "hamlet/splits.json",
+    "tables": "tables/gps.csv",
+    "weights": "weights/net.safetensors",
 }

@@ -13,6 +13,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import h5py
 import numpy as np
 from PIL import Image
 
@@ -180,34 +181,91 @@ OUR_JSON: Faults = {
 }
 
 
-def _of_results(edit: Callable[[Any], object]) -> Spoil:
-    """An edit by hand of a results file."""
+def _of_json(edit: Callable[[Any], object]) -> Spoil:
+    """An edit by hand of a JSON file."""
 
     def change(text: str) -> str:
-        results = json.loads(text)
-        edit(results)
-        return json.dumps(results)
+        value = json.loads(text)
+        edit(value)
+        return json.dumps(value)
 
     return _text(change)
 
 
 RESULTS: Faults = {
     **OUR_JSON,
-    "unknown_schema": _of_results(lambda r: r.update(schema=99)),
-    "no_schema": _of_results(lambda r: r.pop("schema")),
-    "nan": _of_results(lambda r: r["queries"][0].update(t_err_m=float("nan"))),
-    "recall_is_text": _of_results(lambda r: r["summary"]["recall"].update({"0.5m_5deg": "all"})),
-    "better_recall": _of_results(
+    "unknown_schema": _of_json(lambda r: r.update(schema=99)),
+    "no_schema": _of_json(lambda r: r.pop("schema")),
+    "nan": _of_json(lambda r: r["queries"][0].update(t_err_m=float("nan"))),
+    "recall_is_text": _of_json(lambda r: r["summary"]["recall"].update({"0.5m_5deg": "all"})),
+    "better_recall": _of_json(
         lambda r: r["summary"]["recall"].update({"5m_10deg": {"value": 99, "low": 9, "high": 99}})
     ),
-    "query_twice": _of_results(lambda r: r["queries"].append(r["queries"][0])),
-    "no_query": _of_results(lambda r: r["queries"].clear()),
-    "fewer_queries": _of_results(lambda r: r["queries"].pop()),
-    "status": _of_results(lambda r: r["queries"][0].update(status="great")),
-    "negative_error": _of_results(lambda r: r["queries"][0].update(t_err_m=-1.0)),
-    "huge_pose": _of_results(lambda r: r["queries"][0].update(cam_from_world=[1e308] * 7)),
-    "no_method": _of_results(lambda r: r.pop("method")),
-    "name_is_path": _of_results(lambda r: r["dataset"].update(name="../../x")),
+    "query_twice": _of_json(lambda r: r["queries"].append(r["queries"][0])),
+    "no_query": _of_json(lambda r: r["queries"].clear()),
+    "fewer_queries": _of_json(lambda r: r["queries"].pop()),
+    "status": _of_json(lambda r: r["queries"][0].update(status="great")),
+    "negative_error": _of_json(lambda r: r["queries"][0].update(t_err_m=-1.0)),
+    "huge_pose": _of_json(lambda r: r["queries"][0].update(cam_from_world=[1e308] * 7)),
+    "no_method": _of_json(lambda r: r.pop("method")),
+    "name_is_path": _of_json(lambda r: r["dataset"].update(name="../../x")),
+}
+
+
+def _rename(key: str, name: str) -> Callable[[Any], object]:
+    """The first entry of a dictionary gets another name."""
+
+    def edit(value: Any) -> None:
+        value[key] = {name: next(iter(value[key].values()))}
+
+    return edit
+
+
+MANIFEST: Faults = {
+    **OUR_JSON,
+    "unknown_schema": _of_json(lambda m: m.update(schema=99)),
+    "no_session": _of_json(lambda m: m["sessions"].clear()),
+    "session_leaves": _of_json(_rename("sessions", "../../mine")),
+    "beyond_the_pole": _of_json(lambda m: m["origin"].__setitem__(0, 999)),
+    "huge_origin": _of_json(lambda m: m["origin"].__setitem__(2, 1e308)),
+}
+SPLITS: Faults = {
+    **OUR_JSON,
+    "name_leaves": _of_json(lambda s: s.update(map=["../../mine/notes.txt"])),
+    "number": _of_json(lambda s: s.update(map=[7])),
+}
+
+
+def _of_hdf5(edit: Callable[[h5py.File], object]) -> Spoil:
+    def spoil(path: Path) -> None:
+        with h5py.File(path, "r+") as file:
+            edit(file)
+
+    return spoil
+
+
+def _put(name: str, value: Callable[[Any], Any]) -> Callable[[h5py.File], object]:
+    """A data set gets other values."""
+
+    def edit(file: h5py.File) -> None:
+        before = file[name][()]
+        del file[name]
+        file[name] = value(before)
+
+    return edit
+
+
+FRAMES: Faults = {
+    **BYTES,
+    "no_poses": _of_hdf5(lambda file: file.pop("cam_from_world")),
+    "nan_pose": _of_hdf5(_put("cam_from_world", lambda poses: poses * np.nan)),
+    "huge_pose": _of_hdf5(_put("cam_from_world", lambda poses: np.where(poses > 9, 1e308, poses))),
+    "fewer_poses": _of_hdf5(_put("cam_from_world", lambda poses: poses[1:])),
+    "poses_of_text": _of_hdf5(_put("cam_from_world", lambda poses: np.full(poses.shape, b"west"))),
+    "name_leaves": _of_hdf5(_put("names", lambda names: np.array([b"../../mine"] * len(names)))),
+    "name_twice": _of_hdf5(_put("names", lambda names: np.array([names[0]] * len(names)))),
+    "no_such_camera": _of_hdf5(_put("camera_index", lambda index: np.asarray(index) + 99)),
+    "camera_of_text": _of_hdf5(_put("cameras", lambda _: np.array([b"a camera"]))),
 }
 YAML: Faults = {
     **{name: spoil for name, spoil in TEXT.items() if name != "empty"},
@@ -249,7 +307,10 @@ FORMATS: Mapping[str, Faults] = {
     "csv": CSV,
     "json": JSON,
     "our json": OUR_JSON,
+    "frames": FRAMES,
+    "manifest": MANIFEST,
     "results": RESULTS,
+    "splits": SPLITS,
     "photograph": PHOTOGRAPH,
     "words": WORDS,
     "yaml": YAML,

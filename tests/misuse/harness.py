@@ -78,11 +78,13 @@ def snapshot(root: Path) -> dict[str, str]:
                 status = entry.stat(follow_symlinks=False)
                 content = ""
                 if entry.is_symlink():
-                    content = os.fsdecode(os.readlink(entry.path))
+                    content = str(Path(os.fsdecode(entry.path)).readlink())
                 elif entry.is_dir():
                     folders.append(entry.path)
                 elif entry.is_file():
-                    content = hashlib.blake2b(Path(os.fsdecode(entry.path)).read_bytes()).hexdigest()
+                    content = hashlib.blake2b(
+                        Path(os.fsdecode(entry.path)).read_bytes()
+                    ).hexdigest()
                 name = os.path.relpath(os.fsdecode(entry.path), root)
                 kind = stat.S_IFMT(status.st_mode)
                 found[name] = f"{kind:o} {stat.S_IMODE(status.st_mode):o} {content}"

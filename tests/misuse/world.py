@@ -12,19 +12,22 @@ import numpy as np
 import torch
 from PIL import Image
 
+from baselines.training.config import TrainConfig
+from baselines.weights import write_weights
 from benchmark.textfiles import pose_line
 from objconnect import network as objconnect
 from objconnect.config import ObjConnectNetConfig
-from baselines.weights import write_weights
-from scene.camera import Camera
 from scene.bundle import Scene, finish
+from scene.camera import Camera
+from scene.config import load_config
 from scene.covisibility import Covisibility, write_covisibility
 from scene.features import Features, write_features
-from scene.geodesy import Geodetic, geodetic_from_enu
 from scene.frames import write_frames
+from scene.geodesy import Geodetic, geodetic_from_enu
 from scene.images import Exif
 from scene.images import write_jpeg as write_photograph
 from scene.manifest import Objects, SceneObject, write_json
+from scene.supplement import AddedPoint, Supplement
 from tests.benchmark.made_data import (
     CAMERA,
     QUERY_NAMES,
@@ -45,7 +48,7 @@ ORIGIN = Geodetic(47.0, 8.0, 400.0)
 def make(root: Path) -> None:
     """Write everything that an argument of a command can name."""
     _mine(root / "mine")
-    _hamlet(root / "hamlet")
+    make_scene(root / "hamlet")
     _grove(root / "hamlet", root / "grove")
     _meadow(root / "meadow")
     _photographs(root / "photos")
@@ -55,6 +58,7 @@ def make(root: Path) -> None:
     _masks(root / "masks", Scene.open(root / "hamlet").sparse_map().names)
     _weights(root / "weights")
     _results(root)
+    _run(root)
 
 
 def copy(whole: Path, names: set[str], root: Path) -> None:
@@ -70,7 +74,8 @@ def _mine(folder: Path) -> None:
     (folder / ".snapshot.20261122").write_text("mine\n")
 
 
-def _hamlet(path: Path) -> None:
+def make_scene(path: Path) -> Path:
+    """A scene with all its lists."""
     write_scene(path)
     box = SceneObject(
         id=1, class_name="car", centre=(0, 0, 1), size=(4, 2, 1.5), yaw_deg=30, size_class="medium"
@@ -90,7 +95,11 @@ def _hamlet(path: Path) -> None:
         for name in scene.splits.map
     }
     write_features(path / "map" / "features.h5", features)
+    added = AddedPoint(id=60, object=0, confidence=0.5)
+    digest = scene.sparse_map().without(np.arange(60) == 59).sha256
+    write_json(path / "map" / "supplement.json", Supplement(points=(added,), map_sha256=digest))
     finish(path, scene.manifest)
+    return path
 
 
 def _grove(hamlet: Path, path: Path) -> None:
@@ -125,7 +134,9 @@ def _photographs(folder: Path) -> None:
         position = geodetic_from_enu(np.array([4.0 * k, 0, 40]), ORIGIN)
         noise = rng.integers(0, 255, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
         folder.mkdir(exist_ok=True)
-        write_photograph(folder / f"p{k}.jpg", noise, Exif(position, time=TAKEN, focal_35mm=30.0), 90)
+        write_photograph(
+            folder / f"p{k}.jpg", noise, Exif(position, time=TAKEN, focal_35mm=30.0), 90
+        )
 
 
 def _tables(folder: Path) -> None:
@@ -167,10 +178,11 @@ def _masks(folder: Path, names: tuple[str, ...]) -> None:
         path = folder / "labels" / Path(name).with_suffix(".png")
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(labels).save(path)
-    runs = [0, *np.diff(np.flatnonzero(np.diff(labels.T.ravel(), prepend=2, append=2))).tolist()]
+    # Runs go down the columns, and begin with one of nothing.
+    changes = np.flatnonzero(np.diff(labels.T.ravel().astype(int)))
+    runs = np.diff([-1, *changes, labels.size - 1]).tolist()
     images = [{"id": k, "file_name": name} for k, name in enumerate(names)]
     size = [CAMERA.height, CAMERA.width]
-    runs = [run for run in runs[1:]]
     masks = [
         {"image_id": k, "segmentation": {"size": size, "counts": runs}} for k in range(len(names))
     ]
@@ -183,9 +195,7 @@ def _weights(folder: Path) -> None:
         {"width": 0.02, "pyramid": 8, "strides": [4], "dims": [8], "segments": 4}
     )
     network = objconnect.ObjConnectNet(config)
-    write_weights(
-        _made(folder) / "net.safetensors", network, config.model_dump(mode="json")
-    )
+    write_weights(_made(folder) / "net.safetensors", network, config.model_dump(mode="json"))
 
 
 def _results(root: Path) -> None:
@@ -199,6 +209,14 @@ def _results(root: Path) -> None:
         done = run(words)
         assert done.code == 0, done.stderr
     shutil.copytree(root / "results", root / "baseline")
+
+
+def _run(root: Path) -> None:
+    """A training that was begun."""
+    config = load_config(TrainConfig, root / "configs" / "train.yaml", {})
+    seed = Scene.open(root / "grove").manifest.seed
+    run = {"config": config.model_dump(mode="json"), "method": "objconnect", "scenes": [seed]}
+    (_made(root / "run") / "run.json").write_text(json.dumps(run))
 
 
 def _made(folder: Path) -> Path:
