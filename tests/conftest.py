@@ -42,6 +42,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 # Variables that pytest and libraries set by themselves, these when they are first used.
 _SET_BY_LIBRARIES = ("PYTEST_CURRENT_TEST", "TORCHINDUCTOR_", "RAY_", "PYTHONBREAKPOINT")
+# Torch watches over the processes of its first loader of data by a handler that stays.
+_TAKEN_BY_LIBRARIES = {getattr(signal, "SIGCHLD", None)}
 
 
 def state() -> dict[str, Any]:
@@ -51,7 +53,7 @@ def state() -> dict[str, Any]:
         "working folder": Path.cwd(),
         **{f"${name}": value for name, value in variables.items()},
         "sys.path": list(sys.path),
-        **{str(number): signal.getsignal(number) for number in signal.valid_signals()},
+        **{str(n): signal.getsignal(n) for n in signal.valid_signals() - _TAKEN_BY_LIBRARIES},
         "logging": (logging.root.level, logging.root.disabled, logging.root.manager.disable),
         "torch's threads": torch.get_num_threads(),
         "torch's type": torch.get_default_dtype(),
