@@ -127,8 +127,11 @@ def test_an_ascii_terminal(variables: dict[str, str], report: str) -> None:
 
 # A process as the command line makes it, whose work waits for a signal.
 WAITING = """
-import sys, time
+import signal, sys, time
 from benchmark import cli
+
+# A shell that runs the tests in the background lets them ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def wait(*arguments, **more):
     print("at work", flush=True)
