@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -207,8 +207,13 @@ def _in_threads(
 ) -> Generator[_Answer, None, None]:
     with ThreadPoolExecutor(jobs) as pool:
         try:
-            for done in as_completed([pool.submit(run.answer, query) for query in queries]):
-                yield done.result()
+            order = {pool.submit(run.answer, query): k for k, query in enumerate(queries)}
+            waiting = set(order)
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                # What came first ends the run first, when it is an error.
+                for future in sorted(done, key=order.__getitem__):
+                    yield future.result()
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
