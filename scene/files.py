@@ -128,7 +128,7 @@ def written_whole(path: Path) -> Iterator[Path]:
     except WriteError:
         raise
     except OSError as error:
-        raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
+        raise WriteError(f"cannot write {path}: {_reason(error, partial)}") from error
     except RuntimeError as error:
         # Libraries that write by themselves have many words for it.
         if shutil.disk_usage(path.parent).free >= _FULL:
@@ -178,10 +178,19 @@ def folder_written_whole(path: Path, owned: Collection[str] = ()) -> Iterator[Pa
     except WriteError:
         raise
     except OSError as error:
-        raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
+        raise WriteError(f"cannot write {path}: {_reason(error, partial)}") from error
     finally:
         if partial is not None:
             shutil.rmtree(partial, ignore_errors=True)
+
+
+def _reason(error: OSError, partial: Path | None) -> str:
+    """What went wrong, and with which file where it is not in what is being written."""
+    reason = error.strerror or str(error)
+    named = error.filename
+    if partial is None or named is None or Path(str(named)).is_relative_to(partial):
+        return reason
+    return f"{named}: {reason}"
 
 
 def replace_folder(path: Path, new: Path, owned: Collection[str]) -> None:

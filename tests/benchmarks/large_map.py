@@ -159,7 +159,7 @@ def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, s
     if isinstance(localizer, StructureLocalizer):
         known = {f"{k:02d}.png": item for k, item in enumerate(flight.features)}
         localizer._extractor.of_photographs = (  # type: ignore[method-assign]
-            lambda _, names, __: {name: known[name.split("/")[1]] for name in names}
+            lambda _, names, *__: {name: known[name.split("/")[1]] for name in names}
         )
     if isinstance(localizer, FeaturemetricLocalizer):
         localizer._extract = _Once(localizer._extract)  # type: ignore[assignment]

@@ -57,6 +57,7 @@ def test_packing_a_frame(benchmark: BenchmarkFixture, renderer: Renderer) -> Non
     pose = np.array([nadir_job(CONFIG, POSES).poses[0]])
     rng = np.random.default_rng(0)
     folder = renderer.rendered.parent
+    renderer.ask("ours", 0)  # alone, this test finds no layers rendered yet
     frames = _frames(folder.name, pose, CONFIG.photo_camera(), session, CONFIG, rng)
     path = folder / "frames.h5"
 

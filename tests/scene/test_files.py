@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from scene.errors import InputError
+from scene.errors import InputError, WriteError
 from scene.files import (
     folder_written_whole,
     inside,
@@ -33,6 +33,20 @@ def test_a_file_appears_whole_in_a_new_folder(tmp_path: Path) -> None:
         partial.write_text("whole")
     assert path.read_text() == "whole"
     assert os.listdir(path.parent) == ["result.txt"]  # noqa: PTH208 - hidden files too
+
+
+def test_an_input_missing_meanwhile_is_named(tmp_path: Path) -> None:
+    lost = tmp_path / "lost.npz"
+    with (
+        pytest.raises(WriteError, match=r"result\.txt: .*lost\.npz: No such file"),
+        written_whole(tmp_path / "result.txt"),
+    ):
+        lost.read_bytes()
+    with (
+        pytest.raises(WriteError, match=r"folder: .*lost\.npz: No such file"),
+        folder_written_whole(tmp_path / "folder"),
+    ):
+        lost.read_bytes()
 
 
 def test_a_failed_file_keeps_the_old_one_and_leaves_nothing(tmp_path: Path) -> None:
