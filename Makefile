@@ -104,4 +104,4 @@ $(W)/map-%/map/points3D.bin: | libraries
 	$(BIN)/objconnect map $(W)/map-$*
 
 $(call learned,supplement): $(MAPPED:%=$(W)/%/map/points3D.bin) $(W)/map-102/map/points3D.bin
-	$(BIN)/python -m objconnect.supplement.learning $(MAPPED:%=$(W)/%) --validation $(W)/map-102 --out $@
+	$(BIN)/python -m mapping.supplement.learning $(MAPPED:%=$(W)/%) --validation $(W)/map-102 --out $@

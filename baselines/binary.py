@@ -18,8 +18,8 @@ from torch import Tensor
 
 from baselines.features import Extractor
 from baselines.structure import StructureConfig, StructureLocalizer
-from scene.features import Features, unit_bits
-from scene.matching import match
+from scene.maps.features import Features, unit_bits
+from scene.maps.matching import match
 
 # From one level of ORB's pyramid to the next.
 _ORB_STEP: Final = 1.2

@@ -22,13 +22,13 @@ from baselines.rays import Rays
 from baselines.retrieval import OnDemand, References
 from baselines.sampson import Matches, refine
 from baselines.sift import Sift
-from scene.colmap import estimate_relative_pose
+from scene.colmap.relative_pose import estimate_relative_pose
 from scene.config import Config
-from scene.features import Features
-from scene.held import Held, room
-from scene.localizer import Estimate, Query, Status, Stopwatch, fault
-from scene.pose import Pose
-from scene.sparse_map import MapImage, SparseMap
+from scene.geometry.pose import Pose
+from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from scene.maps.features import Features
+from scene.maps.sparse_map import MapImage, SparseMap
+from scene.storage.lru_cache import LruCache, room
 
 # A relative pose takes five matches; so many more that agree are no chance.
 _LEAST_INLIERS = 8
@@ -46,7 +46,7 @@ class EpipolarConfig(Config):
         least_angle_deg: rays that cross at less do not say where.
         max_features: per image.
         memory_mb: for the whole process: features of the map stay in memory as far as there is room
-            below it (``scene.held.room``).
+            below it (``scene.storage.lru_cache.room``).
         seed: of RANSAC.
     """
 
@@ -95,13 +95,13 @@ class EpipolarLocalizer:
         def described(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._seen = Held(seen, room(self.config.memory_mb))
+        self._seen = LruCache(seen, room(self.config.memory_mb))
         count = len(sparse_map.names)
         self._references = References.build(sparse_map, OnDemand(described, count))
 
     def localize(self, query: Query) -> Estimate:
         """Extract, choose references, find relative poses, intersect, refine."""
-        if reason := fault(query):
+        if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         with clock.stage("features"):

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from baselines.views import north, view
-from scene.camera import Camera
-from scene.digests import digests, require_unchanged
-from scene.features import FeatureFile, Features, unit_descriptors, written_features
-from scene.images import check_photographs, read_rgb
-from scene.matching import match
-from scene.progress import progress_bar
-from scene.scratch import scratch
-from scene.sparse_map import SparseMap
+from scene.geometry.camera import Camera
+from scene.maps.features import FeatureFile, Features, unit_descriptors, written_features
+from scene.maps.matching import match
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.progress import progress_bar
+from scene.storage.digests import digests, require_unchanged
+from scene.storage.images import check_photographs, read_rgb
+from scene.storage.scratch import scratch
 
 # Photographs whose features are in memory at once while they are extracted.
 _TOGETHER = 64
@@ -77,7 +77,7 @@ class Extractor(ABC):
             root: folder the names are relative to.
             names: of the photographs.
             on_progress: gets the number of those done.
-            beside: folder for temporary files, as ``scene.scratch.scratch`` takes it.
+            beside: folder for temporary files, as ``scene.storage.scratch.scratch`` takes it.
 
         Raises:
             InputError: a photograph is missing or damaged.

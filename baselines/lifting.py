@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene.sparse_map import MapImage
+from scene.maps.sparse_map import MapImage
 
 # A keypoint is an observation of the map when it lies within this distance of it (px).
 _SAME = 1.0

@@ -9,8 +9,8 @@ import numpy as np
 from baselines.retrieval import References
 from baselines.starts import starts
 from scene.config import Config
-from scene.localizer import Estimate, Query, Status, Stopwatch, fault
-from scene.sparse_map import SparseMap
+from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from scene.maps.sparse_map import SparseMap
 
 
 class PriorConfig(Config):
@@ -35,7 +35,7 @@ class PriorLocalizer:
 
     def localize(self, query: Query) -> Estimate:
         """Where the query is believed to be."""
-        if reason := fault(query):
+        if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         if query.prior is None and query.references is None:
             return Estimate(Status.FAILED, reason="no prior, and no photograph of the map is named")

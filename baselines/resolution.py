@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene.camera import Camera
-from scene.pose import Pose
-from scene.sparse_map import MapImage, SparseMap
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import MapImage, SparseMap
 
 # Views whose resolutions differ by less are compared as they are: networks bear that, and streets
 # have no one resolution.

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from baselines.views import upright
 from scene.errors import InputError
+from scene.geometry.nearest import Nearest
 from scene.localizer import Query
-from scene.nearest import Nearest
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

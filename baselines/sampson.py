@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 
 _STEPS = 30
 # Keeps what is divided by away from zero.

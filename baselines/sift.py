@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from baselines.features import Extractor
 from baselines.structure import StructureConfig, StructureLocalizer
-from scene.colmap import SiftExtractor, SiftOptions, extract_sift
-from scene.features import Features
+from scene.colmap.sift import SiftExtractor, SiftOptions, extract_sift
+from scene.maps.features import Features
 
 
 class Sift(Extractor):

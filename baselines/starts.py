@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.views import looks_down, north, turned_by
+from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior
-from scene.pose import Pose, so3_exp
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 
 # An altitude that is known worse than this share of the height above ground is none.
 _NO_ALTITUDE: Final = 0.2

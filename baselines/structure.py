@@ -15,22 +15,22 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
+from baselines.array_store import ArrayStore, written_store
 from baselines.features import Extractor, map_features
 from baselines.lifting import interpolated_points, observed_points
 from baselines.resolution import metres_per_pixel, of_map, scale_to
 from baselines.retrieval import OnDemand, References
-from baselines.shelf import Shelf, written_shelf
 from baselines.starts import starts
 from baselines.views import north
-from scene.colmap import estimate_absolute_pose
+from scene.colmap.absolute_pose import estimate_absolute_pose
 from scene.config import Config
 from scene.errors import InputError
-from scene.features import FeatureFile, Features
-from scene.held import Held, room
-from scene.localizer import Estimate, Query, Status, Stopwatch, fault
-from scene.pose import Pose
-from scene.scratch import scratch
-from scene.sparse_map import SparseMap
+from scene.geometry.pose import Pose
+from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from scene.maps.features import FeatureFile, Features
+from scene.maps.sparse_map import SparseMap
+from scene.storage.lru_cache import LruCache, room
+from scene.storage.scratch import scratch
 
 _MIN_MATCHES = 4
 _FORMAT = 1
@@ -48,7 +48,7 @@ class StructureConfig(Config):
         min_inliers: fewer count as a failure.
         max_features: per image.
         memory_mb: for the whole process: features of the map stay in memory as far as there is room
-            below it (``scene.held.room``).
+            below it (``scene.storage.lru_cache.room``).
         use_gnss: let a position prior of known sigma take part in the refinement.
         seed: of RANSAC.
     """
@@ -100,7 +100,7 @@ class StructureLocalizer:
         if not path.is_file():
             self._write_lifted(path, sparse_map, features, images)
         self._map = sparse_map
-        shelf, unit = Shelf(path), self._extractor.unit
+        shelf, unit = ArrayStore(path), self._extractor.unit
 
         def lifted(row: int) -> _Lifted:
             descriptors = unit(shelf.read(row, "descriptors"))
@@ -109,7 +109,7 @@ class StructureLocalizer:
         def described(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._lifted = Held(lifted, room(self.config.memory_mb))
+        self._lifted = LruCache(lifted, room(self.config.memory_mb))
         self._resolution = of_map(sparse_map, lambda camera: 1.0)
         self._references = References.build(sparse_map, OnDemand(described, len(shelf)))
 
@@ -121,7 +121,7 @@ class StructureLocalizer:
         Points are those of the map, or one for each keypoint.
         """
         end, carried = len(sparse_map.xyz), 0
-        with written_shelf(path) as add:
+        with written_store(path) as add:
             for name in sparse_map.names:
                 image, found = sparse_map.images[name], features[name]
                 if self._interpolate:
@@ -147,7 +147,7 @@ class StructureLocalizer:
         Features that are not found again in turned pictures are those of every picture that the
         likely starts give; the one with most inliers counts.
         """
-        if reason := fault(query):
+        if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
 

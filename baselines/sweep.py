@@ -22,10 +22,10 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from baselines.views import view
-from scene.camera import Camera
-from scene.images import read_rgb
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import SparseMap
+from scene.storage.images import read_rgb
 
 _BORDER: Final = 8.0
 _LEAST_SHARED: Final = 20

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene.camera import Camera
-from scene.pose import Pose
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 
 # What is this near (px of the view) to where the photograph ends sees what is not there.
 MARGIN: Final = 8.0

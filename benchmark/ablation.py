@@ -13,22 +13,23 @@ from typing import Any, Final, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
+from baselines.checkpoint import shipped
+from baselines.pixloc.localizer import SHIPPED
 from baselines.training.command import train
 from baselines.training.config import TrainConfig
-from baselines.weights import shipped
-from benchmark.datasets import Dataset
+from benchmark.datasets.dataset import Dataset
 from benchmark.evaluate import evaluate, method_of, results_path
-from benchmark.markdown import escaped
 from benchmark.paired import compare, mcnemar
 from benchmark.registry import create, trainable
+from benchmark.report.markdown import escaped
 from benchmark.results import TOTAL, QueryResult, Results, load
 from benchmark.score import THRESHOLDS, is_correct, recall
 from benchmark.starts import Start
 from objconnect.config import ObjConnectNetConfig
 from objconnect.localizer import ObjConnectConfig
 from scene.config import Config
-from scene.files import write_text
-from scene.outputs import Output, claim, claim_folder
+from scene.storage.files import write_text
+from scene.storage.outputs import Output, claim, claim_folder
 
 METHOD: Final = "objconnect"
 TABLE: Final = "ablation.md"
@@ -138,7 +139,7 @@ def _train(
     validation: Sequence[Path],
     folder: Path,
 ) -> Path:
-    weights = training.weights or shipped("pixloc")
+    weights = training.weights or shipped(SHIPPED)
     config = training.model_copy(update={"network": _given(variant.network), "weights": weights})
     return train(METHOD, trainable(METHOD), data, folder / "training", config, validation)
 

@@ -21,8 +21,8 @@ from typing import Annotated, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from benchmark.datasets import Dataset
-from benchmark.evaluate import attempt, identity, method_of, require_folder, scored
+from benchmark.datasets.dataset import Dataset
+from benchmark.evaluate import identity, localize_safely, method_of, require_folder, score_query
 from benchmark.results import (
     BASIN,
     DatasetId,
@@ -34,14 +34,14 @@ from benchmark.results import (
 )
 from benchmark.score import THRESHOLDS, is_correct, wilson
 from benchmark.starts import moved_prior
+from scene.bundle.manifest import read_json
 from scene.errors import InputError
-from scene.files import write_text
+from scene.geometry.pose import FARTHEST_M
 from scene.localizer import Localizer, Status
-from scene.manifest import read_json
-from scene.outputs import claim
-from scene.pose import FARTHEST_M
-from scene.progress import progress_bar
-from scene.scratch import kept_or_scratch
+from scene.runtime.progress import progress_bar
+from scene.storage.files import write_text
+from scene.storage.outputs import claim
+from scene.storage.scratch import kept_or_scratch
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
 
@@ -192,9 +192,9 @@ def basin(
             for level, size in enumerate(sizes):
                 prior = moved_prior(query.reference, name, *size)
                 began = perf_counter()
-                estimate = attempt(localizer, replace(loaded, prior=prior))
+                estimate = localize_safely(localizer, replace(loaded, prior=prior))
                 seconds = perf_counter() - began
-                answers[level].append(scored(query, estimate, sparse_map, seconds))
+                answers[level].append(score_query(query, estimate, sparse_map, seconds))
                 advance(number * len(sizes) + level + 1)
     result = Basin(
         method=method_of(localizer),

@@ -20,7 +20,7 @@ from typing import Any, Final
 from typer.core import TyperGroup
 
 from scene.errors import InputError
-from scene.printed import printed
+from scene.runtime.printed import printed
 
 REGRESSION: Final = 1
 INPUT_AT_FAULT: Final = 2

@@ -19,8 +19,8 @@ from benchmark.boundary import INPUT_AT_FAULT, REGRESSION, Boundary, PrintedForm
 from scene.errors import InputError
 
 if TYPE_CHECKING:
-    from benchmark.datasets import Dataset
-    from scene.camera import Camera
+    from benchmark.datasets.dataset import Dataset
+    from scene.geometry.camera import Camera
 
 app = typer.Typer(
     name="objconnect",
@@ -58,7 +58,7 @@ Cache = Annotated[
 
 def _address(address: str | None) -> str | None:
     """Refused before any work, not where the work is spread."""
-    from scene.cluster import require_address
+    from scene.runtime.cluster import require_address
 
     require_address(address)
     return address
@@ -137,13 +137,13 @@ def evaluate(
     again, an interrupted evaluation goes on where it was. Older results of the same name are
     replaced, but none that score wrote, and no other file.
     """
-    from benchmark.datasets import open_datasets
+    from benchmark.datasets.dataset import open_datasets
     from benchmark.evaluate import claim_evaluation, results_path
     from benchmark.evaluate import evaluate as run
-    from benchmark.markdown import markdown
     from benchmark.registry import create
+    from benchmark.report.markdown import markdown
+    from benchmark.report.tables import tables
     from benchmark.starts import parse_start
-    from benchmark.tables import tables
 
     # Everything that can be wrong is looked at before the first minute is spent.
     settings = _settings(overrides or [])
@@ -218,10 +218,10 @@ def score(
 
     Older results of the same name are replaced if score wrote them; those of evaluate never are.
     """
-    from benchmark.datasets import open_datasets
-    from benchmark.elsewhere import score as run
-    from benchmark.markdown import markdown
-    from benchmark.tables import tables
+    from benchmark.datasets.dataset import open_datasets
+    from benchmark.external_poses import score as run
+    from benchmark.report.markdown import markdown
+    from benchmark.report.tables import tables
 
     opened = [dataset for path in reference for dataset in open_datasets(path)]
     _require_distinct_names(opened)
@@ -251,8 +251,8 @@ def leaderboard(
     as a file: charts, paired comparisons, and every query with its pictures. Albums and basins that
     lie beside the results are shown in it.
     """
-    from benchmark.leaderboard import leaderboard as compare
-    from benchmark.tables import tables
+    from benchmark.report.leaderboard import leaderboard as compare
+    from benchmark.report.tables import tables
 
     text = compare(results, out)
     if as_json:
@@ -292,7 +292,7 @@ def basin(
     """
     from benchmark.basin import DEFAULT_SIZES, basin_path, parse_sizes
     from benchmark.basin import basin as run
-    from benchmark.datasets import open_datasets
+    from benchmark.datasets.dataset import open_datasets
     from benchmark.registry import create
 
     sizes = DEFAULT_SIZES if errors is None else parse_sizes(errors)
@@ -450,7 +450,7 @@ def ablate(
     """Train variants of object-connect alike, ask them the same queries, and print one table."""
     from benchmark.ablation import TABLE, Plan
     from benchmark.ablation import ablate as run
-    from benchmark.datasets import open_datasets
+    from benchmark.datasets.dataset import open_datasets
     from benchmark.starts import parse_start
     from scene.config import load_config
 
@@ -553,11 +553,11 @@ def simulate(
 
     An option that is left out takes its value from the configuration file, else its default.
     """
-    from scene.exports import export as write
-    from scene.exports import require_empty
+    from mapping.build import build_map as build
+    from scene.exports.export import export as write
+    from scene.exports.export import require_empty
     from simulate.command import simulate as run
     from simulate.config import SimulateConfig
-    from simulate.mapping import build_map as build
 
     settings = {
         "preset": preset,
@@ -742,7 +742,7 @@ def build_map(
     as_json: Json = False,
 ) -> None:
     """Build the sparse map of a scene from its map frames, and measure it against the truth."""
-    from simulate.mapping import build_map as run
+    from mapping.build import build_map as run
 
     report = run(scene, method.value, cluster)
     if as_json:
@@ -777,7 +777,7 @@ def diagnose(
     Draws SCENE/pictures/diagnosis.png. Where points were added to the map, also says and shows what
     it was before.
     """
-    from objconnect.diagnosis.command import diagnose as run
+    from mapping.diagnosis.command import diagnose as run
 
     diagnosis = run(scene, masks, cell)
     if as_json:
@@ -814,8 +814,8 @@ def supplement(
     They are marked in SCENE/map/supplement.json; nothing else of the map changes. Run again, they
     are replaced. Draws SCENE/pictures/diagnosis.png and says what the map was before.
     """
-    from objconnect.supplement.command import supplement as run
-    from objconnect.supplement.map import remove_from_map
+    from mapping.supplement.command import supplement as run
+    from mapping.supplement.map import remove_from_map
 
     if remove:
         if weights is not None or masks is not None:
@@ -893,7 +893,7 @@ def export(
 
     Image names in the files are relative to SCENE/sessions; in transforms.json, to the file itself.
     """
-    from scene.exports import export as run
+    from scene.exports.export import export as run
 
     summary = run(scene, file_format.value, out, session or ())
     if as_json:
@@ -965,7 +965,7 @@ def view(
     """
     import webbrowser
 
-    from benchmark.view import view as run
+    from benchmark.report.view import view as run
 
     written = run(scene, results or (), out)
     if show and not webbrowser.open(written.page.resolve().as_uri()):
@@ -995,7 +995,7 @@ def _settings(overrides: list[str]) -> dict[str, Any]:
 
 def _camera(words: str | None) -> Camera | None:
     """The value of ``--camera``."""
-    from scene.camera import Camera
+    from scene.geometry.camera import Camera
 
     try:
         return None if words is None else Camera.parse(words.split())
@@ -1005,7 +1005,7 @@ def _camera(words: str | None) -> Camera | None:
 
 def _claim_folders(inputs: Iterable[Path], *folders: Path | None) -> None:
     """Refuse to write among what a command reads: another data set would come of it."""
-    from scene.outputs import claim_folder
+    from scene.storage.outputs import claim_folder
 
     for folder in folders:
         if folder is not None:

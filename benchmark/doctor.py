@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -27,6 +27,9 @@ if not __package__:  # run by its file: our packages are not on the path
     sys.path.insert(0, str(_ROOT))
 
 from simulate.render.libraries import missing_packages  # noqa: E402
+
+# The packages that weights come with.
+_WITH_WEIGHTS: Final = ("baselines", "objconnect", "mapping")
 
 _DISTRIBUTION: Final = "objconnect"
 # As requires-python in pyproject.toml. An older Python reads this module, and nothing else of ours.
@@ -145,7 +148,7 @@ def doctor() -> Diagnosis:
         *_rendering(rendering),
         *_cluster("cluster" in wanted),
         *_testing([r for r in requirements if r.extra == "test"]),
-        *_weights(_ROOT / "weights"),
+        *_weights([_ROOT / package for package in _WITH_WEIGHTS]),
     ]
     return Diagnosis(tuple(checks))
 
@@ -342,12 +345,13 @@ def _apt(packages: list[str]) -> str:
     return f"sudo apt-get install -y {' '.join(packages)}"
 
 
-def _weights(folder: Path) -> Iterator[Check]:
+def _weights(folders: Sequence[Path]) -> Iterator[Check]:
     """Weights have a card beside them: where there is one, the other must be whole."""
-    cards = sorted(folder.glob("*.md"))
-    again = "install objconnect again, or git checkout weights"
+    cards = sorted(card for folder in folders for card in folder.rglob("*.md"))
+    again = f"install objconnect again, or git checkout {' '.join(_WITH_WEIGHTS)}"
     if not cards:
-        yield Check("weights", "missing", f"{folder} has none", again)
+        named = " and ".join(str(folder) for folder in folders)
+        yield Check("weights", "missing", f"{named} have none", again)
     for card in cards:
         wrong = _damage(card.with_suffix(".safetensors"))
         name = f"weights {card.stem}"

@@ -14,12 +14,12 @@ from typing import Any
 
 import torch
 
-from benchmark.album import ALBUM, ALBUM_MARK, album_parts, keep_album
-from benchmark.datasets import BenchmarkQuery, Dataset
-from benchmark.identity import changes, require_unchanged
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.identity import changes, require_unchanged
 from benchmark.journal import Journal, journal_path
-from benchmark.pictures import median_query, query_overlay
 from benchmark.registry import create, known
+from benchmark.report.album import ALBUM, ALBUM_MARK, album_parts, keep_album
+from benchmark.report.pictures import median_query, query_overlay
 from benchmark.results import (
     LARGEST_NEES,
     TOTAL,
@@ -34,16 +34,16 @@ from benchmark.results import (
 )
 from benchmark.starts import NONE, PRIOR, Ask, Start
 from benchmark.uncertainty import normalised_error
-from scene.cluster import crew, shares
 from scene.errors import InputError
+from scene.geometry.pose import FARTHEST_M, Pose
 from scene.localizer import Estimate, Localizer, Query, Status
-from scene.marks import PNG_MARK
-from scene.memory import peak_megabytes, reset_peak
-from scene.outputs import Output, claim
-from scene.pose import FARTHEST_M, Pose
-from scene.progress import progress_bar
-from scene.scratch import kept_or_scratch
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.cluster import shares, worker_pool
+from scene.runtime.memory import peak_megabytes, reset_peak
+from scene.runtime.progress import progress_bar
+from scene.storage.marks import PNG_MARK
+from scene.storage.outputs import Output, claim
+from scene.storage.scratch import kept_or_scratch
 
 log = logging.getLogger(__name__)
 
@@ -76,7 +76,7 @@ def evaluate(
         start: what the method is told about each query besides its image.
         cache: folder for the method's per-map state; None for a scratch folder in ``out``.
         jobs: queries at a time, in threads. Seconds per query are those of one of so many.
-        cluster: whose cores answer instead, a query each, as ``scene.cluster.crew`` takes it. Its
+        cluster: whose cores answer instead, a query each, see ``worker_pool``. Its
             nodes see data set and cache under the paths they have here. Seconds of preparation are
             then those of the first worker, its own start included; memory is the largest worker's.
 
@@ -178,8 +178,10 @@ class _Run:
         assert self._ask is not None
         loaded = self._ask(query)
         began = perf_counter()
-        estimate = attempt(self._localizer, loaded)
-        return scored(query, estimate, self.sparse_map, perf_counter() - began), peak_megabytes()
+        estimate = localize_safely(self._localizer, loaded)
+        return score_query(
+            query, estimate, self.sparse_map, perf_counter() - began
+        ), peak_megabytes()
 
     def __call__(self, queries: Sequence[BenchmarkQuery]) -> Iterator[_Answer]:
         """What a worker of a crew does."""
@@ -194,12 +196,12 @@ def _answering(run: _Run, jobs: int, cluster: str | None) -> Iterator[tuple[floa
     if cluster is None:
         yield run.prepare(), lambda queries: _in_threads(run, queries, jobs)
         return
-    with crew(cluster, run) as workers:
+    with worker_pool(cluster, run) as workers:
         began = perf_counter()
-        for _ in workers.spread([()]):  # one fills the cache, from which the others take it
+        for _ in workers.map([()]):  # one fills the cache, from which the others take it
             pass
         took = perf_counter() - began
-        yield took, lambda queries: workers.spread(shares(queries, workers.cores, 1, _UNIT))
+        yield took, lambda queries: workers.map(shares(queries, workers.cores, 1, _UNIT))
 
 
 def _in_threads(
@@ -302,7 +304,7 @@ def identity(dataset: Dataset) -> DatasetId:
     )
 
 
-def attempt(localizer: Localizer, query: Query) -> Estimate:
+def localize_safely(localizer: Localizer, query: Query) -> Estimate:
     """The method's answer; a crash or a pose that is none is a failure with a reason."""
     try:
         estimate = localizer.localize(query)
@@ -324,7 +326,7 @@ def attempt(localizer: Localizer, query: Query) -> Estimate:
     return estimate
 
 
-def scored(
+def score_query(
     query: BenchmarkQuery, estimate: Estimate, sparse_map: SparseMap, seconds: float | None
 ) -> QueryResult:
     """An estimate held against the reference pose of its query; seconds where they are known."""

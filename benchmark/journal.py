@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from benchmark.results import Named
 from scene.errors import WriteError
-from scene.files import MARK, locked, parse_json
+from scene.storage.files import MARK, locked, parse_json
 
 Entry = TypeVar("Entry", bound=Named)
 

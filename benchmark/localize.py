@@ -17,29 +17,29 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from benchmark.evaluate import attempt, method_of
+from benchmark.datasets.simulated import is_scene
+from benchmark.datasets.textfiles import pose_line, read_priors, require_same_case
+from benchmark.evaluate import localize_safely, method_of
 from benchmark.journal import Journal, journal_path
 from benchmark.results import Environment, Named, PoseNumbers
-from benchmark.simulated import is_scene
-from benchmark.textfiles import pose_line, read_priors, require_same_case
 from ingest.attitude import gimbal_pose
-from scene.bundle import Scene
-from scene.camera import Camera
-from scene.colmap import read_map
-from scene.digests import digests
+from scene.bundle.scene import Scene
 from scene.errors import InputError
-from scene.files import parse_json, read_text, sha256_of, write_text
-from scene.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
-from scene.images import read_exif, read_rgb
-from scene.listing import PHOTOGRAPHS, files_in
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
-from scene.names import written, written_cell
-from scene.outputs import Output, claim
-from scene.pose import Pose
-from scene.printed import printed
-from scene.progress import progress_bar
-from scene.scratch import kept_or_scratch
-from scene.sparse_map import SparseMap
+from scene.maps.colmap_files import read_model
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.printed import printed
+from scene.runtime.progress import progress_bar
+from scene.storage.digests import digests
+from scene.storage.files import parse_json, read_text, sha256_of, write_text
+from scene.storage.images import read_exif, read_rgb
+from scene.storage.listing import PHOTOGRAPHS, files_in
+from scene.storage.names import written, written_cell
+from scene.storage.outputs import Output, claim
+from scene.storage.scratch import kept_or_scratch
 
 log = logging.getLogger(__name__)
 
@@ -83,7 +83,7 @@ def open_place(path: Path) -> Place:
         scene = Scene.open(path)
         return Place(scene.sparse_map(), scene.images_root, scene.manifest.origin)
     if (path / "sparse" / "map").is_dir():
-        return Place(read_map(path / "sparse" / "map"), path / "images", _origin(path))
+        return Place(read_model(path / "sparse" / "map"), path / "images", _origin(path))
     raise InputError(f"{path} is no map: it is neither a scene nor a folder with sparse/map")
 
 
@@ -149,7 +149,7 @@ class Answer(Named):
     """What the journal keeps of a photograph.
 
     Attributes:
-        name: as ``scene.names.written`` has it: JSON cannot hold every name of a file.
+        name: as ``scene.storage.names.written`` has it: JSON cannot hold every name of a file.
         asked: digest of the photograph, its camera and its prior.
         status: and the rest: of the estimate.
     """
@@ -309,9 +309,9 @@ def _answered(
     before = journal.done.get(written(name))
     if before is not None and before.asked == asked:
         return before.estimate()
-    estimate = attempt(localizer, query)
+    estimate = localize_safely(localizer, query)
     if estimate.status is not Status.OK and (unturned := asker.without_gimbal(query)) is not None:
-        again = attempt(localizer, unturned)
+        again = localize_safely(localizer, unturned)
         estimate = again if again.status is Status.OK else estimate
     answer = Answer.of(name, asked, estimate)
     journal.add(answer)

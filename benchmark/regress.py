@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.paired import PairedChange, compare
+from benchmark.report.tables import ALL
 from benchmark.results import Results, load, method_in, results_files
 from benchmark.score import THRESHOLDS, is_correct
-from benchmark.tables import ALL
 from scene.errors import InputError
-from scene.files import written_whole
-from scene.outputs import claim, claim_folder
-from scene.printed import printed
+from scene.runtime.printed import printed
+from scene.storage.files import written_whole
+from scene.storage.outputs import claim, claim_folder
 
 # Probability of a false alarm per baseline file, shared out among its comparisons (Bonferroni).
 _ALPHA: Final = 0.05

@@ -14,13 +14,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.score import THRESHOLDS, median_errors, recall
 from benchmark.uncertainty import consistency
+from scene.bundle.manifest import Condition, read_json
 from scene.errors import InputError
-from scene.files import parse_json, write_text
-from scene.listing import files_in
+from scene.geometry.pose import FARTHEST_M
 from scene.localizer import Status
-from scene.manifest import Condition, read_json
-from scene.outputs import another_file, claim
-from scene.pose import FARTHEST_M
+from scene.storage.files import parse_json, write_text
+from scene.storage.listing import files_in
+from scene.storage.outputs import another_file, claim
 
 # Beyond these a file's numbers are damage, and sums of them soon no numbers at all.
 _MOST: Final = 10**12
@@ -68,7 +68,7 @@ class Method(_File):
     weights_sha256: str | None
 
     @staticmethod
-    def elsewhere(name: str, poses_sha256: str) -> Method:
+    def external(name: str, poses_sha256: str) -> Method:
         """Another program, of which the poses are all that is known."""
         return Method(name=name, config={_POSES: poses_sha256}, weights_sha256=None)
 
@@ -284,7 +284,7 @@ def claim_results(path: Path, method: Method, out: Path) -> None:
         out: folder of all results.
 
     Raises:
-        InputError: another command wrote the results there, or as ``scene.outputs.claim``.
+        InputError: another command wrote the results there, or as ``scene.storage.outputs.claim``.
     """
     claim([path], within=out)
     before = method_in(path)

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from baselines.features import map_features
 from baselines.retrieval import OnDemand, VladIndex
 from baselines.sift import Sift, SiftConfig
-from benchmark.datasets import BenchmarkQuery, Dataset
-from benchmark.textfiles import read_pairs
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.textfiles import read_pairs
 from scene.errors import InputError
-from scene.files import read_text
-from scene.images import read_rgb
+from scene.geometry.pose import FARTHEST_M, Pose, so3_exp
 from scene.localizer import Prior, Query
-from scene.pose import FARTHEST_M, Pose, so3_exp
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
+from scene.storage.files import read_text
+from scene.storage.images import read_rgb
 
 _ERROR: Final = re.compile(r"error=([0-9.]+)m,([0-9.]+)deg")
 _TOP: Final = re.compile(r"retrieval(?:=([1-9][0-9]{0,8}))?")

@@ -7,17 +7,17 @@ import json
 from pathlib import Path
 from typing import Final
 
-from benchmark.cmu import Slice, open_slices
-from benchmark.textfiles import pose_line
-from scene.colmap import read_map
-from scene.digests import digests
+from benchmark.datasets.cmu import Slice, open_slices
+from benchmark.datasets.textfiles import pose_line
 from scene.errors import InputError, WriteError
-from scene.files import read_text, write_text
-from scene.images import read_rgb
 from scene.localizer import Localizer, Query, Status
-from scene.outputs import Output, claim, claim_folder
-from scene.progress import progress_bar
-from scene.scratch import kept_or_scratch
+from scene.maps.colmap_files import read_model
+from scene.runtime.progress import progress_bar
+from scene.storage.digests import digests
+from scene.storage.files import read_text, write_text
+from scene.storage.images import read_rgb
+from scene.storage.outputs import Output, claim, claim_folder
+from scene.storage.scratch import kept_or_scratch
 
 SUBMISSION: Final = "submission.txt"
 _DECIMALS: Final = 6
@@ -76,7 +76,7 @@ def submit(
 
 def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) -> list[str]:
     """Lines of one slice, read from ``path`` when they are there already."""
-    sparse_map = read_map(part.folder / "sparse")
+    sparse_map = read_model(part.folder / "sparse")
     words = [localizer.name, localizer.config.model_dump_json(), str(localizer.weights_sha256)]
     words += [sparse_map.sha256, *digests(part.folder / "database" / n for n in sparse_map.names)]
     words += [f"{name} {part.camera(name)}" for name in part.queries]

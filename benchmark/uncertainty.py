@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.score import Interval, Outcome, Threshold, is_correct, wilson
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 
 DEGREES_OF_FREEDOM: Final = 6
 # 95 % quantile of chi-square with 6 degrees of freedom.

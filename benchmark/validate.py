@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.datasets import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.simulated import is_scene
 from benchmark.registry import create
-from benchmark.simulated import is_scene
-from scene.conventions import OURS, POSE_READINGS, Reading
-from scene.map_check import check_map, check_principal_points
-from scene.pose import Pose
-from scene.report import Check, Report
-from scene.sparse_map import SparseMap
-from scene.validate import validate as validate_scene
+from scene.checks.conventions import OURS, POSE_READINGS, Reading
+from scene.checks.map_check import check_map, check_principal_points
+from scene.checks.report import Check, Report
+from scene.checks.validate import validate as validate_scene
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import SparseMap
 
 # Queries whose reference pose is held against what their photograph says.
 _PROBES = 5

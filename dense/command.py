@@ -26,16 +26,20 @@ from dense.planes import normals_of, planes_of
 from dense.report import DenseReport, read_truth, report
 from dense.sources import choose_sources, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
-from dense.warp import View
+from dense.warp import StereoView
 from dense.workspace import KINDS, Stage, Workspace
-from scene.bundle import Scene, finish
-from scene.camera import Camera
-from scene.cluster import crew
-from scene.colmap import PosedImage, fuse_depth_maps, patch_match_stereo, write_posed
-from scene.colmap_files import MODEL_FILES, RIG_FILES
-from scene.digests import digests, require_unchanged
+from scene.bundle.scene import Scene, finish
+from scene.colmap.models import write_posed
+from scene.colmap.stereo import fuse_depth_maps, patch_match_stereo
 from scene.errors import InputError
-from scene.files import (
+from scene.geometry.camera import Camera
+from scene.maps.colmap_files import MODEL_FILES, RIG_FILES
+from scene.maps.photographs import PosedImage
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.cluster import worker_pool
+from scene.runtime.progress import progress_bar
+from scene.storage.digests import digests, require_unchanged
+from scene.storage.files import (
     MARK,
     folder_written_whole,
     link_or_copy,
@@ -46,9 +50,7 @@ from scene.files import (
     sole_writer,
     write_text,
 )
-from scene.images import read_rgb
-from scene.progress import progress_bar
-from scene.sparse_map import SparseMap
+from scene.storage.images import read_rgb
 
 DENSE = "dense"
 UNFINISHED = f"{MARK}dense"
@@ -94,7 +96,7 @@ def dense(
         sources: photographs that each is matched with, at most.
         stereo: our own PatchMatch, or COLMAP's where pycolmap has CUDA.
         seed: of every random choice; the same seed makes the same files.
-        cluster: whose cores make our own depth maps, as ``scene.cluster.crew`` takes it. Its nodes
+        cluster: whose cores make our own depth maps, see ``worker_pool``. Its nodes
             see the scene under the path it has here, and write to it.
 
     Returns:
@@ -209,7 +211,7 @@ def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
 
 
 def owned(workspace: Workspace) -> set[str]:
-    """What we wrote into a folder, as ``scene.files.folder_written_whole`` takes it: photographs
+    """What we wrote into a folder, for ``folder_written_whole``: photographs
     and maps of every photograph that has a depth map."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
     found = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
@@ -266,12 +268,12 @@ def _make_maps(maps: _Maps, cluster: str | None) -> float | None:
     finished = len(maps) - sum(len(maps.missing(stage)) for stage in _STAGES)
     pixels, seconds = 0, 0.0
     with (
-        crew(cluster, maps) as workers,
+        worker_pool(cluster, maps) as workers,
         progress_bar("depth maps", len(maps)) as advance,
     ):
         advance(finished)
         for stage in _STAGES:
-            with closing(workers.spread(maps.missing(stage))) as made:
+            with closing(workers.map(maps.missing(stage))) as made:
                 for size, took in made:
                     pixels, seconds, finished = pixels + size, seconds + took, finished + 1
                     advance(finished)
@@ -353,11 +355,11 @@ class _Maps:
         """Of the photograph's own, so that the order in which maps are made does not matter."""
         return torch.Generator().manual_seed(zlib.crc32(f"{self._seed} {name}".encode()))
 
-    def _read_view(self, name: str) -> View:
+    def _read_view(self, name: str) -> StereoView:
         image = self._map.images[name]
         rgb = read_rgb(self._workspace.images / name, image.camera)
         grey = torch.from_numpy(rgb.astype(np.float32) @ _LUMA)
-        return View(grey.to(self._device), image.camera, image.cam_from_world)
+        return StereoView(grey.to(self._device), image.camera, image.cam_from_world)
 
     def _read_first(self, name: str) -> Tensor:
         depth = torch.from_numpy(self._workspace.depth(name, "photometric")).to(self._device)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from dense.warp import View, Warp, round_trip
+from dense.warp import StereoView, Warp, round_trip
 
 # Two maps agree on a pixel that goes there and comes back this close (px), from so similar a depth.
 _AGREES_PX = 1.0
@@ -15,7 +15,10 @@ _AGREES_SHARE = 0.01
 
 
 def agreeing(
-    reference: View, sources: Sequence[View], inverse: Tensor, inverse_of_sources: Sequence[Tensor]
+    reference: StereoView,
+    sources: Sequence[StereoView],
+    inverse: Tensor,
+    inverse_of_sources: Sequence[Tensor],
 ) -> Tensor:
     """How many sources' own maps confirm each pixel of the reference, (H, W) int64.
 

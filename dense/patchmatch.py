@@ -20,7 +20,7 @@ from torch.nn.functional import interpolate, pad
 
 from dense.photometry import Photometry, Window
 from dense.planes import moved, planes_at_nearest, planes_through, resized
-from dense.warp import View
+from dense.warp import StereoView
 
 # The first planes are sought in a picture whose long side has at most so many pixels.
 _COARSEST = 160
@@ -59,7 +59,10 @@ class Estimate(NamedTuple):
 
 
 def first_estimate(
-    reference: View, sources: Sequence[View], seeds: NDArray[np.float64], generator: torch.Generator
+    reference: StereoView,
+    sources: Sequence[StereoView],
+    seeds: NDArray[np.float64],
+    generator: torch.Generator,
 ) -> Estimate:
     """Planes from photographs alone.
 
@@ -95,8 +98,8 @@ def first_estimate(
 
 
 def consistent_estimate(
-    reference: View,
-    sources: Sequence[View],
+    reference: StereoView,
+    sources: Sequence[StereoView],
     planes: Tensor,
     inverse_depths: Sequence[Tensor],
     generator: torch.Generator,
@@ -114,12 +117,12 @@ def consistent_estimate(
     return search.run(search.evaluate(planes), _ROUNDS, 0.5)
 
 
-def _shrunk(view: View, factor: int) -> View:
+def _shrunk(view: StereoView, factor: int) -> StereoView:
     if factor == 1:
         return view
     height, width = (max(1, side // factor) for side in view.grey.shape)
     grey = interpolate(view.grey[None, None], (height, width), mode="area")[0, 0]
-    return View(grey, view.camera.resized(width, height), view.cam_from_world)
+    return StereoView(grey, view.camera.resized(width, height), view.cam_from_world)
 
 
 class _Search:
@@ -127,8 +130,8 @@ class _Search:
 
     def __init__(
         self,
-        reference: View,
-        sources: Sequence[View],
+        reference: StereoView,
+        sources: Sequence[StereoView],
         expected: Tensor,
         inverse_depths: Sequence[Tensor] | None,
         generator: torch.Generator,

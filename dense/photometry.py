@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
-from dense.warp import View, Warp, round_trip
+from dense.warp import StereoView, Warp, round_trip
 
 WORST = 2.0
 """Cost of the opposite picture, and of a view that does not see the plane at all."""
@@ -61,8 +61,8 @@ class Photometry:
 
     def __init__(
         self,
-        reference: View,
-        sources: Sequence[View],
+        reference: StereoView,
+        sources: Sequence[StereoView],
         expected: Tensor,
         inverse_depths: Sequence[Tensor] | None = None,
     ) -> None:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from dense.report import WITHIN, Truth
 from dense.workspace import Workspace
-from scene.files import written_whole
-from scene.images import read_rgb
+from scene.storage.files import written_whole
+from scene.storage.images import read_rgb
 
 _DPI = 110
 # The cloud from the side: the camera looks down by so many degrees, from the south-west.

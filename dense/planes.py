@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scene.camera import Camera
+from scene.geometry.camera import Camera
 
 # The plane through a pixel's nearest seeds; fewer say nothing of a slope.
 _NEIGHBOURS = 8

@@ -11,10 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from dense.workspace import Workspace
-from scene.bundle import Scene
-from scene.camera import Camera
-from scene.progress import progress_bar
-from scene.sparse_map import MapImage, SparseMap
+from scene.bundle.scene import Scene
+from scene.geometry.camera import Camera
+from scene.maps.sparse_map import MapImage, SparseMap
+from scene.runtime.progress import progress_bar
 
 WITHIN = 0.005
 """A depth this close to the truth (relative) is right."""

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from dense.planes import planes_at_nearest
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 
 # Two photographs look at the same side of things when they share so many points of the map.
 _COMMON = 5

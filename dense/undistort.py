@@ -12,11 +12,11 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from scene.camera import Camera
 from scene.errors import InputError
-from scene.files import written_whole
-from scene.images import read_rgb
-from scene.sparse_map import MapImage, SparseMap
+from scene.geometry.camera import Camera
+from scene.maps.sparse_map import MapImage, SparseMap
+from scene.storage.files import written_whole
+from scene.storage.images import read_rgb
 
 _GROWTH = 1.02
 _MOST_GROWTH = 8.0

@@ -10,13 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scene.camera import Camera
+from scene.geometry.camera import Camera
 
 _MIN_DEPTH = 1e-6
 
 
 @dataclass(frozen=True)
-class View:
+class StereoView:
     """A photograph without distortion.
 
     Attributes:
@@ -57,7 +57,7 @@ class Warp:
     width: int
 
     @staticmethod
-    def between(here: View, there: View) -> Warp:
+    def between(here: StereoView, there: StereoView) -> Warp:
         relative = there.cam_from_world @ np.linalg.inv(here.cam_from_world)
         K = there.camera.calibration
         rotation = K @ relative[:3, :3] @ np.linalg.inv(here.camera.calibration)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.files import require_readable, write_text, written_whole
+from scene.storage.files import require_readable, write_text, written_whole
 
 Stage = Literal["photometric", "geometric"]
 Kind = Literal["depth_maps", "normal_maps"]

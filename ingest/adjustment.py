@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.georegister import Georegistration, georegister
-from ingest.lag import find_lag, motions, undo_lag
-from scene.colmap import Photograph, adjust_to_positions, read_map
-from scene.files import folder_written_whole
-from scene.sparse_map import SparseMap
+from ingest.gps_delay import find_lag, motions, undo_lag
+from scene.colmap.structure_from_motion import adjust_to_positions
+from scene.maps.colmap_files import read_model
+from scene.maps.photographs import Photograph
+from scene.maps.sparse_map import SparseMap
+from scene.storage.files import folder_written_whole
 
 Array = NDArray[np.float64]
 
@@ -69,7 +71,7 @@ def adjust(
     Raises:
         InputError: as ``georegister``.
     """
-    raw = read_map(model_path)
+    raw = read_model(model_path)
     placed = georegister(raw, fixes)
     order = [photograph.name for photograph in taken if photograph.name in raw.images]
     lag, used = 0.0, fixes

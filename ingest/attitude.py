@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ingest.georegister import Georegistration
 from ingest.photographs import Shot
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import SparseMap
 
 # A gimbal is off by a few degrees, its compass by more; a picture turned over by the camera is not
 # what its gimbal says.

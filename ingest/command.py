@@ -20,22 +20,24 @@ from ingest.picture import draw
 from ingest.positions import FEWEST, local, with_positions
 from ingest.report import REPORT, IngestReport, make_report, residuals
 from ingest.split import Split, queries_of
-from scene.bundle import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish
-from scene.camera import Camera
-from scene.colmap import (
-    Mapper,
-    Photograph,
-    PosedImage,
-    SiftOptions,
-    map_photographs,
-    match_photographs,
-    read_map,
-    triangulate_matched,
-)
-from scene.covisibility import Covisibility, visible_share, write_covisibility
+from scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
+from scene.bundle.frames import Frames, write_frames
+from scene.bundle.manifest import Manifest, Objects, Session, Splits, read_json, write_json
+from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish
+from scene.colmap.database import match_photographs
+from scene.colmap.sift import SiftOptions
+from scene.colmap.structure_from_motion import Mapper, map_photographs
+from scene.colmap.triangulation import triangulate_matched
 from scene.errors import InputError, WriteError
-from scene.features import write_features
-from scene.files import (
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic
+from scene.maps.colmap_files import read_model
+from scene.maps.features import write_features
+from scene.maps.photographs import Photograph, PosedImage
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.printed import printed
+from scene.runtime.progress import progress_bar
+from scene.storage.files import (
     MARK,
     folder_written_whole,
     is_ours,
@@ -44,13 +46,7 @@ from scene.files import (
     sha256_of,
     sole_writer,
 )
-from scene.frames import Frames, write_frames
-from scene.geodesy import Geodetic
-from scene.images import read_rgb, write_resized
-from scene.manifest import Manifest, Objects, Session, Splits, read_json, write_json
-from scene.printed import printed
-from scene.progress import progress_bar
-from scene.sparse_map import SparseMap
+from scene.storage.images import read_rgb, write_resized
 
 _WORK = f"{MARK}ingest"
 _PLAN = "plan.json"
@@ -154,7 +150,7 @@ def _ingest(
 
 
 def _owned(roll: Roll) -> set[str]:
-    """What we write into the folder of a scene, as ``scene.files.remove_owned`` takes it."""
+    """What we write into the folder of a scene, for ``remove_owned``."""
     copies = [f"sessions/{shot.name}" for shot in roll.shots]
     frames = f"sessions/{SESSION}/frames.h5"
     lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, "pictures/ingest.png"]
@@ -222,7 +218,7 @@ def _structure(
     _match(there, fixes, out)
     model_path, elsewhere = _map(there, out, plan.mapper)
     if not turned:
-        raw = read_map(model_path)
+        raw = read_model(model_path)
         turned = turned_over(raw, georegister(raw, fixes), placed.shots)
         if turned:
             # Their features are of the pictures as they were: all begins anew.
@@ -311,7 +307,7 @@ def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, 
         found = map_photographs(
             out / "sessions", taken, out / _WORK / _DATABASE, folder, mapper, advance
         )
-        members = [read_map(path).names for path in found]
+        members = [read_model(path).names for path in found]
     if not members or len(members[0]) < FEWEST:
         raise InputError(
             f"no {FEWEST} of the {len(taken)} photographs hang together: they need overlap and "

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
 _Fit = Callable[[Array, Array], Array]

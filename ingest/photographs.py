@@ -6,14 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scene.camera import Camera
-from scene.colmap import Photograph
 from scene.errors import InputError
-from scene.files import sha256_of
-from scene.images import Exif, image_size, read_exif
-from scene.listing import files_in
-from scene.printed import printed
-from scene.progress import progress_bar
+from scene.geometry.camera import Camera
+from scene.maps.photographs import Photograph
+from scene.runtime.printed import printed
+from scene.runtime.progress import progress_bar
+from scene.storage.files import sha256_of
+from scene.storage.images import Exif, image_size, read_exif
+from scene.storage.listing import files_in
 
 SESSION = "flight"
 _ENDINGS = (".jpg", ".jpeg")

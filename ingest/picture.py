@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ingest.report import residuals
-from scene.files import written_whole
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
+from scene.storage.files import written_whole
 
 
 def draw(

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ingest.photographs import Roll, Shot
 from scene.errors import InputError
-from scene.files import read_text
-from scene.geodesy import Geodetic, amid, enu_from_geodetic
+from scene.geometry.geodesy import Geodetic, amid, enu_from_geodetic
+from scene.storage.files import read_text
 
 FEWEST = 3
 _COLUMNS = ("name", "lat", "lon", "alt")

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from ingest.adjustment import Adjusted
-from scene.camera import Camera
-from scene.colmap import Photograph
-from scene.sparse_map import SparseMap
+from scene.geometry.camera import Camera
+from scene.maps.photographs import Photograph
+from scene.maps.sparse_map import SparseMap
 
 _SHOWN = 6
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Final
+
 from pydantic import Field
 
+from baselines.checkpoint import shipped
 from baselines.featuremetric.localizer import FeaturemetricConfig, FeaturemetricLocalizer
-from baselines.weights import shipped
 from objconnect.network import read_network
+
+SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
+"""The weights that come with the project."""
 
 
 class ObjConnectConfig(FeaturemetricConfig):
@@ -25,5 +31,5 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
     """
 
     def __init__(self, config: ObjConnectConfig) -> None:
-        network, digest = read_network(config.weights or shipped("objconnect"))
+        network, digest = read_network(config.weights or shipped(SHIPPED))
         super().__init__("objconnect", network, digest, config)

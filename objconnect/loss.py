@@ -18,7 +18,7 @@ from baselines.align.residuals import Level
 from baselines.pixloc.loss import pose_loss
 from baselines.training.contrastive import sample
 from baselines.training.pairs import PairBatch
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 
 # Both are about one once features have begun to tell places apart, at the end a tenth and a third.
 FEATURE_SHARE: Final = 0.1

@@ -13,7 +13,7 @@ from PIL import Image, UnidentifiedImageError
 
 from objconnect.segmentation import NOTHING, Labels, keep_largest
 from scene.errors import InputError
-from scene.files import parse_json, read_text, require_readable
+from scene.storage.files import parse_json, read_text, require_readable
 
 # More objects than a label picture of 16 bits can tell apart.
 _ALL = 1 << 16

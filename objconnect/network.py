@@ -12,9 +12,9 @@ from torch import Tensor, nn
 
 import baselines.pixloc.network as pixloc
 from baselines.align.damping import Damping
+from baselines.checkpoint import load_into, read_weights
 from baselines.training.contrastive import sample
 from baselines.vgg import encode, keep_variance, vgg16_encoder
-from baselines.weights import load_into, read_weights
 from objconnect.config import ObjConnectNetConfig
 from objconnect.fpn import FeaturePyramid
 from objconnect.graph import ObjectGraph, SceneGraph

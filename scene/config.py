@@ -11,7 +11,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from scene.errors import InputError
-from scene.files import read_text
+from scene.storage.files import read_text
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "configs"
 """Where the configurations lie that come with the project."""

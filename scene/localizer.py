@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from scene.camera import Camera
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import SparseMap
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Query:
     references: tuple[str, ...] | None = None
 
 
-def fault(query: Query) -> str:
+def query_error(query: Query) -> str:
     """Why nobody can localize a query, in words; empty when there is no reason.
 
     An infinite sigma is no fault: that axis was not measured.

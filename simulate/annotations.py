@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.bundle import Scene
-from scene.covisibility import Covisibility, surface_points, visible_share
-from scene.frames import LAYERS
-from scene.images import read_rgb
+from scene.bundle.covisibility import Covisibility, surface_points, visible_share
+from scene.bundle.frames import LAYERS
+from scene.bundle.scene import Scene
+from scene.storage.images import read_rgb
 
 # Points on a side of the grid that stands for a frame's surface: shares come in steps of 1/256.
 _PER_SIDE = 16

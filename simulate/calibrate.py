@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from scene.camera import MODELS, Camera
 from scene.errors import InputError
-from scene.files import written_whole
-from scene.marks import PNG_MARK, PNG_METADATA
-from scene.outputs import Output, claim
-from scene.progress import progress_bar
-from scene.scratch import scratch
+from scene.geometry.camera import MODELS, Camera
+from scene.runtime.progress import progress_bar
+from scene.storage.files import written_whole
+from scene.storage.marks import PNG_MARK, PNG_METADATA
+from scene.storage.outputs import Output, claim
+from scene.storage.scratch import scratch
 from simulate.camera.lens import rendered_through
 from simulate.camera.resample import resample_colour
 from simulate.render.job import Board, RenderJob, frame_path

@@ -16,16 +16,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene.bundle import COVISIBILITY, MANIFEST, Scene, finish
-from scene.camera import Camera
-from scene.cluster import crew
-from scene.covisibility import write_covisibility
-from scene.errors import InputError
-from scene.files import MARK, is_ours, remove_partial, sole_writer, write_text
-from scene.frames import LAYERS, Frames, Layer, read_frames, write_frames
-from scene.geodesy import geodetic_from_enu
-from scene.images import Exif, write_jpeg
-from scene.manifest import (
+from scene.bundle.covisibility import write_covisibility
+from scene.bundle.frames import LAYERS, Frames, Layer, read_frames, write_frames
+from scene.bundle.labels import CLASSES
+from scene.bundle.manifest import (
     Manifest,
     Objects,
     SceneObject,
@@ -36,8 +30,16 @@ from scene.manifest import (
     size_class,
     write_json,
 )
-from scene.pose import Pose
-from scene.progress import progress_bar
+from scene.bundle.pictures import draw_pictures
+from scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish
+from scene.errors import InputError
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import geodetic_from_enu
+from scene.geometry.pose import Pose
+from scene.runtime.cluster import worker_pool
+from scene.runtime.progress import progress_bar
+from scene.storage.files import MARK, is_ours, remove_partial, sole_writer, write_text
+from scene.storage.images import Exif, write_jpeg
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.camera.lens import rendered_through
 from simulate.camera.sensor import expose
@@ -45,10 +47,9 @@ from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
 from simulate.flight.gimbal import velocities
 from simulate.look.conditions import condition
-from simulate.pictures import draw_pictures
 from simulate.place.change import ChangedWorld, changed_worlds, every_object
 from simulate.place.presets import preset
-from simulate.place.world import CLASSES, World, WorldObject
+from simulate.place.world import World, WorldObject
 from simulate.planner import plan_session
 from simulate.render.disk import bytes_needed, require_space
 from simulate.render.job import RenderJob, frame_path
@@ -68,7 +69,7 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
         config: of the scene.
         out: folder, new or left by a run of the same configuration.
         jobs: rendering processes, on this machine.
-        cluster: whose cores render instead, as `scene.cluster.crew` takes it.
+        cluster: whose cores render instead, as `scene.runtime.cluster.worker_pool` takes it.
 
     Returns:
         The finished scene, still without a map.
@@ -118,7 +119,7 @@ def _renderer(jobs: int, cluster: str | None) -> Iterator[_Renderer]:
     if cluster is None:
         yield lambda job, folder, on_frame: render(job, folder, jobs, on_frame)
         return
-    with crew(cluster, frame_files) as workers:
+    with worker_pool(cluster, frame_files) as workers:
         yield partial(render_remotely, workers)
 
 

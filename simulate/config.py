@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from scene.camera import Camera
 from scene.config import Config, load_config
-from scene.geodesy import Geodetic
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic
 from simulate.camera.lens import CameraConfig, rendered_through
 from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import Flight, NadirFlight, StreetFlight

@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.files import MARK, remove_partial, write_text, written_whole
-from scene.marks import JPEG_MARK
-from scene.outputs import Output, claim
-from scene.printed import printed
-from scene.progress import progress_bar
+from scene.runtime.printed import printed
+from scene.runtime.progress import progress_bar
+from scene.storage.files import MARK, remove_partial, write_text, written_whole
+from scene.storage.marks import JPEG_MARK
+from scene.storage.outputs import Output, claim
 from simulate.command import render_job
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight

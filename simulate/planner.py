@@ -8,8 +8,8 @@ from typing import assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.camera import Camera
 from scene.errors import InputError
+from scene.geometry.camera import Camera
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import is_free
 from simulate.flight.config import (
@@ -23,7 +23,7 @@ from simulate.flight.config import (
     plan_digest,
 )
 from simulate.flight.flights import plan_grid, plan_nadir, plan_oblique
-from simulate.flight.gimbal import Aims, expose
+from simulate.flight.gimbal import Aims, perturbed_poses
 from simulate.flight.qgroundcontrol import read_plan
 from simulate.flight.routes import plan_corridor, plan_free, plan_street
 from simulate.place.world import Road, World, polyline_length, polyline_points
@@ -136,14 +136,14 @@ def plan_session(
                 frames=frames,
                 offset_m=flight.offset_m,
             )
-            return expose(aims, 0.0, 0.0, rng)
+            return perturbed_poses(aims, 0.0, 0.0, rng)
         case PlanFlight():
             if plan_digest(flight.file) != flight.sha256:
                 raise InputError(f"mission plan {flight.file} is no longer the scene's: restore it")
             aims = read_plan(flight.file, config.origin, config.area, ground, flight.pitch_deg)
         case _:
             assert_never(flight)
-    return expose(aims, config.position_jitter_m, config.attitude_jitter_deg, rng)
+    return perturbed_poses(aims, config.position_jitter_m, config.attitude_jitter_deg, rng)
 
 
 def _driven(world: World, flight: StreetFlight, backwards: bool) -> list[tuple[Array, float]]:

@@ -16,11 +16,11 @@ import pytest
 import torch
 from hypothesis import settings
 
-from scene.bundle import Scene
-from scene.digests import FOLDER_VARIABLE
+from mapping.build import build_map
+from scene.bundle.scene import Scene
+from scene.storage.digests import FOLDER_VARIABLE
 from simulate.command import simulate
 from simulate.config import SimulateConfig
-from simulate.mapping import build_map
 from simulate.render.libraries import require_libraries
 from tests.two_nodes import TwoNodes
 

@@ -25,8 +25,17 @@ import pytest
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 # What a test of the methods reads of the tree.
-_READ: Final = ("scene", "baselines", "objconnect", "simulate", "dense", "ingest", "benchmark")
-_ALSO: Final = ("tests", "weights", "configs", "pyproject.toml")
+_READ: Final = (
+    "scene",
+    "baselines",
+    "objconnect",
+    "mapping",
+    "simulate",
+    "dense",
+    "ingest",
+    "benchmark",
+)
+_ALSO: Final = ("tests", "configs", "pyproject.toml")
 # Imported once, before the processes of the mutants begin: most of the time of a short test.
 _SLOW_TO_IMPORT: Final = ("torch", "cv2", "skimage.segmentation", "hypothesis", "matplotlib.pyplot")
 

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import create
 from benchmark.results import QueryResult, Results, load
 from dense.command import dense
-from scene.bundle import Scene
+from mapping.build import build_map
+from scene.bundle.scene import Scene
 from simulate.command import simulate
 from simulate.config import SimulateConfig
-from simulate.mapping import build_map
 from tests.two_nodes import TwoNodes
 
 TINY = SimulateConfig.model_validate(

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from benchmark.cli import app
 from benchmark.results import load
-from scene.bundle import Scene
+from scene.bundle.scene import Scene
 
 
 @pytest.fixture(scope="module")

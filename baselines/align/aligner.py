@@ -13,9 +13,9 @@ from baselines.align.covariance import covariance
 from baselines.align.descent import Options, descend, is_finite
 from baselines.align.local import Local, working_precision
 from baselines.align.residuals import Level, Problem
-from baselines.align.trees import over
-from scene.pose import Pose
-from scene.projection import Intrinsics
+from baselines.align.trees import tree_map
+from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
 
 _ALIGNED, _BAD_START, _TOO_FEW, _NOT_FINITE = range(4)
 _WHY: Final = (
@@ -96,7 +96,7 @@ def align(
     def unflattened(t: Tensor) -> Tensor:
         return t.view(*shape, *t.shape[1:])
 
-    pose = over(lambda t: t.reshape(len(owner), *t.shape[len(shape) :]), local.start)
+    pose = tree_map(lambda t: t.reshape(len(owner), *t.shape[len(shape) :]), local.start)
     failure = torch.where(local.finite.flatten(), _ALIGNED, _BAD_START)
     iterations, seen = torch.zeros_like(owner), torch.zeros_like(owner)
     by_level = []
@@ -106,13 +106,13 @@ def align(
         )
         problem = problem if starts_per_query == 1 else problem.rows(owner)
         alive = failure == _ALIGNED
-        place = descend(problem, over(Tensor.detach, pose), alive, held_back, options)
+        place = descend(problem, tree_map(Tensor.detach, pose), alive, held_back, options)
         pose, iterations = place.pose, iterations + place.iterations
         seen = torch.where(alive, place.around.seen.sum(-1), seen)
         now = torch.where(is_finite(place.around), _ALIGNED, _NOT_FINITE)
         now = torch.where(seen < options.least_points, _TOO_FEW, now)
         failure = torch.where(alive, now, failure)
-        by_level.append(local.in_world(over(unflattened, pose)))
+        by_level.append(local.in_world(tree_map(unflattened, pose)))
     failed = failure != _ALIGNED
     cost = torch.where(failed, torch.inf, place.around.mean_cost())
     unknown = torch.full((6,), torch.inf, dtype=torch.float64, device=failed.device).diag_embed()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from scene.pose import Pose, so3_exp
+from scene.geometry.pose import Pose, so3_exp
 
 _LOG_RANGE = (-6.0, 5.0)
 # Least value added to the diagonal of the Hessian, in the units of the Hessian.

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from baselines.align.damping import damped_step, moved
 from baselines.align.residuals import Linearisation, Problem
-from baselines.align.trees import choose, over, rows
-from scene.pose import Pose
+from baselines.align.trees import choose, rows, tree_map
+from scene.geometry.pose import Pose
 
 # A rejected step multiplies the damping by this; one taken divides it.
 _CAUTION: Final = 10.0
@@ -106,7 +106,7 @@ def descend(
     arrived.append((number, place))
     order = torch.cat([numbers for numbers, _ in arrived]).argsort()
     places = [each for _, each in arrived]
-    return over(lambda *parts: torch.cat(parts)[order], *places)
+    return tree_map(lambda *parts: torch.cat(parts)[order], *places)
 
 
 def healthy(around: Linearisation, least_points: int) -> Tensor:

@@ -22,9 +22,9 @@ from baselines.align.descent import Options
 from baselines.align.local import Local, working_precision
 from baselines.align.residuals import Level, robust_cost
 from baselines.align.sampling import per_axis
-from baselines.align.trees import over
-from scene.pose import Pose
-from scene.projection import Intrinsics
+from baselines.align.trees import tree_map
+from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
 
 # Cells of the coarsest level between neighbouring shifts of the picture, and degrees between turns.
 _SPACING = 1.7
@@ -41,7 +41,7 @@ _CHANCE_CELLS = 256
 
 
 @dataclass(frozen=True)
-class Reach:
+class SearchRadius:
     """How far from the prior to look, and how many poses to refine.
 
     Attributes:
@@ -59,7 +59,7 @@ class Reach:
     finalists: int = 2
 
 
-def around(start: Pose, distance: Tensor, reach: Reach, spacing_degrees: float) -> Pose:
+def around(start: Pose, distance: Tensor, reach: SearchRadius, spacing_degrees: float) -> Pose:
     """Poses on a grid around others, which stand in its middle: (B) -> (B, K).
 
     Args:
@@ -86,9 +86,11 @@ def around(start: Pose, distance: Tensor, reach: Reach, spacing_degrees: float) 
     step = [share * x, share * y, z.expand_as(x), metres * y, -metres * x, torch.zeros_like(x)]
     grid = torch.stack(step, -1)
     start = start.to(dtype=torch.float64)
-    each = over(lambda t: t[:, None].expand(-1, grid.shape[1], *t.shape[1:]).flatten(0, 1), start)
+    each = tree_map(
+        lambda t: t[:, None].expand(-1, grid.shape[1], *t.shape[1:]).flatten(0, 1), start
+    )
     reached = moved(each, grid.flatten(0, 1))
-    return over(lambda t: t.view(*grid.shape[:2], *t.shape[1:]), reached)
+    return tree_map(lambda t: t.view(*grid.shape[:2], *t.shape[1:]), reached)
 
 
 def gain(level: Level, local: Local, poses: Pose, scale: float) -> Tensor:
@@ -124,7 +126,7 @@ def align_from_many(
     start: Pose,
     damping: Sequence[Tensor],
     options: Options,
-    reach: Reach,
+    reach: SearchRadius,
     mask: Tensor | None = None,
 ) -> Alignment:
     """As ``align``, from priors (B) that may be far off.
@@ -144,7 +146,7 @@ def align_from_many(
         picked = grid[torch.arange(len(grid), device=grid.device)[:, None], best]
         return torch.cat([prior[:, None], picked], 1)
 
-    starts = local.in_world(over(with_prior, local.start, poses))
+    starts = local.in_world(tree_map(with_prior, local.start, poses))
     rough = replace(
         options,
         small_metres=_ROUGH * options.small_metres,
@@ -164,7 +166,7 @@ def align_from_many(
         iterations = iterations + found.iterations.sum(-1)
         failure = torch.where(begun.failed, begun.failure, found.failure)
         found = replace(found, failure=failure, by_level=begun.by_level + found.by_level)
-    winner = over(lambda t: t[:, 0], _best(found, levels[-1], options.scale, 1))
+    winner = tree_map(lambda t: t[:, 0], _best(found, levels[-1], options.scale, 1))
     return replace(winner, iterations=iterations)
 
 
@@ -174,7 +176,7 @@ def promise(
     intrinsics: Intrinsics,
     start: Pose,
     options: Options,
-    reach: Reach,
+    reach: SearchRadius,
 ) -> Tensor:
     """The most that any pose around priors (B) gains over chance on a level, (B).
 
@@ -184,7 +186,7 @@ def promise(
     return gain(level, local, _grid(level, local, reach), options.scale).max(-1).values
 
 
-def _grid(level: Level, local: Local, reach: Reach) -> Pose:
+def _grid(level: Level, local: Local, reach: SearchRadius) -> Pose:
     """The poses (B, K) around priors (B) that are compared on a level."""
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
     depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
@@ -202,7 +204,7 @@ def _best(found: Alignment, level: Level, scale: float, count: int) -> Alignment
     won = torch.where(found.failed, -torch.inf, won)
     kept = won.argsort(dim=1, descending=True, stable=True)[:, :count]
     query = torch.arange(len(kept), device=kept.device)[:, None]
-    return over(lambda t: t[query, kept], found)
+    return tree_map(lambda t: t[query, kept], found)
 
 
 def _distinct(found: Alignment, local: Local, level: Level) -> Alignment:
@@ -222,14 +224,14 @@ def _distinct(found: Alignment, local: Local, level: Level) -> Alignment:
     order = kept.long().argsort(dim=1, descending=True, stable=True)
     order = order[:, : int(kept.sum(-1).max())]
     query = torch.arange(len(order), device=order.device)[:, None]
-    return over(lambda t: t[query, order], found)
+    return tree_map(lambda t: t[query, order], found)
 
 
 def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
     """Pixels (B, K, N, 2) of the points at poses (B, K), and whether they are any (B, K, N)."""
     points, intrinsics = local.points, local.intrinsics
     own = intrinsics.focal.ndim > 1
-    cameras = over(lambda t: t[:, None], intrinsics) if own else intrinsics
+    cameras = tree_map(lambda t: t[:, None], intrinsics) if own else intrinsics
     projected = cameras.project(poses.to(dtype=points.dtype).transform(points[:, None]))
     return projected.xy, projected.valid & local.usable[:, None]
 

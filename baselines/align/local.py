@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from baselines.align.residuals import Level
-from baselines.align.trees import choose, over
-from scene.pose import Pose
-from scene.projection import Intrinsics
+from baselines.align.trees import choose, tree_map
+from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Local:
         return Local(
             points=local.to(dtype),
             usable=usable,
-            intrinsics=over(lambda t: t.to(dtype), intrinsics),
+            intrinsics=tree_map(lambda t: t.to(dtype), intrinsics),
             origin=origin,
             start=_shifted(begin, origin),
             finite=finite,

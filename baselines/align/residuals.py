@@ -10,8 +10,8 @@ from torch.nn.functional import pad
 
 from baselines.align.sampling import CellTable, Stride, inside, per_axis, stencil
 from baselines.align.trees import rows
-from scene.pose import Pose
-from scene.projection import Intrinsics
+from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from torch import Tensor
 T = TypeVar("T")
 
 
-def over(function: Callable[..., Tensor], first: T, *others: T) -> T:
+def tree_map(function: Callable[..., Tensor], first: T, *others: T) -> T:
     """Apply a function to the tensors of dataclasses of one type, field by field, nested too.
 
     A field may be a tuple of such; what is neither is the first one's.
@@ -23,16 +23,16 @@ def over(function: Callable[..., Tensor], first: T, *others: T) -> T:
         if isinstance(value, Tensor):
             value = function(value, *rest)
         elif isinstance(value, tuple):
-            value = tuple(over(function, *each) for each in zip(value, *rest, strict=True))
+            value = tuple(tree_map(function, *each) for each in zip(value, *rest, strict=True))
         elif hasattr(value, "__dataclass_fields__"):
-            value = over(function, value, *rest)
+            value = tree_map(function, value, *rest)
         values[field.name] = value
     return type(first)(**values)
 
 
 def rows(tree: T, which: Tensor) -> T:
     """The elements of a batch by number, or by a mask."""
-    return over(lambda t: t[which], tree)
+    return tree_map(lambda t: t[which], tree)
 
 
 def choose(which: Tensor, yes: T, no: T) -> T:
@@ -41,4 +41,4 @@ def choose(which: Tensor, yes: T, no: T) -> T:
     def pick(a: Tensor, b: Tensor) -> Tensor:
         return torch.where(which[(..., *[None] * (a.ndim - which.ndim))], a, b)
 
-    return over(pick, yes, no)
+    return tree_map(pick, yes, no)

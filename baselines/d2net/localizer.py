@@ -15,12 +15,15 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from baselines.checkpoint import shipped
 from baselines.d2net.detection import detect
 from baselines.d2net.network import D2Net, read_network
 from baselines.features import Extractor
 from baselines.structure import StructureConfig, StructureLocalizer
-from baselines.weights import shipped
-from scene.features import Features
+from scene.maps.features import Features
+
+SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
+"""The weights that come with the project."""
 
 # A picture is plain where grey levels have a smaller standard deviation over so many pixels.
 _PLAIN: Final = 1.0
@@ -114,5 +117,5 @@ class D2NetLocalizer(StructureLocalizer):
         Raises:
             InputError: there are no weights, or they are not of this network.
         """
-        network, digest = read_network(config.weights or shipped("d2net"))
+        network, digest = read_network(config.weights or shipped(SHIPPED))
         super().__init__(config, D2NetExtractor(network, digest, config), interpolate=True)

@@ -16,8 +16,8 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
+from baselines.checkpoint import load_into, read_weights
 from baselines.vgg import channels, vgg16_blocks
-from baselines.weights import load_into, read_weights
 from scene.config import Config, load_config
 from scene.errors import InputError
 

@@ -9,13 +9,13 @@ import torch
 from torch import Tensor, nn
 
 import baselines.pixloc.network as pixloc
+from baselines.checkpoint import read_weights
 from baselines.d2net.loss import TripletLoss, triplet_loss
 from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, read_network, soft_scores
 from baselines.training.config import TrainConfig
 from baselines.training.contrastive import contrastive, mean_over
 from baselines.training.pairs import PairBatch
 from baselines.vgg import IMAGENET_STD
-from baselines.weights import read_weights
 from scene.config import load_config
 from scene.errors import InputError
 

@@ -19,10 +19,10 @@ from torch import Tensor
 
 from baselines.sweep import Sweeper
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.files import written_whole
-from scene.hdf5 import array
-from scene.progress import progress_bar
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.progress import progress_bar
+from scene.storage.files import written_whole
+from scene.storage.hdf5 import array
 
 # Pixels between corners, and least strength of them as a share of the strongest.
 _APART: Final = 4.0

@@ -23,7 +23,7 @@ from pydantic import Field
 
 from baselines.align.aligner import Alignment, align
 from baselines.align.descent import Options
-from baselines.align.hypotheses import Reach, align_from_many, promise
+from baselines.align.hypotheses import SearchRadius, align_from_many, promise
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Precision
 from baselines.featuremetric.problem import LEAST_SIDE, Problem, Problems, fit
 from baselines.featuremetric.references import references
@@ -31,10 +31,10 @@ from baselines.retrieval import OnDemand, References
 from baselines.starts import every_way, starts
 from baselines.views import View, turned_to
 from scene.config import Config
-from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, fault
-from scene.pose import Pose
-from scene.scratch import scratch
-from scene.sparse_map import SparseMap
+from scene.geometry.pose import Pose
+from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, query_error
+from scene.maps.sparse_map import SparseMap
+from scene.storage.scratch import scratch
 
 # Poses of pictures of nothing cost 0.98 of chance and more, 0.95 where little is in view; those of
 # right ones 0.64 to 0.87.
@@ -50,7 +50,7 @@ _COMPARED: Final = 512
 # By which places are, before any start.
 _GLANCED: Final = 256
 # A grid of starts that is spread wider has gaps.
-_FARTHEST: Final = Reach(metres=40.0, degrees=30.0)
+_FARTHEST: Final = SearchRadius(metres=40.0, degrees=30.0)
 # Headings tried where nobody knows it, and degrees to look to either side of each.
 _HEADINGS: Final = 12
 _BETWEEN_HEADINGS: Final = 15.0
@@ -76,7 +76,7 @@ class FeaturemetricConfig(Config):
         multistart: look around the start too, for priors beyond the reach of the features.
         precision: of the convolutions.
         memory_mb: for the whole process: features of the map stay in memory as far as there is room
-            below it (``scene.held.room``).
+            below it (``scene.storage.lru_cache.room``).
     """
 
     weights: Path | None = None
@@ -153,7 +153,7 @@ class FeaturemetricLocalizer:
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
         """Feature maps, references, starting pose, points, alignment."""
-        if reason := fault(query):
+        if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         if (side := self._least_side(query)) < LEAST_SIDE:
             reason = f"the image is {side} pixels wide or high, {LEAST_SIDE} are needed"
@@ -200,7 +200,7 @@ class FeaturemetricLocalizer:
             best = min(tried, key=lambda attempt: attempt.fit)
             if best.fit < enough:
                 if len(begin) > 1:
-                    tried.append(self._attempt_near(query, best.pose, clock, Reach()))
+                    tried.append(self._attempt_near(query, best.pose, clock, SearchRadius()))
                 break
         return tried
 
@@ -221,8 +221,8 @@ class FeaturemetricLocalizer:
             yield [self._attempt(query, chosen, start, clock, reach) for start in there], _CLEARLY
 
     def _promising(
-        self, query: Query, places: Sequence[tuple[Pose, Reach]]
-    ) -> list[tuple[Pose, Reach]]:
+        self, query: Query, places: Sequence[tuple[Pose, SearchRadius]]
+    ) -> list[tuple[Pose, SearchRadius]]:
         """Of poses, and of photographs near the prior, turned to every heading, those around which
         the image fits best on the coarsest level, the best first; with how far to look."""
         assert query.prior is not None
@@ -230,7 +230,7 @@ class FeaturemetricLocalizer:
         for row in self._retrieval.viewpoints.near(query.prior.position, _NEAR):
             pose = self._map.images[self._map.names[int(row)]].pose
             metres = _BESIDE * self._map.height_above(pose.centre().numpy())
-            photographs.append((pose, Reach(min(metres, _FARTHEST.metres))))
+            photographs.append((pose, SearchRadius(min(metres, _FARTHEST.metres))))
         seen = []
         for pose, reach in [*places, *photographs]:
             chosen = self._chosen(replace(query, prior=_known(pose)))
@@ -252,13 +252,20 @@ class FeaturemetricLocalizer:
         found.sort(key=lambda each: -each[0])
         return [(turned, reach) for _, turned, reach in found[:_PROMISING]]
 
-    def _attempt_near(self, query: Query, start: Pose, clock: Stopwatch, reach: Reach) -> _Attempt:
+    def _attempt_near(
+        self, query: Query, start: Pose, clock: Stopwatch, reach: SearchRadius
+    ) -> _Attempt:
         """From a start of which more is known than the query says."""
         near = replace(query, prior=_known(start))
         return self._attempt(near, self._chosen(near), start, clock, reach)
 
     def _attempt(
-        self, query: Query, chosen: NDArray[np.int64], start: Pose, clock: Stopwatch, reach: Reach
+        self,
+        query: Query,
+        chosen: NDArray[np.int64],
+        start: Pose,
+        clock: Stopwatch,
+        reach: SearchRadius,
     ) -> _Attempt:
         """Look at the query as if a start were right, and align it."""
         with clock.stage("features"):
@@ -329,9 +336,9 @@ def _heading_unknown(prior: Prior | None) -> bool:
     return prior is not None and prior.cam_from_world_rotation is None
 
 
-def _reach(prior: Prior | None) -> Reach:
+def _reach(prior: Prior | None) -> SearchRadius:
     """How far a prior may be off: two of its standard deviations, where they are known."""
-    usual = Reach()
+    usual = SearchRadius()
     if prior is None:
         return usual
     metres = usual.metres
@@ -340,7 +347,7 @@ def _reach(prior: Prior | None) -> Reach:
         known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
         metres = max([metres, *(2 * float(sigma) for sigma in known)])
     degrees = max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0))
-    return Reach(
+    return SearchRadius(
         min(metres, _FARTHEST.metres),
         min(degrees, _FARTHEST.degrees),
         _BETWEEN_HEADINGS if _heading_unknown(prior) else 0.0,

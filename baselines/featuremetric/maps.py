@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from baselines.align.sampling import sample
 from baselines.views import View, view
-from scene.camera import Camera
+from scene.geometry.camera import Camera
 
 Precision = Literal["float32", "bfloat16"]
 

@@ -15,13 +15,13 @@ from baselines.align.descent import Options
 from baselines.align.residuals import Level
 from baselines.align.sampling import per_axis
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
-from baselines.featuremetric.references import ReferenceFeatures, spread
+from baselines.featuremetric.references import ReferenceFeatures, spaced_order
 from baselines.resolution import metres_per_pixel, scale_to
 from baselines.views import View, north
-from scene.camera import Camera
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
 from scene.localizer import Query
-from scene.pose import Pose
-from scene.projection import Intrinsics
 
 # The coarsest level has a cell for so many pixels; an image must have one at least.
 LEAST_SIDE: Final = 16
@@ -94,7 +94,7 @@ class Problems:
         visible = inside.numpy() & view.shows(projected.xy.numpy())
         seen = np.flatnonzero(visible)
         size = np.array([view.camera.width, view.camera.height])
-        order = spread(projected.xy.numpy()[seen] / size, -turn[seen])
+        order = spaced_order(projected.xy.numpy()[seen] / size, -turn[seen])
         kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
         confidence = np.concatenate([each.confidence for each in observed])[kept]
         levels = []

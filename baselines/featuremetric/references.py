@@ -16,17 +16,17 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from baselines.array_store import ArrayStore, written_store
 from baselines.featuremetric.corners import all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
-from baselines.shelf import Shelf, written_shelf
 from baselines.views import View, north
-from scene.digests import digests, require_unchanged
-from scene.held import Held, room
-from scene.images import check_photographs, read_rgb
-from scene.pose import Pose
-from scene.progress import progress_bar
-from scene.sparse_map import MapImage, SparseMap
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import MapImage, SparseMap
+from scene.runtime.progress import progress_bar
+from scene.storage.digests import digests, require_unchanged
+from scene.storage.images import check_photographs, read_rgb
+from scene.storage.lru_cache import LruCache, room
 
 # Points seen by fewer photographs are less sure; PixLoc's authors leave them out.
 _LEAST_TRACK: Final = 3
@@ -73,10 +73,10 @@ class ReferenceFeatures:
     """
 
     def __init__(self, path: Path, memory: int) -> None:
-        self._shelf = Shelf(path)
+        self._shelf = ArrayStore(path)
         levels = range(int(self._shelf.attribute("levels")))
         names = ("xyz", "confidence", *(f"features/{level}" for level in levels))
-        self._held = Held(partial(_read, self._shelf, names), memory)
+        self._held = LruCache(partial(_read, self._shelf, names), memory)
         self.metres_per_pixel = float(self._shelf.attribute("metres_per_pixel"))
 
     def __len__(self) -> int:
@@ -91,7 +91,7 @@ class ReferenceFeatures:
         return self._shelf.read(photograph, "features/0").astype(np.float32)
 
 
-def _read(shelf: Shelf, names: Sequence[str], photograph: int) -> Observations:
+def _read(shelf: ArrayStore, names: Sequence[str], photograph: int) -> Observations:
     xyz, confidence, *features = (shelf.read(photograph, name) for name in names)
     return Observations(xyz, tuple(features), confidence)
 
@@ -161,7 +161,7 @@ def write_references(
     wanted = of_map(sparse_map, lambda camera: min(1.0, extract.largest_scale(camera)))
     levels = len(extract.network.config.strides)
     with (
-        written_shelf(path, levels=levels, metres_per_pixel=wanted) as add,
+        written_store(path, levels=levels, metres_per_pixel=wanted) as add,
         progress_bar(f"{name} map features", len(posed)) as advance,
     ):
         for done, (image, further) in enumerate(zip(posed, beside, strict=True), 1):
@@ -199,7 +199,7 @@ def observe(
     seen = np.flatnonzero(inside & (confidence > 0).all(-1).numpy())
     size = np.array([view.camera.width, view.camera.height])
     worth = confidence.log().sum(-1).numpy()[seen]
-    kept = seen[spread(projected.xy.numpy()[seen] / size, worth)[:points]]
+    kept = seen[spaced_order(projected.xy.numpy()[seen] / size, worth)[:points]]
     return Observations(
         xyz[kept],
         tuple(features[kept].to(torch.float16).numpy() for features, _ in levels),
@@ -214,7 +214,7 @@ def _sure(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
     return np.asarray(sparse_map.xyz[sure if len(sure) >= _LEAST_POINTS else rows])
 
 
-def spread(xy: NDArray[np.float64], worth: NDArray[Any]) -> NDArray[np.int64]:
+def spaced_order(xy: NDArray[np.float64], worth: NDArray[Any]) -> NDArray[np.int64]:
     """An order of points of which every beginning covers the picture: the worthiest of every cell
     of a grid, then the second of every cell, and so on.
 

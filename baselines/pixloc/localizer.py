@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Final
+
 from pydantic import Field
 
+from baselines.checkpoint import shipped
 from baselines.featuremetric.localizer import FeaturemetricConfig, FeaturemetricLocalizer
 from baselines.pixloc.network import read_network
-from baselines.weights import shipped
+
+SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
+"""The weights that come with the project."""
 
 
 class PixlocConfig(FeaturemetricConfig):
@@ -26,5 +32,5 @@ class PixlocLocalizer(FeaturemetricLocalizer):
     """
 
     def __init__(self, config: PixlocConfig) -> None:
-        network, digest = read_network(config.weights or shipped("pixloc"))
+        network, digest = read_network(config.weights or shipped(SHIPPED))
         super().__init__("pixloc", network, digest, config)

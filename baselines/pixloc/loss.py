@@ -8,8 +8,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from scene.pose import Pose
-from scene.projection import Intrinsics
+from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
 
 _CLAMP: Final = 50.0
 # A level counts only where the coarser one came this near (px per px of its stride).

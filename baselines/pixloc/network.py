@@ -18,8 +18,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.align.damping import Damping
+from baselines.checkpoint import load_into, read_weights
 from baselines.vgg import channels, encode, keep_variance, vgg16_encoder
-from baselines.weights import load_into, read_weights
 from scene.config import Config, describe
 from scene.errors import InputError
 

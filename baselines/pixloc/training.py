@@ -23,7 +23,7 @@ from baselines.training.contrastive import contrastive, mean_over, sample
 from baselines.training.pairs import PairBatch
 from scene.config import load_config
 from scene.errors import InputError
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 
 # The authors' finest level is every pixel. Every other costs a third of it in training, and the
 # precision lost is below that of a map's points.

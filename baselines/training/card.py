@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from baselines.training.config import TrainConfig
-from scene.bundle import Scene
-from scene.files import read_text, sha256_of, write_text
+from scene.bundle.scene import Scene
+from scene.storage.files import read_text, sha256_of, write_text
 
 
 def write_card(

@@ -12,9 +12,9 @@ from baselines.training.config import TrainConfig
 from baselines.training.loop import LOG, Trainable, join, train_loop
 from baselines.training.planes import PlanePairs
 from baselines.training.rendered import RenderedPairs
-from scene.bundle import Scene
-from scene.files import sole_writer
-from scene.outputs import claim_folder
+from scene.bundle.scene import Scene
+from scene.storage.files import sole_writer
+from scene.storage.outputs import claim_folder
 
 CARD: Final = "card.md"
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from scene.files import read_text, written_whole
+from scene.storage.files import read_text, written_whole
 
 _SMOOTHED = 25
 _WIDTH, _HEIGHT = 4.2, 2.8

@@ -18,13 +18,13 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from torch import Tensor, distributed, nn
 from torch.utils.data import DataLoader, Dataset
 
+from baselines.checkpoint import fault_of, write_weights
 from baselines.training.config import TrainConfig
 from baselines.training.curves import draw_curves
 from baselines.training.pairs import Pair, PairBatch, PairSource, collate
-from baselines.weights import fault_of, write_weights
 from scene.errors import InputError, WriteError
-from scene.files import parse_json, read_text, write_text, written_whole
-from scene.progress import progress_bar
+from scene.runtime.progress import progress_bar
+from scene.storage.files import parse_json, read_text, write_text, written_whole
 
 WEIGHTS: Final = "weights.safetensors"
 _CHECKPOINT = "checkpoint.pt"

@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scene.pose import Pose, so3_exp
-from scene.projection import Intrinsics
+from scene.geometry.pose import Pose, so3_exp
+from scene.geometry.projection import Intrinsics
 
 # Starts of the alignment: as far from the truth as an aircraft's own belief may be.
 _START_DEG = 10.0

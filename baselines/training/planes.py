@@ -18,9 +18,9 @@ from baselines.training.augment import photometric
 from baselines.training.keypoints import keypoints
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
 from scene.errors import InputError
-from scene.images import read_rgb
-from scene.listing import PHOTOGRAPHS, files_in
-from scene.pose import so3_exp
+from scene.geometry.pose import so3_exp
+from scene.storage.images import read_rgb
+from scene.storage.listing import PHOTOGRAPHS, files_in
 
 _HEIGHT_M = 80.0
 _TILT_DEG = 15.0

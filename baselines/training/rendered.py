@@ -15,11 +15,11 @@ from baselines.training.crops import crop
 from baselines.training.keypoints import keypoints
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
 from baselines.views import north, upright
-from scene.bundle import Scene
-from scene.camera import Camera
+from scene.bundle.frames import DenseLayers
+from scene.bundle.scene import Scene
 from scene.errors import InputError
-from scene.frames import DenseLayers
-from scene.images import read_rgb
+from scene.geometry.camera import Camera
+from scene.storage.images import read_rgb
 
 _OVERLAP = 0.3
 # Pictures are turned north up before a network sees them; frames that are then still turned against

@@ -11,9 +11,9 @@ import math
 import torch
 from pydantic import Field, model_validator
 
-from scene.camera import Camera
 from scene.config import Config
 from scene.errors import InputError
+from scene.geometry.camera import Camera
 from simulate.camera.pinhole import PinholeCamera
 
 # A pinhole picture grows with the tangent of the angle: beyond, nearly all of it is thrown away.

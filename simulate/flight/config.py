@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from scene.config import Config
-from scene.files import read_text
+from scene.storage.files import read_text
 
 Positive = Annotated[float, Field(gt=0)]
 Overlap = Annotated[float, Field(ge=0, le=0.95)]

@@ -28,7 +28,7 @@ class Aims(NamedTuple):
     pitch: Array
 
 
-def expose(
+def perturbed_poses(
     aims: Aims, position_jitter_m: float, attitude_jitter_deg: float, rng: np.random.Generator
 ) -> Array:
     """Poses (N, 4, 4) of aims blown about, by standard deviations per axis."""

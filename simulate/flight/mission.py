@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from scene.errors import InputError
-from scene.geodesy import Geodetic, enu_from_geodetic
+from scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from simulate.flight.flights import MAX_PHOTOGRAPHS, GroundHeight
 from simulate.flight.gimbal import Aims
 

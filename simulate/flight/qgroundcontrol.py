@@ -13,9 +13,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from scene.bundle.manifest import read_json
 from scene.errors import InputError
-from scene.geodesy import Geodetic
-from scene.manifest import read_json
+from scene.geometry.geodesy import Geodetic
 from simulate.flight.flights import GroundHeight
 from simulate.flight.gimbal import Aims
 from simulate.flight.mission import RELATIVE, TERRAIN, Aircraft, Command, Mav

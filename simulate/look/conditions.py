@@ -13,7 +13,7 @@ from math import exp, inf, log2, pi, radians, sin
 from typing import TypeVar
 
 from scene.errors import InputError
-from scene.geodesy import Geodetic
+from scene.geometry.geodesy import Geodetic
 from simulate.look.sun import sun_position
 from simulate.place.world import Rgb
 

@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.bundle.labels import CLASSES
 from simulate.look.conditions import Condition
 from simulate.place.paint import SHIFT, to_raster
-from simulate.place.world import CLASSES, Ground, Rgb
+from simulate.place.world import Ground, Rgb
 
 # What differs between materials besides their colour: contrast of the blotches (fraction of
 # albedo), of the grain, and of single spots: tufts and weeds, stones and bare earth.

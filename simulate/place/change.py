@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from scene.bundle.labels import CLASSES
+from scene.bundle.manifest import DeclaredChange
 from scene.config import Config
 from scene.errors import InputError
-from scene.manifest import DeclaredChange
+from scene.geometry.rectangle import overlap, rectangle
 from simulate.place.grid import CircleGrid
 from simulate.place.kerbs import Rises
-from simulate.place.world import CLASSES, MAX_OBJECT_ID, World, WorldObject, overlap, rectangle
+from simulate.place.world import MAX_OBJECT_ID, World, WorldObject
 
 Array = NDArray[np.float64]
 

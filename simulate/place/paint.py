@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.place.world import CLASSES, Ground, Marking, Region
+from scene.bundle.labels import CLASSES
+from simulate.place.world import Ground, Marking, Region
 
 TEXEL_M = 0.1
 MAX_TEXELS = 4096  # a side; larger places get coarser texels, not larger images

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.geometry.rectangle import rectangle
 from simulate.place.roadside import off_junction
 from simulate.place.site import Site
 from simulate.place.things import small
-from simulate.place.world import Heightfield, polyline_length, polyline_points, rectangle
+from simulate.place.world import Heightfield, polyline_length, polyline_points
 
 Array = NDArray[np.float64]
 

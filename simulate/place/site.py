@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scene.errors import InputError
+from scene.geometry.rectangle import overlap, rectangle
 from simulate.place.grid import CircleGrid
 from simulate.place.world import (
     MAX_OBJECT_ID,
@@ -20,8 +21,6 @@ from simulate.place.world import (
     Rgb,
     Road,
     WorldObject,
-    overlap,
-    rectangle,
 )
 
 Array = NDArray[np.float64]

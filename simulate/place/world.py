@@ -8,44 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scene.bundle.labels import CLASSES
+from scene.geometry.rectangle import rectangle
+
 Rgb = tuple[float, float, float]
 
-CLASSES: dict[str, int] = {
-    "sky": 0,
-    "grass": 1,
-    "field": 2,
-    "road": 3,
-    "pavement": 4,
-    "parking": 5,
-    "driveway": 6,
-    "path": 7,
-    "water": 8,
-    "building": 16,
-    "tree": 17,
-    "hedge": 18,
-    "fence": 19,
-    "car": 20,
-    "truck": 21,
-    "container": 22,
-    "bench": 23,
-    "lamp": 24,
-    "van": 25,
-    "bin": 26,
-    "hydrant": 27,
-    "sign": 28,
-    "bollard": 29,
-    "table": 30,
-    "bale": 31,
-    "tractor": 32,
-    "pole": 33,
-    "wire": 34,
-    "tank": 35,
-    "pallet": 36,
-    "boat": 37,
-}
-"""Semantic label of every class; labels below `FIRST_OBJECT_LABEL` are sky and ground cover."""
-
-FIRST_OBJECT_LABEL = 16
 MAX_OBJECT_ID = 32767  # Blender's Object.pass_index
 MIRRORED_M = 64.0
 """How far beyond its edge a place is continued by its mirror image; farther out is country."""
@@ -221,23 +188,6 @@ class World:
     objects: tuple[WorldObject, ...]
     kerbs: tuple[Kerb, ...] = ()
     surroundings: tuple[Surroundings, ...] = ()
-
-
-def rectangle(centre: ArrayLike, size: ArrayLike, yaw: float) -> NDArray[np.float64]:
-    """Corners (4, 2) of a rectangle with `centre` (2,), `size` (2,) metres and `yaw` radians."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    corners = 0.5 * np.asarray(size) * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return np.asarray(np.asarray(centre) + corners @ np.array([[cos, sin], [-sin, cos]]))
-
-
-def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Whether two rectangles, (4, 2) corners each, share any area (separating axes)."""
-    for edges in (a, b):
-        for axis in (edges[1] - edges[0], edges[2] - edges[1]):
-            pa, pb = a @ axis, b @ axis
-            if pa.max() <= pb.min() or pb.max() <= pa.min():
-                return False
-    return True
 
 
 def polyline_points(

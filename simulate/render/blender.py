@@ -18,8 +18,8 @@ import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
-from scene.memory import resident_bytes
-from scene.scratch import scratch
+from scene.runtime.memory import resident_bytes
+from scene.storage.scratch import scratch
 from simulate.camera.pinhole import PinholeCamera
 from simulate.camera.resample import Cast, resample
 from simulate.look import ground

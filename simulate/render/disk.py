@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from scene.bundle.frames import LAYERS
 from scene.errors import InputError
-from scene.frames import LAYERS
 
 # Bytes per pixel of a rendered frame before it is packed: rgb and every layer, as they are.
 _RAW = 3 + sum(dtype.itemsize * (3 if layer == "normal" else 1) for layer, dtype in LAYERS.items())

@@ -10,7 +10,7 @@ import ctypes
 import sys
 from typing import Final
 
-from scene.debian import check, require_packages
+from scene.runtime.debian import check, require_packages
 
 # Shared library -> Debian package, of bpy 4.5.
 PACKAGES: Final = {

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.scratch import scratch
+from scene.storage.scratch import scratch
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
 from simulate.render.job import FrameDone, RenderChunk, RenderJob, frame_path
@@ -106,7 +106,7 @@ def rendering(
 
 def _lens_rays(lens: str) -> NDArray[np.float64]:
     """x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
-    from scene.camera import Camera  # torch, which Blender's processes need not load
+    from scene.geometry.camera import Camera  # torch, which Blender's processes need not load
 
     camera = Camera.parse(lens.split())
     rays, _ = camera.unproject(camera.pixel_grid())

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from scene.cluster import Crew, shares
-from scene.files import written_whole
-from scene.scratch import scratch
+from scene.runtime.cluster import WorkerPool, shares
+from scene.storage.files import written_whole
+from scene.storage.scratch import scratch
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import FRAMES_PER_PROCESS, rendering
 
@@ -32,7 +32,7 @@ def frame_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
 
 
 def render_remotely(
-    crew: Crew[RenderJob, tuple[int, bytes]],
+    crew: WorkerPool[RenderJob, tuple[int, bytes]],
     job: RenderJob,
     out_dir: Path,
     on_frame: Callable[[int], None],
@@ -43,7 +43,7 @@ def render_remotely(
     """
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
-    with closing(crew.spread(divided(job, missing, crew.cores))) as files:
+    with closing(crew.map(divided(job, missing, crew.cores))) as files:
         for frame, data in files:
             with written_whole(frame_path(out_dir, frame)) as partial:
                 partial.write_bytes(data)

@@ -11,12 +11,12 @@ from PIL import Image
 
 from baselines.epipolar import EpipolarConfig, EpipolarLocalizer
 from baselines.features import Extractor
-from benchmark.datasets import open_datasets
-from scene.camera import Camera
-from scene.features import Features
+from benchmark.datasets.dataset import open_datasets
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Query, Status
-from scene.pose import Pose
-from scene.sparse_map import MapImage, SparseMap
+from scene.maps.features import Features
+from scene.maps.sparse_map import MapImage, SparseMap
 
 GATE = Path(__file__).parents[1] / "data" / "gate"
 CAMERA = Camera("OPENCV", 64, 48, (52.0, 51.5, 32.2, 23.8, -0.1, 0.02, 1e-3, -5e-4))

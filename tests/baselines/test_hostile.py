@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.registry import METHODS, create
 from scene.errors import InputError
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 
 GATE = Path(__file__).parents[1] / "data" / "gate"
 (DATASET,) = open_datasets(GATE)

@@ -6,9 +6,9 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.lifting import interpolated_points, observed_points
-from scene.camera import Camera
-from scene.pose import Pose
-from scene.sparse_map import MapImage
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import MapImage
 
 CAMERA = Camera("SIMPLE_RADIAL", 320, 240, (280.0, 160.0, 120.0, -0.05))
 

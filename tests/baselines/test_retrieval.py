@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from baselines.retrieval import Viewpoints, VladIndex
-from scene.camera import Camera
-from scene.sparse_map import MapImage, SparseMap
+from scene.geometry.camera import Camera
+from scene.maps.sparse_map import MapImage, SparseMap
 
 
 def unit(x: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from baselines.sampson import Matches, refine
-from scene.camera import Camera
-from scene.pose import Pose
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 
 CAMERA = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
 DOWN = torch.diag(torch.tensor([1.0, -1, -1], dtype=torch.float64))

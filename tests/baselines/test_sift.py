@@ -13,13 +13,13 @@ from PIL import Image
 
 import baselines.sift
 from baselines.sift import SiftConfig, SiftLocalizer
-from scene.camera import Camera
-from scene.colmap import read_map
 from scene.errors import InputError
-from scene.images import read_rgb
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Prior, Query, Status
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.maps.colmap_files import read_model
+from scene.maps.sparse_map import SparseMap
+from scene.storage.images import read_rgb
 
 CONFIG = SiftConfig(max_features=2000)
 
@@ -54,7 +54,7 @@ def flight(beach: Path, tmp_path_factory: pytest.TempPathFactory) -> Flight:
             name, *numbers = line.split()
             values = [float(n) for n in numbers]
             truth[name] = Pose.from_quaternion(values[:4], values[4:])
-    sparse_map = read_map(beach / "sparse" / "map_sparse")
+    sparse_map = read_model(beach / "sparse" / "map_sparse")
     cache = tmp_path_factory.mktemp("cache")
     localizer = SiftLocalizer(CONFIG)
     localizer.prepare(sparse_map, beach / "images", cache)

@@ -10,10 +10,10 @@ import torch
 from baselines.prior import PriorConfig, PriorLocalizer
 from baselines.starts import every_way, starts
 from baselines.views import north
-from scene.camera import Camera
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior, Query, Status
-from scene.pose import Pose, so3_exp
-from scene.sparse_map import MapImage, SparseMap
+from scene.maps.sparse_map import MapImage, SparseMap
 
 CAMERA = Camera("PINHOLE", 64, 48, (60.0, 60.0, 32.0, 24.0))
 HEADINGS = (10.0, 30.0, -170.0, 100.0)

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from baselines.features import Extractor
 from baselines.views import north, turned_to, view
-from scene.camera import Camera
-from scene.features import Features
-from scene.pose import Pose, so3_exp
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose, so3_exp
+from scene.maps.features import Features
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 

@@ -12,15 +12,15 @@ import torch
 from PIL import Image
 
 from benchmark.results import QueryResult
-from scene.bundle import finish
-from scene.camera import Camera
+from scene.bundle.frames import Frames, write_frames
+from scene.bundle.manifest import Manifest, Session, Splits, write_json
+from scene.bundle.scene import finish
 from scene.config import Config
-from scene.frames import Frames, write_frames
-from scene.geodesy import Geodetic
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Query, Status
-from scene.manifest import Manifest, Session, Splits, write_json
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 
 CAMERA = Camera("SIMPLE_RADIAL", 96, 64, (80.0, 48.0, 32.0, 0.01))
 MAP_NAMES = ("a.jpg", "c.jpg", "e.jpg", "g.jpg")

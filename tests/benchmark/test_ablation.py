@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from benchmark.ablation import TABLE, Plan, ablate
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.starts import parse_start
-from scene.bundle import Scene
+from scene.bundle.scene import Scene
 from scene.config import load_config
 from scene.errors import InputError
 

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from benchmark.basin import DEFAULT_SIZES, Size, basin, load_basin, parse_sizes
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.starts import parse_start
 from scene.errors import InputError
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Query, Status
-from scene.pose import Pose
 from tests.benchmark.made_data import FakeLocalizer
 
 SIZES = (Size(0, 0), Size(1, 2), Size(8, 10))

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.journal import Journal
 from benchmark.registry import create
 from benchmark.results import QueryResult, Results, load
 from benchmark.starts import NONE, PRIOR, Start
-from scene.bundle import Scene
+from scene.bundle.scene import Scene
 from scene.errors import InputError
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Status
-from scene.pose import Pose
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
 
 

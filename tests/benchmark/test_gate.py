@@ -16,11 +16,11 @@ from typer.testing import CliRunner, Result
 
 from baselines.sift import Sift, SiftConfig, SiftLocalizer
 from benchmark.cli import app
-from benchmark.datasets import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset, open_datasets
 from benchmark.evaluate import evaluate
-from scene.camera import Camera
-from scene.features import Features
+from scene.geometry.camera import Camera
 from scene.localizer import Estimate, Query, Status
+from scene.maps.features import Features
 
 DATA = Path(__file__).parents[1] / "data"
 BASELINE = DATA / "gate-baseline"

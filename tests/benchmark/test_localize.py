@@ -12,11 +12,11 @@ from typer.testing import CliRunner, Result
 
 import benchmark.registry
 from benchmark.cli import app
-from benchmark.textfiles import read_poses
-from scene.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
-from scene.images import Exif, write_jpeg
+from benchmark.datasets.textfiles import read_poses
+from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Query, Status
-from scene.pose import Pose
+from scene.storage.images import Exif, write_jpeg
 from tests.benchmark.made_data import CAMERA, QUERY_NAMES, FakeLocalizer, pose_at
 
 ORIGIN = Geodetic(47.0, 8.0, 450.0)

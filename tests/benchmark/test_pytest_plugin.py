@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from scene.bundle import Scene
+from scene.bundle.scene import Scene
 from tests.benchmark.test_regress import GOOD, write
 
 pytest_plugins = "pytester"

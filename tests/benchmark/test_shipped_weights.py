@@ -15,15 +15,17 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from baselines.weights import SHIPPED
-from benchmark.datasets import Dataset, open_datasets
+from baselines.d2net import localizer as d2net
+from baselines.pixloc import localizer as pixloc
+from benchmark.datasets.dataset import Dataset, open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import create
 from benchmark.results import Summary
 from benchmark.starts import parse_start
+from mapping.build import build_map
+from objconnect import localizer as objconnect
 from simulate.command import simulate
 from simulate.config import SimulateConfig
-from simulate.mapping import build_map
 from simulate.render.libraries import require_libraries
 
 # Where 320 pixels a side suffice for a map, half a metre in snow takes more: a third of a metre on
@@ -43,6 +45,12 @@ SNOWED: Final = SimulateConfig.model_validate(
 )
 START: Final = parse_start("error=3m,5deg")
 # The method of each file of weights.
+SHIPPED: Final = {
+    "objconnect": objconnect.SHIPPED,
+    "objconnect-objects": objconnect.SHIPPED.with_name("objconnect-objects.safetensors"),
+    "pixloc": pixloc.SHIPPED,
+    "d2net": d2net.SHIPPED,
+}
 METHODS: Final = {
     "objconnect": "objconnect",
     "objconnect-objects": "objconnect",
@@ -90,7 +98,7 @@ def test_shipped_weights_find_poses(name: str, ask: Callable[..., dict[str, Summ
     a query: one less than the worst of them still passes. Snow is what tells: in the map's own
     season filters at random find poses too.
     """
-    chosen = {} if name == METHODS[name] else {"weights": SHIPPED / f"{name}.safetensors"}
+    chosen = {} if name == METHODS[name] else {"weights": SHIPPED[name]}
     parts = ask(METHODS[name], **chosen)
     summer, snow = parts["summer-noon"], parts["snow-dusk"]
     assert (summer.queries, snow.queries) == (3, 5)
@@ -104,7 +112,7 @@ def test_weights_in_another_order_find_no_pose_in_snow(
 ) -> None:
     """The numbers of every filter are those shipped, and have changed places."""
     torch.manual_seed(0)
-    with safe_open(SHIPPED / f"{name}.safetensors", "pt") as file:
+    with safe_open(SHIPPED[name], "pt") as file:
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
         metadata = file.metadata()
     shuffled = {

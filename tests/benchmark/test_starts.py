@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmark.datasets import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset, open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.starts import moved_prior, parse_start
 from scene.errors import InputError
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 from tests.benchmark.made_data import MAP_NAMES, FakeLocalizer, pose_at
 
 

@@ -11,11 +11,11 @@ import torch
 
 from benchmark.submission import submit
 from scene.errors import InputError
+from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Estimate, Query, Status
-from scene.pose import Pose, so3_exp
+from tests.benchmark.datasets.test_cmu import AUTUMN, HIDDEN, SNOW, cmu  # noqa: F401
 from tests.benchmark.made_data import FakeLocalizer, pose_at
 from tests.benchmark.test_cli import invoke
-from tests.benchmark.test_cmu import AUTUMN, HIDDEN, SNOW, cmu  # noqa: F401
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 from benchmark.score import Threshold
 from benchmark.uncertainty import _CHI2_95, consistency, normalised_error, risk_coverage
+from scene.geometry.pose import Pose
 from scene.localizer import Status
-from scene.pose import Pose
 from tests.benchmark.made_data import pose_at, scored_query
 
 TIGHT = Threshold(0.5, 5)

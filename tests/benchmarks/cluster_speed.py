@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from scene.cluster import crew
+from scene.runtime.cluster import worker_pool
 from simulate.config import SimulateConfig
 from simulate.render.job import RenderJob
 from simulate.render.remote import divided, frame_files
@@ -46,13 +46,13 @@ def _children() -> float:
 
 def measure(address: str, workers: int, job: RenderJob) -> Run:
     """Render all frames of a job with all workers of a cluster."""
-    with crew(address, accounted) as team:
+    with worker_pool(address, accounted) as team:
         assert team.cores == workers
         first = job.model_copy(update={"poses": {0: job.poses[0]}})
-        for _ in team.spread([first] * workers):
+        for _ in team.map([first] * workers):
             pass
         began, cpu, frames = time.perf_counter(), 0.0, 0
-        for frame, data in team.spread(divided(job, sorted(job.poses), workers)):
+        for frame, data in team.map(divided(job, sorted(job.poses), workers)):
             if frame == _SPENT:
                 cpu += float(data)
             else:

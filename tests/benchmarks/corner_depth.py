@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from baselines.featuremetric.corners import CornerFinder
-from benchmark.datasets import open_datasets
-from scene.bundle import Scene
+from benchmark.datasets.dataset import open_datasets
+from scene.bundle.scene import Scene
 
 _PHOTOGRAPHS = slice(8, 11)
 _MOST = 2500

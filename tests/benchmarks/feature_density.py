@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.structure import StructureLocalizer
-from baselines.weights import shipped
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.registry import create
 from dense.report import GROUPS, Groups
-from scene.bundle import Scene
+from objconnect.localizer import SHIPPED
+from scene.bundle.scene import Scene
 from scene.localizer import Localizer
-from scene.sparse_map import MapImage
+from scene.maps.sparse_map import MapImage
 
 _METHODS = ("sift", "d2net", "pixloc", "objconnect", "objects")
 _KINDS = GROUPS[1:]
@@ -43,7 +43,9 @@ class _Places(NamedTuple):
 
 def _made(method: str) -> Localizer:
     if method == "objects":
-        return create("objconnect", {"weights": shipped("objconnect-objects")})
+        return create(
+            "objconnect", {"weights": SHIPPED.with_name("objconnect-objects.safetensors")}
+        )
     return create(method, {})
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scene.frames import LAYERS, write_frames
+from scene.bundle.frames import LAYERS, write_frames
 from simulate.command import _frames, _pack
 from simulate.config import SimulateConfig
 from tests.benchmarks.renderer import Renderer, nadir_job

@@ -32,11 +32,11 @@ from baselines.featuremetric.maps import MapExtractor
 from baselines.sift import Sift
 from baselines.structure import StructureLocalizer
 from benchmark.registry import create
-from scene.camera import Camera
-from scene.colmap import read_map
-from scene.features import Features
+from scene.geometry.camera import Camera
 from scene.localizer import Localizer, Prior, Query, Status
-from scene.memory import peak_megabytes, reset_peak, resident_bytes
+from scene.maps.colmap_files import read_model
+from scene.maps.features import Features
+from scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes
 
 # Metres: between photographs, between repetitions, above the ground, of a pixel of the ground.
 SPACING, APART, HEIGHT, TEXEL = 20.0, 400.0, 80.0, 0.5
@@ -163,7 +163,7 @@ def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, s
         )
     if isinstance(localizer, FeaturemetricLocalizer):
         localizer._extract = _Once(localizer._extract)  # type: ignore[assignment]
-    localizer.prepare(read_map(folder / "sparse" / "map"), folder / "images", folder / "cache")
+    localizer.prepare(read_model(folder / "sparse" / "map"), folder / "images", folder / "cache")
     return localizer
 
 

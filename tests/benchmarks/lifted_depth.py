@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from baselines.binary import Akaze, Orb
 from baselines.features import Extractor
 from baselines.lifting import interpolated_points, observed_points
-from scene.bundle import Scene
-from scene.colmap import read_map
-from scene.frames import dense_layers, read_frames
-from scene.images import read_rgb
-from scene.sparse_map import MapImage, SparseMap
+from scene.bundle.frames import dense_layers, read_frames
+from scene.bundle.scene import Scene
+from scene.maps.colmap_files import read_model
+from scene.maps.sparse_map import MapImage, SparseMap
+from scene.storage.images import read_rgb
 
 Lift = Callable[[NDArray[np.float32], MapImage, NDArray[np.float64]], NDArray[np.float64]]
 EVERY = 4
@@ -51,7 +51,7 @@ def depths(scene: Path, sparse_map: SparseMap) -> Mapping[str, NDArray[np.float3
 
 def measure(scene: Path, extract: Extractor, lift: Lift) -> tuple[float, NDArray[np.float64]]:
     """Share of keypoints that got a point (%), and the errors of their depths (m)."""
-    sparse_map = read_map(scene / "map")
+    sparse_map = read_model(scene / "map")
     errors, keypoints = [], 0
     for name, depth in depths(scene, sparse_map).items():
         image = sparse_map.images[name]

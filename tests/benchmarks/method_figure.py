@@ -16,14 +16,14 @@ from matplotlib.figure import Figure
 from skimage.segmentation import find_boundaries
 
 from baselines.align.aligner import align
-from baselines.align.hypotheses import Reach, align_from_many
+from baselines.align.hypotheses import SearchRadius, align_from_many
 from baselines.starts import starts
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.starts import moved_prior
 from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network import read_network
 from objconnect.segmentation import segment
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 
 
 @torch.inference_mode()
@@ -68,7 +68,7 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
     true = view.camera.project(view.pose(wanted.reference).transform(world))
     for axis, title, found in (
         (axes[1, 0], "one start", align(*problem)),
-        (axes[1, 1], "many starts", align_from_many(*problem, Reach())),
+        (axes[1, 1], "many starts", align_from_many(*problem, SearchRadius())),
     ):
         stations = [batch, *found.by_level]
         names = ("start", *(f"stride {level.stride}" for level in problem[0]))

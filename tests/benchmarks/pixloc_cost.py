@@ -32,17 +32,17 @@ import numpy as np
 import torch
 from PIL import Image
 
+from baselines.checkpoint import write_weights
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
-from baselines.weights import write_weights
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.starts import moved_prior
 from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
-from scene.camera import Camera
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 from scene.localizer import Prior, Query, Status
-from scene.memory import peak_megabytes, reset_peak
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.memory import peak_megabytes, reset_peak
 from tests.baselines.pixloc import official
 from tests.baselines.pixloc.made_map import looking_down, photograph, write_map
 

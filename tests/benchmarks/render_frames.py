@@ -19,7 +19,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from scene.memory import resident_bytes
+from scene.runtime.memory import resident_bytes
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
 from simulate.render.blender import (

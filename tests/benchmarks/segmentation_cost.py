@@ -16,12 +16,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.weights import shipped
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.starts import moved_prior
 from objconnect import network
 from objconnect.config import ObjConnectNetConfig
-from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
+from objconnect.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
 from objconnect.segmentation import segment
 
 _KINDS = ("slic", "felzenszwalb")
@@ -34,7 +33,9 @@ def main(scene: Path, count: int) -> None:
         dataset.queries[k] for k in np.linspace(0, len(dataset.queries) - 1, count, dtype=int)
     ]
     queries = [q.load(moved_prior(q.reference, q.name, 3.0, 5.0)) for q in chosen]
-    localizer = ObjConnectLocalizer(ObjConnectConfig(weights=shipped("objconnect-objects")))
+    localizer = ObjConnectLocalizer(
+        ObjConnectConfig(weights=SHIPPED.with_name("objconnect-objects.safetensors"))
+    )
     localizer.prepare(dataset.load_map(), dataset.images)
     spent: list[float] = []
     for kind in _KINDS:

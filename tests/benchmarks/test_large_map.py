@@ -13,8 +13,8 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from baselines.structure import StructureLocalizer
-from scene.held import MEGABYTE
 from scene.localizer import Status
+from scene.storage.lru_cache import MEGABYTE
 from tests.benchmarks.large_map import Flight, fly, ground, localizer_of, queries, write_map
 
 

@@ -15,11 +15,11 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
-import scene.digests
-from benchmark.datasets import open_datasets
-from benchmark.flight import gps_sigma
-from benchmark.textfiles import read_cameras, read_gps, read_poses
-from scene.colmap import read_map
+import scene.storage.digests
+from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.flight import gps_sigma
+from benchmark.datasets.textfiles import read_cameras, read_gps, read_poses
+from scene.maps.colmap_files import read_model
 from tests.benchmark.made_data import CAMERA, pose_at, write_model
 
 MAPPED, ASKED = 700, 300
@@ -59,7 +59,7 @@ def opened(path: Path) -> str:
 
 
 def bare(path: Path) -> None:
-    sparse_map = read_map(path / "sparse" / "map")
+    sparse_map = read_model(path / "sparse" / "map")
     queries = read_cameras(path / "queries.txt")
     read_poses(path / "reference_poses.txt")
     gps_sigma(read_gps(path / "gps.csv"), sparse_map)

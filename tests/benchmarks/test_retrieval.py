@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from baselines.retrieval import References, Viewpoints, VladIndex
-from scene.camera import Camera
+from scene.geometry.camera import Camera
 from scene.localizer import Prior, Query
-from scene.sparse_map import MapImage, SparseMap
+from scene.maps.sparse_map import MapImage, SparseMap
 
 CAMERA = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
 # Metres between photographs of a survey, points of each of them.

@@ -14,10 +14,10 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from scene.bundle import Scene
-from scene.camera import Camera
-from scene.colmap_files import read_model
-from scene.matching import match
+from scene.bundle.scene import Scene
+from scene.geometry.camera import Camera
+from scene.maps.colmap_files import read_model
+from scene.maps.matching import match
 
 CAMERA = Camera("OPENCV", 1024, 768, (869.0, 866.0, 526.0, 420.0, -0.4, 0.19, 1e-4, 6e-4))
 

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import torch
 
-from benchmark.datasets import Dataset, open_datasets
-from scene.pose import Pose
+from benchmark.datasets.dataset import Dataset, open_datasets
+from scene.geometry.pose import Pose
 
 
 def make(scene: Path, out: Path) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dense.warp import View
-from scene.camera import Camera
-from scene.pose import so3_exp
+from dense.warp import StereoView
+from scene.geometry.camera import Camera
+from scene.geometry.pose import so3_exp
 
 CAMERA = Camera("PINHOLE", 96, 80, (90.0, 92.0, 47.0, 41.0))
 # World points on the plane: (normal, x) = 1.
@@ -23,7 +23,7 @@ def pose_at(x: float, y: float, tilt: float = 0.0) -> np.ndarray:
     return pose.numpy()
 
 
-def inverse_depth_at(view: View) -> Tensor:
+def inverse_depth_at(view: StereoView) -> Tensor:
     """(H, W) float64, the truth."""
     pose = torch.from_numpy(view.cam_from_world)
     rays, _ = view.camera.unproject(view.camera.pixel_grid())
@@ -32,21 +32,21 @@ def inverse_depth_at(view: View) -> Tensor:
     return (directions @ PLANE) / (1 - centre @ PLANE)
 
 
-def photograph(x: float, y: float, tilt: float = 0.0) -> View:
+def photograph(x: float, y: float, tilt: float = 0.0) -> StereoView:
     """What a camera at x, y (m) sees of the plane, some 40 m away."""
-    view = View(torch.zeros(CAMERA.height, CAMERA.width), CAMERA, pose_at(x, y, tilt))
+    view = StereoView(torch.zeros(CAMERA.height, CAMERA.width), CAMERA, pose_at(x, y, tilt))
     pose = torch.from_numpy(view.cam_from_world)
     rays, _ = CAMERA.unproject(CAMERA.pixel_grid())
     local = rays / inverse_depth_at(view)[..., None]
     world = (local - pose[:3, 3]) @ pose[:3, :3]
-    return View(_texture(world).float(), CAMERA, view.cam_from_world)
+    return StereoView(_texture(world).float(), CAMERA, view.cam_from_world)
 
 
 # A square on a pole, facing the cameras: its middle, and half its side (m).
 _MIDDLE, _HALF = torch.tensor([2.0, -3.0, 34.0], dtype=torch.float64), 0.45
 
 
-def thing_in(view: View) -> tuple[Tensor, Tensor]:
+def thing_in(view: StereoView) -> tuple[Tensor, Tensor]:
     """Inverse depth (H, W) of the plane with the square before it, and where the square is."""
     pose = torch.from_numpy(view.cam_from_world)
     rays, _ = view.camera.unproject(view.camera.pixel_grid())
@@ -58,15 +58,15 @@ def thing_in(view: View) -> tuple[Tensor, Tensor]:
     return torch.where(inside, inverse, inverse_depth_at(view)), inside
 
 
-def with_thing(view: View, camera: Camera) -> View:
+def with_thing(view: StereoView, camera: Camera) -> StereoView:
     """What another camera at the same place sees of the plane and of the square."""
-    blank = View(torch.zeros(camera.height, camera.width), camera, view.cam_from_world)
+    blank = StereoView(torch.zeros(camera.height, camera.width), camera, view.cam_from_world)
     inverse, inside = thing_in(blank)
     pose = torch.from_numpy(view.cam_from_world)
     rays, _ = camera.unproject(camera.pixel_grid())
     world = (rays / inverse[..., None] - pose[:3, 3]) @ pose[:3, :3]
     grey = torch.where(inside, 0.9 + _texture(world) / 2, _texture(world))
-    return View(grey.float(), camera, view.cam_from_world)
+    return StereoView(grey.float(), camera, view.cam_from_world)
 
 
 def _texture(world: Tensor) -> Tensor:

@@ -17,11 +17,12 @@ from dense.report import DenseReport
 from dense.sources import choose_sources, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
 from dense.workspace import Workspace
-from scene.bundle import Scene
-from scene.colmap import PosedImage, write_posed
+from scene.bundle.scene import Scene
+from scene.colmap.models import write_posed
 from scene.errors import InputError, WriteError
-from scene.files import sole_writer
-from scene.sparse_map import SparseMap
+from scene.maps.photographs import PosedImage
+from scene.maps.sparse_map import SparseMap
+from scene.storage.files import sole_writer
 
 SIZE = 96
 
@@ -132,7 +133,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
         return SimpleNamespace(free=1000 if len(written) == 24 - 15 else 2**40)
 
     with monkeypatch.context() as patch:
-        patch.setattr("scene.files.shutil.disk_usage", full_after_the_last_map)
+        patch.setattr("scene.storage.files.shutil.disk_usage", full_after_the_last_map)
         with pytest.raises(WriteError, match="dense.*fused.* are needed"):
             dense(rendered_copy, size=SIZE)
     dense(rendered_copy, size=SIZE)

@@ -8,9 +8,9 @@ import torch
 from PIL import Image
 
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
-from scene.camera import Camera
 from scene.errors import InputError
-from scene.sparse_map import MapImage, SparseMap
+from scene.geometry.camera import Camera
+from scene.maps.sparse_map import MapImage, SparseMap
 
 BARREL = Camera("OPENCV", 160, 120, (140.0, 141.0, 79.0, 61.0, -0.2, 0.05, 1e-3, -1e-3))
 CUSHION = Camera("SIMPLE_RADIAL", 160, 120, (140.0, 80.0, 60.0, 0.15))

@@ -13,42 +13,42 @@ import numpy as np
 import torch
 from PIL import Image
 
+from baselines.checkpoint import read_weights, write_weights
 from baselines.d2net import network as d2net
 from baselines.d2net.network import D2NetNetConfig
 from baselines.pixloc import network as pixloc
 from baselines.pixloc.network import PixlocNetConfig
 from baselines.training.config import TrainConfig
 from baselines.training.loop import _claim, _log, _restore
-from baselines.weights import read_weights, write_weights
-from benchmark.album import Album, Entry, Neighbour, read_album, write_album
 from benchmark.basin import load_basin
-from benchmark.cmu import open_cmu, open_slices
-from benchmark.datasets import open_datasets
+from benchmark.datasets.cmu import open_cmu, open_slices
+from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.textfiles import read_cameras, read_gps, read_poses, read_priors
 from benchmark.journal import Journal
 from benchmark.localize import _origin
+from benchmark.report.album import Album, Entry, Neighbour, read_album, write_album
 from benchmark.results import QueryResult, Results, load
 from benchmark.starts import parse_start
-from benchmark.textfiles import read_cameras, read_gps, read_poses, read_priors
 from dense.workspace import read_array, write_array
 from ingest.photographs import _look_at
 from ingest.positions import _read as read_positions
 from objconnect import network as objconnect
 from objconnect.config import ObjConnectNetConfig
 from objconnect.masks import read_coco, read_label_png
-from scene.bundle import Scene
-from scene.colmap import read_map
+from scene.bundle.covisibility import Covisibility, read_covisibility, write_covisibility
+from scene.bundle.frames import LAYERS, dense_layers, read_frames, write_frames
+from scene.bundle.manifest import Objects, SceneObject, Surroundings, write_json
+from scene.bundle.scene import Scene
 from scene.config import load_config
-from scene.covisibility import Covisibility, read_covisibility, write_covisibility
-from scene.features import Features, read_features, write_features
-from scene.frames import LAYERS, dense_layers, read_frames, write_frames
-from scene.geodesy import Geodetic
-from scene.images import read_rgb
-from scene.manifest import Objects, SceneObject, Surroundings, write_json
+from scene.geometry.geodesy import Geodetic
+from scene.maps.colmap_files import read_model
+from scene.maps.features import Features, read_features, write_features
+from scene.storage.images import read_rgb
 from simulate.camera.lens import CameraConfig
 from simulate.config import SimulateConfig
 from simulate.flight.qgroundcontrol import read_plan
 from tests.benchmark.made_data import CAMERA, pose_at, write_flight, write_model, write_scene
-from tests.scene.test_frames import ALL, made_frames, made_layers
+from tests.scene.bundle.test_frames import ALL, made_frames, made_layers
 from tests.simulate.test_qgroundcontrol import PLAN, item, plan_of, survey, waypoint
 
 ROOT = Path(__file__).parents[2]
@@ -319,7 +319,7 @@ READERS: dict[str, Reader] = {
         each(
             (f"map/{part}.bin" for part in ("cameras", "images", "points3D")),
             "bytes",
-            lambda folder: read_map(folder / "map").sha256,
+            lambda folder: read_model(folder / "map").sha256,
         ),
         6,
     ),

@@ -8,8 +8,8 @@ import pytest
 
 from ingest.command import ingest
 from ingest.report import IngestReport
-from scene.bundle import Scene
-from scene.images import write_resized
+from scene.bundle.scene import Scene
+from scene.storage.images import write_resized
 
 SIDE = 500
 

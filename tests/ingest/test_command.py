@@ -14,26 +14,26 @@ from pydantic import BaseModel
 from typer.testing import CliRunner
 
 import ingest.command
-import scene.images
-import scene.manifest
+import scene.bundle.manifest
+import scene.storage.images
 from benchmark.cli import app
-from benchmark.datasets import open_datasets
-from benchmark.flight import TRACK
+from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.flight import TRACK
+from benchmark.datasets.textfiles import read_poses
 from benchmark.registry import create
-from benchmark.textfiles import read_poses
 from ingest.attitude import gimbal_pose
 from ingest.command import ingest as run
 from ingest.report import IngestReport
-from scene.bundle import Scene
-from scene.camera import Camera
+from mapping.build import build_map
+from scene.bundle.scene import Scene
+from scene.checks.validate import validate
 from scene.errors import InputError, WriteError
-from scene.exports import export
-from scene.files import sole_writer
-from scene.images import read_rgb
+from scene.exports.export import export
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 from scene.localizer import Status
-from scene.pose import Pose
-from scene.validate import validate
-from simulate.mapping import build_map
+from scene.storage.files import sole_writer
+from scene.storage.images import read_rgb
 
 Ingested = tuple[Scene, IngestReport]
 

@@ -10,12 +10,12 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from benchmark.textfiles import read_gps
+from benchmark.datasets.textfiles import read_gps
 from ingest.georegister import Georegistration, georegister
-from scene.colmap import read_map
 from scene.errors import InputError
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.geometry.pose import Pose
+from scene.maps.colmap_files import read_model
+from scene.maps.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
 Fixes = dict[str, Array]
@@ -40,7 +40,7 @@ def lost(model: SparseMap) -> SparseMap:
 
 
 def flight(path: Path) -> tuple[SparseMap, Fixes]:
-    model = read_map(path / "sparse" / "map")
+    model = read_model(path / "sparse" / "map")
     fixes = read_gps(path / "gps.csv")
     return model, {name: fixes[name] for name in model.names}
 

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from ingest.photographs import photographs_of, read_roll
-from scene.camera import Camera
 from scene.errors import InputError
+from scene.geometry.camera import Camera
 
 
 def test_a_folder_with_everything_wrong_in_it(photographs: Path, tmp_path: Path) -> None:

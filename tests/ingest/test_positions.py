@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.textfiles import read_gps
+from benchmark.datasets.textfiles import read_gps
 from ingest.photographs import Roll, read_roll
 from ingest.positions import local, with_positions
 from scene.errors import InputError

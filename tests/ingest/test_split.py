@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.textfiles import read_gps
+from benchmark.datasets.textfiles import read_gps
 from ingest.neighbours import choose_pairs
 from ingest.split import flight_lines, queries_of
 from scene.errors import InputError

@@ -16,8 +16,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("scene", "dense", "simulate", "ingest", "baselines", "objconnect", "benchmark")
-DATA = ("weights", "configs")
+PACKAGES = (
+    "scene",
+    "dense",
+    "simulate",
+    "ingest",
+    "baselines",
+    "objconnect",
+    "mapping",
+    "benchmark",
+)
+DATA = ("configs",)
 
 
 @dataclass(frozen=True)

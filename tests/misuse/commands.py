@@ -379,7 +379,7 @@ COMMANDS: dict[str, Row] = {
             "remove": FLAG,
             "as_json": FLAG,
         },
-        work=("objconnect.supplement.command.add_to_map",),
+        work=("mapping.supplement.command.add_to_map",),
     ),
     "dense": Row(
         {

@@ -90,7 +90,7 @@ def main(gate: str, out: str) -> None:
 
     from benchmark.cli import app
     from benchmark.doctor import _machine
-    from scene import memory
+    from scene.runtime import memory
 
     memory._HELD = memory._STATUS = memory._CLEAR = ROOT / "no" / "proc"
     assert {"memory", "cores"} <= {check.name for check in _machine()}

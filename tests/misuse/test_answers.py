@@ -20,22 +20,28 @@ import benchmark.registry
 from baselines.structure import StructureConfig
 from baselines.training.config import TrainConfig
 from baselines.training.loop import _claim as claim_run
-from benchmark.leaderboard import leaderboard
+from benchmark.datasets.textfiles import (
+    pose_line,
+    read_cameras,
+    read_gps,
+    read_pairs,
+    read_poses,
+)
 from benchmark.localize import open_place
-from benchmark.markdown import escaped
+from benchmark.report.leaderboard import leaderboard
+from benchmark.report.markdown import escaped
 from benchmark.results import load
-from benchmark.textfiles import pose_line, read_cameras, read_gps, read_pairs, read_poses
 from ingest.photographs import read_roll
-from scene.colmap_files import read_model
 from scene.errors import InputError
-from scene.exports import export
-from scene.geodesy import Geodetic, geodetic_from_enu
-from scene.images import Exif, write_jpeg
+from scene.exports.export import export
+from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from scene.geometry.nearest import Nearest
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Prior, Query, Status
-from scene.names import from_cell, leading_name, words, written, written_cell
-from scene.nearest import Nearest
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.maps.colmap_files import read_model
+from scene.maps.sparse_map import SparseMap
+from scene.storage.images import Exif, write_jpeg
+from scene.storage.names import from_cell, leading_name, words, written, written_cell
 from tests.benchmark.made_data import (
     CAMERA,
     QUERY_NAMES,
@@ -434,7 +440,7 @@ def poses(flight: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def scored(flight: Path, poses: Path, tmp_path: Path) -> Path:
+def score_query(flight: Path, poses: Path, tmp_path: Path) -> Path:
     """Results of score."""
     answer = invoke("score", poses, "--reference", flight, "--out", tmp_path / "results")
     assert answer.exit_code == 0, answer.stderr

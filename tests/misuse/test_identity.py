@@ -18,18 +18,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import METHODS, create
 from benchmark.results import load
 from benchmark.submission import submit
 from scene.errors import InputError
 from scene.localizer import Estimate, Query, Status
-from scene.sparse_map import MapImage, SparseMap
+from scene.maps.sparse_map import MapImage, SparseMap
 from tests.baselines.pixloc.made_map import write_map
+from tests.benchmark.datasets.test_cmu import HIDDEN, REFERENCE, SNOW, cmu  # noqa: F401
 from tests.benchmark.made_data import FakeLocalizer, pose_at, write_flight, write_scene
 from tests.benchmark.test_cli import error_line, invoke
-from tests.benchmark.test_cmu import HIDDEN, REFERENCE, SNOW, cmu  # noqa: F401
 
 
 def edit(path: Path) -> None:

@@ -26,31 +26,32 @@ from torch import nn
 from typer.testing import CliRunner
 
 import ingest.command
-import scene.files
+import scene.storage.files
+from baselines.checkpoint import load_into, read_weights, write_weights
 from baselines.features import map_features
 from baselines.sift import Sift
-from baselines.weights import load_into, read_weights, write_weights
 from benchmark.cli import app
+from benchmark.datasets.textfiles import read_cameras, read_priors
 from benchmark.starts import parse_start
-from benchmark.textfiles import read_cameras, read_priors
 from dense.command import DENSE, dense
 from ingest.photographs import Roll, Shot, read_roll
 from ingest.positions import local, with_positions
-from objconnect.supplement.map import add_to_map
-from scene.camera import Camera
-from scene.colmap import SiftOptions, extract_sift, read_map
+from mapping.build import build_map
+from mapping.supplement.map import add_to_map
+from scene.checks.depth_check import DepthFrames, check_depth
+from scene.colmap.sift import SiftOptions, extract_sift
 from scene.config import load_config
-from scene.depth_check import DepthFrames, check_depth
 from scene.errors import InputError, WriteError
-from scene.features import Features, read_features, write_features
-from scene.files import MARK, read_text, sha256_of
-from scene.geodesy import Geodetic, amid, enu_from_geodetic, geodetic_from_enu
-from scene.images import Exif, read_exif, read_rgb, write_jpeg, write_resized
-from scene.progress import progress_bar
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic, amid, enu_from_geodetic, geodetic_from_enu
+from scene.maps.colmap_files import read_model
+from scene.maps.features import Features, read_features, write_features
+from scene.runtime.progress import progress_bar
+from scene.storage.files import MARK, read_text, sha256_of
+from scene.storage.images import Exif, read_exif, read_rgb, write_jpeg, write_resized
 from simulate.config import SimulateConfig
-from simulate.mapping import build_map
 from tests.benchmark.made_data import MAP_NAMES, pose_at, write_flight, write_model
-from tests.scene.test_full_disk import GATE, disk  # noqa: F401
+from tests.scene.storage.test_full_disk import GATE, disk  # noqa: F401
 
 ROOT = Path(__file__).parents[2]
 
@@ -480,7 +481,7 @@ def test_a_model_with_a_pipe_in_it(tmp_path: Path) -> None:
     write_model(tmp_path / "map", {name: pose_at(k) for k, name in enumerate(MAP_NAMES)})
     (tmp_path / "map" / "images.bin").unlink()
     os.mkfifo(tmp_path / "map" / "images.bin")
-    assert "images.bin" in refused(lambda: read_map(tmp_path / "map"))
+    assert "images.bin" in refused(lambda: read_model(tmp_path / "map"))
 
 
 def test_texts_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -516,7 +517,7 @@ def test_a_map_of_images_with_backslashes(tmp_path: Path) -> None:
     flight = write_flight(tmp_path / "meadow")
     shutil.copy(flight / "images" / "a.jpg", flight / "images" / "x\\y.jpg")
     write_model(tmp_path / "map", {"c.jpg": pose_at(0), "x\\y.jpg": pose_at(1)})
-    sparse_map = read_map(tmp_path / "map")
+    sparse_map = read_model(tmp_path / "map")
     features = map_features(sparse_map, flight / "images", Sift(500), tmp_path / "cache")
     assert set(features) == {"c.jpg", "x\\y.jpg"}
     assert len(features["x\\y.jpg"].xy)
@@ -531,7 +532,7 @@ def test_a_map_of_images_with_backslashes(tmp_path: Path) -> None:
 def test_a_text_model_says_how_to_convert_it(tmp_path: Path) -> None:
     for part in ("cameras", "images", "points3D"):
         (tmp_path / f"{part}.txt").write_text("# a list\n")
-    said = refused(lambda: read_map(tmp_path))
+    said = refused(lambda: read_model(tmp_path))
     assert "is a text model: convert it with 'colmap model_converter --input_path" in said
 
 

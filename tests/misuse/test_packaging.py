@@ -66,7 +66,7 @@ def test_the_wheel_holds_every_file(wheel: Path) -> None:
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    assert {"benchmark/templates/view.js", "weights/pixloc.safetensors"} <= lie
+    assert {"benchmark/report/templates/view.js", "baselines/pixloc/pixloc.safetensors"} <= lie
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
     assert held == lie
@@ -93,12 +93,16 @@ def test_the_doctor_finds_the_weights_of_the_wheel(from_wheel: Environment, tmp_
     answer = from_wheel.run([*from_wheel.script("objconnect"), "doctor", "--json"], tmp_path)
     checks = {check["name"]: check for check in json.loads(answer.stdout)["checks"]}
     assert str(from_wheel.ours) in checks["objconnect"]["found"]
-    weights = {path.stem for path in (ROOT / "weights").glob("*.safetensors")}
+    weights = {path.stem for p in PACKAGES for path in (ROOT / p).rglob("*.safetensors")}
     assert {f"weights {name}" for name in weights} <= set(checks)
     assert {checks[f"weights {name}"]["found"] for name in weights} == {"whole"}
     # Of the metadata: there is no pyproject.toml beside what is installed.
     assert checks["pycolmap"]["state"] == checks["torch"]["state"] == "ok"
-    code = "from baselines.weights import read_weights, shipped; read_weights(shipped('pixloc'))"
+    code = (
+        "from baselines.checkpoint import read_weights\n"
+        "from baselines.pixloc.localizer import SHIPPED\n"
+        "read_weights(SHIPPED)"
+    )
     answer = from_wheel.run([from_wheel.python, "-c", code], tmp_path)
     assert answer.returncode == 0, answer.stderr
 
@@ -300,7 +304,13 @@ def test_an_old_python_can_read_the_doctor(name: str) -> None:
 
 
 def test_the_doctors_modules_are_found() -> None:
-    known = {"benchmark", "benchmark.doctor", "simulate.render", "scene.debian", "scene.errors"}
+    known = {
+        "benchmark",
+        "benchmark.doctor",
+        "simulate.render",
+        "scene.runtime.debian",
+        "scene.errors",
+    }
     assert known <= set(doctors_modules())
 
 

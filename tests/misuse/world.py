@@ -12,22 +12,22 @@ import numpy as np
 import torch
 from PIL import Image
 
+from baselines.checkpoint import write_weights
 from baselines.training.config import TrainConfig
-from baselines.weights import write_weights
-from benchmark.textfiles import pose_line
+from benchmark.datasets.textfiles import pose_line
 from objconnect import network as objconnect
 from objconnect.config import ObjConnectNetConfig
-from scene.bundle import Scene, finish
-from scene.camera import Camera
+from scene.bundle.covisibility import Covisibility, write_covisibility
+from scene.bundle.frames import write_frames
+from scene.bundle.manifest import Objects, SceneObject, write_json
+from scene.bundle.scene import Scene, finish
+from scene.bundle.supplement import AddedPoint, Supplement
 from scene.config import load_config
-from scene.covisibility import Covisibility, write_covisibility
-from scene.features import Features, write_features
-from scene.frames import write_frames
-from scene.geodesy import Geodetic, geodetic_from_enu
-from scene.images import Exif
-from scene.images import write_jpeg as write_photograph
-from scene.manifest import Objects, SceneObject, write_json
-from scene.supplement import AddedPoint, Supplement
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from scene.maps.features import Features, write_features
+from scene.storage.images import Exif
+from scene.storage.images import write_jpeg as write_photograph
 from tests.benchmark.made_data import (
     CAMERA,
     QUERY_NAMES,

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from objconnect.supplement.association import Detections
-from scene.bundle import Scene
-from scene.manifest import SceneObject
+from mapping.supplement.association import Detections
+from scene.bundle.manifest import SceneObject
+from scene.bundle.scene import Scene
 
 DIMENSIONS = 32
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmark.registry import create
+from scene.geometry.pose import Pose
 from scene.localizer import Localizer, Prior, Query, Status
-from scene.pose import Pose
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
 
 TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from baselines.checkpoint import write_weights
 from baselines.pixloc.network import PixlocNet, PixlocNetConfig
-from baselines.weights import write_weights
 from objconnect.config import ObjConnectNetConfig
 from objconnect.network import ObjConnectNet, read_network, start_from
 from objconnect.segmentation import segment

@@ -19,7 +19,7 @@ from objconnect.loss import feature_distance, kept_together, pose_distance, tota
 from objconnect.segmentation import segment
 from objconnect.training import ObjConnectTraining
 from scene.errors import InputError
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 from tests.baselines.pixloc.test_training import pose_term
 from tests.baselines.training.made_pairs import pairs
 from tests.baselines.training.slopes import watched

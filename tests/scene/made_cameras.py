@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scene.camera import Camera
+from scene.geometry.camera import Camera
 
 CAMERAS = {
     "simple_pinhole": Camera("SIMPLE_PINHOLE", 640, 480, (500.0, 322.0, 237.5)),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Status, Stopwatch
-from scene.pose import Pose
 
 
 def test_sigma_position_equals_a_monte_carlo_of_perturbed_poses() -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from scene.bundle.labels import CLASSES
 from simulate.place.kerbs import Rises
-from simulate.place.world import CLASSES, World
+from simulate.place.world import World
 
 # Kerbs stand upright: a point this near to one may be anywhere on its side.
 _NEAR_M = 0.03

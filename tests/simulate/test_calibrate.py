@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from scene.camera import MODELS, Camera
 from scene.errors import InputError
+from scene.geometry.camera import MODELS, Camera
 from simulate.calibrate import BOARD, board_points, board_pose, calibrate
 
 CAMERA = Camera("OPENCV", 400, 300, (346, 348, 198.5, 151.25, -0.15, 0.03, 1e-3, -2e-3))

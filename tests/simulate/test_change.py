@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scene.bundle import Scene
+from scene.bundle.scene import Scene
 from scene.errors import InputError
+from scene.geometry.rectangle import overlap
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.look.props import shape_mesh
@@ -20,7 +21,7 @@ from simulate.place.change import (
 )
 from simulate.place.kerbs import Rises
 from simulate.place.town import build_town
-from simulate.place.world import MAX_OBJECT_ID, World, overlap
+from simulate.place.world import MAX_OBJECT_ID, World
 
 MUCH = Change(cars_moved=0.5, objects_removed=0.2, objects_added=0.3, bare_trees=True)
 

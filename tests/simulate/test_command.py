@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scene.bundle import Scene
+from scene.bundle.frames import LAYERS, Frames
+from scene.bundle.scene import Scene
 from scene.errors import InputError
-from scene.files import sole_writer
-from scene.frames import LAYERS, Frames
-from scene.geodesy import geodetic_from_enu
-from scene.images import read_exif, read_rgb
+from scene.geometry.geodesy import geodetic_from_enu
+from scene.storage.files import sole_writer
+from scene.storage.images import read_exif, read_rgb
 from simulate.command import _finished, _frames, lasting_noise, simulate
 from simulate.config import SimulateConfig
 from simulate.render.disk import bytes_needed

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scene.bundle.labels import CLASSES
 from scene.errors import InputError
-from scene.geodesy import Geodetic
+from scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
 from simulate.flight.flights import plan_oblique
@@ -17,7 +18,6 @@ from simulate.look.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
 from simulate.look.sun import sun_position
 from simulate.place.change import Change
 from simulate.place.town import build_town
-from simulate.place.world import CLASSES
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import simulate.gallery
 from scene.errors import InputError
-from scene.images import read_rgb
+from scene.storage.images import read_rgb
 from simulate.config import SimulateConfig
 from simulate.gallery import gallery
 from simulate.look.conditions import LIGHTS, SEASONS, WEATHER, condition

@@ -9,9 +9,9 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from scene.camera import Camera
-from scene.depth_check import DepthFrames, check_depth
+from scene.checks.depth_check import DepthFrames, check_depth
 from scene.errors import InputError
+from scene.geometry.camera import Camera
 from simulate.camera.lens import PRESETS, rendered_through
 from simulate.camera.resample import resample
 from simulate.config import SimulateConfig

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
 from scene.errors import InputError
+from scene.geometry.rectangle import overlap
 from simulate.camera.pinhole import PinholeCamera
 from simulate.flight.flights import plan_oblique
 from simulate.look.buildings import building_mesh
@@ -18,7 +20,7 @@ from simulate.place import site as site_module
 from simulate.place.grid import CircleGrid
 from simulate.place.plan import MAX_AREA_M
 from simulate.place.presets import PLANS, preset
-from simulate.place.world import CLASSES, FIRST_OBJECT_LABEL, MAX_OBJECT_ID, World, overlap
+from simulate.place.world import MAX_OBJECT_ID, World
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from tests.simulate.test_town import flat

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from scene.errors import InputError
-from scene.geodesy import Geodetic, geodetic_from_enu
+from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.gimbal import Aims, camera_centres

@@ -13,11 +13,12 @@ from numpy.testing import assert_allclose
 from pydantic import ValidationError
 
 import simulate.render.pool
+from scene.bundle.labels import CLASSES
 from scene.errors import InputError
 from simulate.camera.pinhole import PinholeCamera
 from simulate.flight.flights import plan_nadir, plan_oblique
 from simulate.place.town import build_town
-from simulate.place.world import CLASSES, MAX_OBJECT_ID, class_lookup
+from simulate.place.world import MAX_OBJECT_ID, class_lookup
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from tests.simulate.blender_says import check_rays

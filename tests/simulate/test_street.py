@@ -12,14 +12,15 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from benchmark.cli import app
-from benchmark.datasets import open_datasets
+from benchmark.datasets.dataset import open_datasets
+from scene.bundle.labels import CLASSES
 from simulate.config import SimulateConfig
 from simulate.flight.gimbal import camera_centres
 from simulate.look.conditions import condition
 from simulate.look.terrain import ground_mesh, kerbs_mesh
 from simulate.place.kerbs import KERB_M, Rises
 from simulate.place.presets import preset
-from simulate.place.world import CLASSES, MIRRORED_M, World
+from simulate.place.world import MIRRORED_M, World
 from simulate.planner import plan_session
 
 AREA = 300.0

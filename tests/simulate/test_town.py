@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
 from scene.errors import InputError
+from scene.geometry.rectangle import overlap, rectangle
 from simulate.look import ground
 from simulate.look.buildings import building_mesh
 from simulate.look.conditions import condition
@@ -13,16 +15,7 @@ from simulate.look.props import shape_mesh
 from simulate.place.kerbs import Rises
 from simulate.place.presets import preset
 from simulate.place.town import build_town
-from simulate.place.world import (
-    CLASSES,
-    FIRST_OBJECT_LABEL,
-    MAX_OBJECT_ID,
-    Heightfield,
-    World,
-    class_lookup,
-    overlap,
-    rectangle,
-)
+from simulate.place.world import MAX_OBJECT_ID, Heightfield, World, class_lookup
 
 
 @pytest.fixture(scope="module", params=[(0, 120.0), (1, 120.0), (2, 150.0), (7, 240.0)])

@@ -7,7 +7,7 @@ import numpy as np
 
 from scene.config import Config, load_config
 from scene.localizer import Estimate, Query, Status, Stopwatch
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 
 
 class NearestConfig(Config):

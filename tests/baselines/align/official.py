@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from baselines.align.residuals import Level
-from scene.camera import Camera
-from scene.pose import Pose
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
 
 RECORD: Final = Path(__file__).parents[2] / "data/official/pixloc-65a51a7-optimizer.npz"

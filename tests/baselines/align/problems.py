@@ -12,7 +12,7 @@ from torch import Tensor
 from baselines.align.aligner import Alignment, align
 from baselines.align.descent import Options
 from baselines.align.residuals import Level
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 from tests.baselines.align.world import PINHOLE, World, looking_down
 
 DAMPING = [torch.full((6,), 1e-3)] * 3

@@ -8,7 +8,7 @@ import torch
 from baselines.align.aligner import Alignment, align
 from baselines.align.damping import damping_factors
 from baselines.align.descent import Options
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 from tests.baselines.align.problems import DAMPING, PLAIN, Small, batch, small, stacked
 from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
 

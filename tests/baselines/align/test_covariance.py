@@ -8,7 +8,7 @@ import torch
 
 from baselines.align.aligner import align
 from baselines.align.descent import Options
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 from tests.baselines.align.world import PINHOLE, World, looking_down
 
 TRIALS = 150

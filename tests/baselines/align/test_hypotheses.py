@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from baselines.align.descent import Options
-from baselines.align.hypotheses import Reach, _best, align_from_many, around, promise
-from scene.pose import Pose
+from baselines.align.hypotheses import SearchRadius, _best, align_from_many, around, promise
+from scene.geometry.pose import Pose
 from tests.baselines.align.problems import DAMPING, Small, batch, small, stacked
 from tests.baselines.align.world import PINHOLE, looking_down, wrong
 
@@ -17,7 +17,7 @@ SEEDS = range(6)
 
 def test_grid_holds_a_pose_near_every_prior_error() -> None:
     """Of all poses within reach, some hypothesis shows the picture less than 1.5 cells off."""
-    reach = Reach(10, 10)
+    reach = SearchRadius(10, 10)
     pixels = torch.tensor([[90.0, 70.0], [230.0, 70.0], [160.0, 128.0], [160.0, 200.0]]).double()
     best, before = [], []
     for seed in range(20):
@@ -36,7 +36,7 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
 def test_narrow_reach_asks_less() -> None:
     start, distance = stacked([looking_down(0)]), torch.tensor([80.0])
     sizes = [
-        around(start, distance, Reach(metres, degrees), 3.5).translation.shape[1]
+        around(start, distance, SearchRadius(metres, degrees), 3.5).translation.shape[1]
         for metres, degrees in ((1, 1), (8, 10), (30, 20))
     ]
     assert sizes == [27, 243, 17 * 17 * 5]
@@ -45,7 +45,8 @@ def test_narrow_reach_asks_less() -> None:
 def test_an_unknown_heading_turns_the_picture_and_takes_no_shift_from_the_position() -> None:
     start, distance = stacked([looking_down(0)]), torch.tensor([80.0])
     level, turned = (
-        around(start, distance, Reach(20, 10, heading=heading), 3.5) for heading in (0.0, 15.0)
+        around(start, distance, SearchRadius(20, 10, heading=heading), 3.5)
+        for heading in (0.0, 15.0)
     )
     assert turned.translation.shape[1] == level.translation.shape[1] // 3 * 7
 
@@ -74,7 +75,7 @@ def test_many_starts_reach_what_one_does_not() -> None:
         starts,
         DAMPING,
         Options(),
-        Reach(10, 10),
+        SearchRadius(10, 10),
     )
     assert many.pose.translation.shape == (len(SEEDS), 3)
     assert not many.failed.any()
@@ -102,7 +103,7 @@ def test_hypotheses_that_have_met_go_on_as_one() -> None:
     problem = small(0)
     start = stacked([wrong(problem.truth, 0.5, 0.5, 0)])
     place = problem.points, PINHOLE.intrinsics(), start
-    found = align_from_many(problem.levels, *place, DAMPING, Options(), Reach(1, 1))
+    found = align_from_many(problem.levels, *place, DAMPING, Options(), SearchRadius(1, 1))
     alone = problem.align(start)
     assert found.iterations.item() <= 9 * 4 + alone.iterations.item()
 
@@ -114,7 +115,9 @@ def test_starts_near_the_truth_promise_more_than_those_far_off() -> None:
         def most(metres: float, problem: Small = problem, seed: int = seed) -> float:
             start = stacked([wrong(problem.truth, metres, 3, seed)])
             level, points = problem.levels[0], problem.points
-            found = promise(level, points, PINHOLE.intrinsics(), start, Options(), Reach(8, 10))
+            found = promise(
+                level, points, PINHOLE.intrinsics(), start, Options(), SearchRadius(8, 10)
+            )
             assert found.shape == (1,)
             return float(found)
 
@@ -129,7 +132,13 @@ def test_hopeless_input_fails_with_a_reason(value: float) -> None:
 
     def found(case: Small) -> str:
         result = align_from_many(
-            case.levels, case.points, PINHOLE.intrinsics(), start, DAMPING, Options(), Reach()
+            case.levels,
+            case.points,
+            PINHOLE.intrinsics(),
+            start,
+            DAMPING,
+            Options(),
+            SearchRadius(),
         )
         assert result.failed.all() and result.pose.matrix().isfinite().all()
         return result.reason(0)

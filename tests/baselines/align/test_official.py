@@ -9,7 +9,7 @@ import torch
 from baselines.align.aligner import align
 from baselines.align.damping import Damping
 from baselines.align.descent import Options
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 from tests.baselines.align.official import CASES, ITERATIONS, RECORD, case
 
 

@@ -7,8 +7,8 @@ import torch
 
 from baselines.align.damping import moved
 from baselines.align.residuals import Level, Problem
-from scene.camera import Camera
-from scene.pose import Pose
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from baselines.align.residuals import Level
-from scene.camera import Camera
-from scene.pose import Pose, so3_exp
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose, so3_exp
 
 PINHOLE: Final = Camera("PINHOLE", 320, 256, (260.0, 255.0, 158.0, 130.0))
 DISTORTED: Final = Camera(

@@ -14,11 +14,11 @@ from baselines.d2net.localizer import D2NetConfig, D2NetExtractor, D2NetLocalize
 from baselines.d2net.network import read_network
 from baselines.views import north
 from benchmark.registry import create
-from scene.colmap import read_map
 from scene.errors import InputError
-from scene.images import read_rgb
 from scene.localizer import Prior, Query, Status
-from scene.sparse_map import SparseMap
+from scene.maps.colmap_files import read_model
+from scene.maps.sparse_map import SparseMap
+from scene.storage.images import read_rgb
 from tests.baselines.d2net.untrained import untrained
 
 GATE = Path(__file__).parents[2] / "data" / "gate"
@@ -32,7 +32,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def sparse_map() -> SparseMap:
-    whole = read_map(GATE / "sparse" / "map")
+    whole = read_model(GATE / "sparse" / "map")
     return replace(whole, images={name: whole.images[name] for name in whole.names[:6]})
 
 
@@ -182,7 +182,7 @@ def test_a_mirrored_view_is_no_copy(weights: Path) -> None:
 def test_without_weights_it_says_where_they_come_from(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("baselines.weights.SHIPPED", tmp_path)
+    monkeypatch.setattr("baselines.d2net.localizer.SHIPPED", tmp_path / "d2net.safetensors")
     with pytest.raises(InputError, match="train d2net") as caught:
         create("d2net", {})
     assert "\n" not in str(caught.value)

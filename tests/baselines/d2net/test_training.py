@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 import baselines.d2net.training
+from baselines.checkpoint import write_weights
 from baselines.d2net.loss import TripletLoss, triplet_loss
 from baselines.d2net.network import D2Net, D2NetNetConfig, soft_scores
 from baselines.d2net.training import D2NetTraining, start_from
@@ -17,7 +18,6 @@ from baselines.pixloc.network import PixlocNet, PixlocNetConfig
 from baselines.training.config import TrainConfig
 from baselines.training.pairs import Pair, PairBatch, Pinhole, collate
 from baselines.vgg import encode
-from baselines.weights import write_weights
 from tests.baselines.training.slopes import watched
 
 SMALL = TrainConfig(width=0.125, warm_up=0.25)

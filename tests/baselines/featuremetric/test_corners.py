@@ -13,7 +13,7 @@ from PIL import Image
 
 from baselines.featuremetric.corners import CornerFinder, Corners, all_corners
 from scene.errors import InputError
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import height, write_map
 
 

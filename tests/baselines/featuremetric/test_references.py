@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from baselines.featuremetric.maps import MapExtractor
-from baselines.featuremetric.references import ReferenceFeatures, observe, references, spread
+from baselines.featuremetric.references import ReferenceFeatures, observe, references, spaced_order
 from baselines.pixloc.network import read_network
 from scene.errors import InputError
-from scene.images import read_rgb
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
+from scene.storage.images import read_rgb
 from tests.baselines.pixloc.made_map import write_map, write_network
 
 
@@ -38,7 +38,7 @@ def test_beginnings_cover_the_picture() -> None:
     # Nearly all points in one corner.
     xy = np.concatenate([rng.uniform(0, 0.06, (900, 2)), rng.uniform(0, 1, (100, 2))])
     worth = rng.integers(3, 9, 1000)
-    order = spread(xy, worth)
+    order = spaced_order(xy, worth)
     assert sorted(order) == list(range(1000))
     cells = (xy * 16).astype(int) @ [1, 16]
     taken = len(np.unique(cells))

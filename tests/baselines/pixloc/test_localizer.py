@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
+from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
 from baselines.views import turned_to
-from baselines.weights import SHIPPED
 from benchmark.registry import create
-from scene.camera import Camera
 from scene.errors import InputError
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Prior, Query, Status
-from scene.pose import Pose
-from scene.sparse_map import SparseMap
+from scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
 
 TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
@@ -27,7 +26,7 @@ STAGES = {"features", "retrieval", "points", "alignment"}
 @pytest.fixture(scope="module")
 def weights() -> Path:
     """Those shipped: features of an untrained network say more of the picture's edge than of it."""
-    return SHIPPED / "pixloc.safetensors"
+    return SHIPPED
 
 
 @pytest.fixture(scope="module")
@@ -244,7 +243,7 @@ def test_sizes_that_are_no_multiples(weights: Path, made: tuple[SparseMap, Path]
 
 
 def test_no_weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("baselines.weights.SHIPPED", tmp_path)
+    monkeypatch.setattr("baselines.pixloc.localizer.SHIPPED", tmp_path / "pixloc.safetensors")
     with pytest.raises(InputError, match="train them .* or name a file"):
         create("pixloc", {})
     with pytest.raises(InputError, match="no weights at"):

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from baselines.pixloc.loss import in_pixels, reprojection_error
-from scene.pose import Pose
-from scene.projection import Intrinsics
+from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
 
 
 def test_errors_are_logged_in_pixels() -> None:

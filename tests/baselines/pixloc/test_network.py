@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.checkpoint import write_weights
 from baselines.pixloc.network import PixlocNet, PixlocNetConfig, read_network
-from baselines.weights import write_weights
 from scene.config import load_config
 from scene.errors import InputError
 from tests.baselines.pixloc import official

@@ -13,7 +13,7 @@ from baselines.align.sampling import sample
 from baselines.featuremetric.maps import FeatureMap
 from baselines.pixloc.loss import pose_loss, reprojection_error
 from baselines.pixloc.network import PixlocNet
-from scene.pose import Pose
+from scene.geometry.pose import Pose
 from tests.baselines.pixloc import official
 
 

@@ -13,16 +13,16 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from baselines.checkpoint import read_weights
 from baselines.pixloc.training import PixlocTraining
 from baselines.training.command import CARD, train
 from baselines.training.config import TrainConfig
 from baselines.training.loop import LOG, WEIGHTS, _claim, _log
 from baselines.training.pairs import PairBatch
-from baselines.weights import read_weights
 from benchmark.registry import TRAINABLE, trainable
-from scene.bundle import Scene
+from scene.bundle.scene import Scene
 from scene.errors import InputError
-from scene.files import sole_writer
+from scene.storage.files import sole_writer
 
 ROOT = Path(__file__).parents[3]
 TINY = TrainConfig(

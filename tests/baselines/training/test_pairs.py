@@ -13,7 +13,7 @@ from baselines.training.crops import crop
 from baselines.training.pairs import Pair, Pinhole, collate
 from baselines.training.planes import PlanePairs
 from baselines.training.rendered import RenderedPairs
-from scene.bundle import Scene
+from scene.bundle.scene import Scene
 from scene.errors import InputError
 
 SIZE, POINTS = 128, 96

@@ -1,0 +1,90 @@
+"""Arrays of every photograph of a map in one file, of which those of a photograph are read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.errors import HDF5_DAMAGE, InputError
+from scene.storage.files import require_readable, written_whole
+from scene.storage.hdf5 import array, attribute, dataset
+
+Add = Callable[[Mapping[str, NDArray[Any]]], None]
+
+
+@contextmanager
+def written_store(path: Path, **attributes: float) -> Iterator[Add]:
+    """Write a file, whole or not at all, by what it gives: a function that adds the arrays of the
+    next photograph, by name, all of as many rows.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    ends = [0]
+    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+        file.attrs.update(attributes)
+
+        def add(parts: Mapping[str, NDArray[Any]]) -> None:
+            for name, values in parts.items():
+                # An empty array may not know how wide its rows are.
+                if name in file and not len(file[name]) and len(values):
+                    del file[name]
+                if name not in file:
+                    shape = values.shape[1:]
+                    file.create_dataset(name, (0, *shape), values.dtype, maxshape=(None, *shape))
+                if len(values):
+                    file[name].resize(ends[-1] + len(values), axis=0)
+                    file[name][ends[-1] :] = values
+            ends.append(ends[-1] + len(values))
+
+        yield add
+        file["ends"] = np.array(ends[1:], np.int64)
+
+
+class ArrayStore:
+    """A file of ``written_store``. It stays open, so that it may be removed meanwhile.
+
+    Raises:
+        InputError: the file is damaged; also when its arrays are read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._arrays: dict[str, h5py.Dataset] = {}
+        try:
+            require_readable(path, "file of features")
+            self._file = h5py.File(path)
+            self._ends = array(self._file, "ends")
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def __len__(self) -> int:
+        """Number of photographs."""
+        return len(self._ends)
+
+    def attribute(self, name: str) -> Any:
+        """One that was written with the file."""
+        try:
+            return attribute(self._file, name)
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def read(self, photograph: int, name: str) -> NDArray[Any]:
+        """An array of a photograph, by its row in ``SparseMap.names``."""
+        first = int(self._ends[photograph - 1]) if photograph else 0
+        try:
+            # Held against what is stored, which takes the longer the more there is, but once.
+            if name not in self._arrays:
+                self._arrays[name] = dataset(self._file, name)
+            return np.asarray(self._arrays[name][first : int(self._ends[photograph])])
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def _damaged(self, error: Exception) -> InputError:
+        return InputError(f"{self._path} is damaged ({error}): delete it")

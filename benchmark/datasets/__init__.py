@@ -1,0 +1,1 @@
+"""What localizers are scored on, whatever its form."""

@@ -1,0 +1,189 @@
+"""Extended CMU Seasons: the public half of its query poses, scored offline, slice by slice.
+
+The reader takes the download as it is. Facts of the format that mislead (the data set's README and
+public loaders): pose files hold the camera's CENTRE, not a translation; each image's camera, c0 or
+c1, is in its name; pose files may be empty; images are distorted, whatever "rect" in an example
+says; the reference is of April 21, 2011, as its timestamps show.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.identity import parts_of
+from benchmark.datasets.textfiles import read_cameras, read_poses
+from scene.errors import InputError
+from scene.exports.cmu import CAMERAS, SIMULATED, ImageName, surroundings
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.maps.colmap_files import read_model
+from scene.storage.files import read_text
+from scene.storage.listing import files_in
+
+TRACK: Final = "cmu"
+SIMULATED_TRACK: Final = "cmu-sim"
+
+_INTRINSICS: Final = "intrinsics.txt"
+_SLICE: Final = re.compile(r"slice(\d+)")
+
+# What the data set's README says of each day; other days go by their date alone.
+_DAYS: Final = {
+    "2010-09-01": "sunny, foliage",
+    "2010-09-15": "sunny, foliage",
+    "2010-10-01": "cloudy, foliage",
+    "2010-10-19": "sunny, foliage",
+    "2010-10-28": "overcast, mixed foliage",
+    "2010-11-03": "low sun, mixed foliage",
+    "2010-11-12": "low sun, mixed foliage",
+    "2010-11-22": "cloudy, mixed foliage",
+    "2010-12-21": "low sun, no foliage, snow",
+    "2011-03-04": "low sun, foliage",
+    "2011-07-28": "overcast, foliage",
+}
+
+
+def is_cmu(path: Path) -> bool:
+    """Whether a folder is the data set, or one slice of it."""
+    root = path.resolve()
+    if _SLICE.fullmatch(root.name):
+        root = root.parent
+    return (root / _INTRINSICS).is_file() and bool(_slices(root))
+
+
+def open_cmu(path: Path) -> list[Dataset]:
+    """Open every slice that carries public query poses, or one slice.
+
+    Raises:
+        InputError: a file is missing or wrong, a name is not of this data set, or no slice has a
+            public query pose.
+    """
+    folders, cameras = _find(path)
+    datasets = [d for folder in folders if (d := _open_slice(folder, cameras)) is not None]
+    if not datasets:
+        raise InputError(f"{path} has no public query pose in any camera-poses folder")
+    return datasets
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A slice as a task: its query images, whether their poses are public or hidden.
+
+    Attributes:
+        folder: of the slice.
+        queries: file names in its ``query`` folder, sorted.
+        cameras: c0 and c1.
+    """
+
+    folder: Path
+    queries: tuple[str, ...]
+    cameras: Mapping[str, Camera]
+
+    def camera(self, name: str) -> Camera:
+        """The camera that took an image, which its name tells."""
+        return self.cameras[ImageName.parse(name).camera]
+
+
+def open_slices(path: Path) -> list[Slice]:
+    """Every slice with query images, or one slice.
+
+    Raises:
+        InputError: not this data set, a name that is not of it, or no query image anywhere.
+    """
+    if not is_cmu(path):
+        raise InputError(f"{path} is not Extended CMU Seasons, nor a slice of it")
+    folders, cameras = _find(path)
+    found = []
+    for folder in folders:
+        photographs = folder / "query"
+        images = files_in(photographs, (".jpg",)) if photographs.is_dir() else []
+        names = tuple(image.name for image in images)
+        for name in names:
+            ImageName.parse(name)
+        if names:
+            found.append(Slice(folder, names, cameras))
+    if not found:
+        raise InputError(f"{path} holds no query image")
+    return found
+
+
+def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:
+    """Folders of the slices meant, and the two cameras."""
+    root = path.resolve()
+    chosen = _slices(root)
+    if _SLICE.fullmatch(root.name):
+        chosen, root = [root], root.parent
+    cameras = read_cameras(root / _INTRINSICS)
+    if set(cameras) != set(CAMERAS):
+        raise InputError(f"{root / _INTRINSICS}: expected cameras c0 and c1, got {sorted(cameras)}")
+    return chosen, cameras
+
+
+def condition(name: str) -> str:
+    """Day and weather of an image, from the timestamp in its name.
+
+    Raises:
+        InputError: the name is not of this data set.
+    """
+    day = ImageName.parse(name).day.isoformat()
+    return f"{day} {_DAYS[day]}" if day in _DAYS else day
+
+
+def _slices(root: Path) -> list[Path]:
+    """Slice folders by number."""
+    numbered = {
+        int(match.group(1)): folder
+        for folder in root.glob("slice*")
+        if folder.is_dir() and (match := _SLICE.fullmatch(folder.name))
+    }
+    return [numbered[number] for number in sorted(numbered)]
+
+
+def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
+    """One slice, or None when none of its query poses is public."""
+    references: dict[str, Pose] = {}
+    listed = folder / "camera-poses"
+    for file in files_in(listed, (".txt",)) if listed.is_dir() else []:
+        for name, pose in read_poses(file, centres=True).items():
+            if name in references:
+                raise InputError(f"{file}: {name} has a pose in another file already")
+            references[name] = pose
+    if not references:
+        return None
+    for name in references:
+        if not (folder / "query" / name).is_file():
+            raise InputError(f"image {folder / 'query' / name} does not exist, but has a pose")
+    sparse_map = read_model(folder / "sparse")
+    queries = tuple(
+        BenchmarkQuery(
+            name=name,
+            condition=condition(name),
+            group=f"{folder.name} {condition(name)}",
+            camera=cameras[ImageName.parse(name).camera],
+            image=folder / "query" / name,
+            prior=None,
+            reference=pose,
+        )
+        for name, pose in sorted(references.items())
+    )
+    number = int(folder.name.removeprefix("slice"))
+    return Dataset(
+        name=f"cmu-{surroundings(number)}-slice{number}",
+        track=_track(folder.parent),
+        parts=parts_of(folder / "sparse", folder / "database", sparse_map.names, queries),
+        map_conditions=tuple(sorted({condition(name) for name in sparse_map.images})),
+        model=folder / "sparse",
+        load_map=lambda: sparse_map,
+        images=folder / "database",
+        queries=queries,
+    )
+
+
+def _track(root: Path) -> str:
+    """Whether the photographs are the data set's own."""
+    simulated = read_text(root / _INTRINSICS, "cameras").startswith(SIMULATED)
+    return SIMULATED_TRACK if simulated else TRACK

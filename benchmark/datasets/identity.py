@@ -1,0 +1,104 @@
+"""Which data set it is: digests of the bytes on disk, and of what is known of each query.
+
+Hashed are the photographs, those of the queries and those of the map, and the files of the map. No
+digest is taken from a manifest. Names in it are relative: a copy in another folder is the same data
+set.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from scene.errors import InputError
+from scene.maps.colmap_files import MODEL_FILES
+from scene.storage.digests import digests
+
+if TYPE_CHECKING:
+    from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+
+# A map photograph that is not there: a method that needs it says so, others do without.
+_MISSING: Final = "missing"
+# So many parts are named where more differ.
+_NAMED: Final = 3
+
+
+def parts_of(
+    model: Path, images: Path, map_names: Iterable[str], queries: Sequence[BenchmarkQuery]
+) -> dict[str, str]:
+    """Digests of all that a data set is made of, by what a person calls it.
+
+    Args:
+        model: folder of the map's files.
+        images: folder that ``map_names`` are relative to.
+        map_names: the map's photographs.
+        queries: in order.
+
+    Raises:
+        InputError: a photograph of a query or a file of the map is missing or cannot be read.
+    """
+    files = digests(model / name for name in MODEL_FILES)
+    parts = {f"map file {name}": of for name, of in zip(MODEL_FILES, files, strict=True)}
+    names = sorted(map_names)
+    photographs = digests((images / name for name in names), _MISSING)
+    parts |= {f"map photograph {name}": of for name, of in zip(names, photographs, strict=True)}
+    asked = digests(query.image for query in queries)
+    for query, photograph in zip(queries, asked, strict=True):
+        parts[f"query photograph {query.name}"] = photograph
+        parts[f"condition, camera, prior or reference pose of {query.name}"] = _known(query)
+    return parts
+
+
+def sha256_of_parts(parts: Mapping[str, str]) -> str:
+    """One digest of all parts, their names and their order."""
+    return hashlib.sha256(json.dumps(list(parts.items())).encode()).hexdigest()
+
+
+def changes(before: Mapping[str, str], after: Mapping[str, str]) -> str:
+    """What differs, in words; empty when nothing does."""
+    every = dict.fromkeys([*before, *after])
+    differing = [part for part in every if before.get(part) != after.get(part)]
+    if not differing and list(before) != list(after):
+        return "the order of the queries"
+    named = ", ".join(differing[:_NAMED])
+    more = len(differing) - _NAMED
+    return f"{named} and {more} more" if more > 0 else named
+
+
+def require_unchanged(dataset: Dataset, map_names: Iterable[str]) -> None:
+    """Make sure that a data set is still the one that was opened.
+
+    Raises:
+        InputError: it was changed meanwhile, or as ``parts_of``.
+    """
+    now = parts_of(dataset.model, dataset.images, map_names, dataset.queries)
+    if changed := changes(dataset.parts, now):
+        raise InputError(f"the data set {dataset.name} was changed during the run: {changed}")
+
+
+def _known(query: BenchmarkQuery) -> str:
+    """Digest of what is known of a query besides its photograph.
+
+    Numbers enter rounded to nanometres, so that the last bit of another processor's arithmetic
+    does not make another data set.
+    """
+
+    reference, prior = query.reference, query.prior
+    told: list[list[float] | None] = [
+        reference.rotation.flatten().tolist(),
+        reference.translation.tolist(),
+    ]
+    if prior is not None:
+        sigma, attitude = prior.position_sigma, prior.cam_from_world_rotation
+        told += [
+            prior.position.tolist(),
+            None if sigma is None else sigma.tolist(),
+            None if attitude is None else attitude.ravel().tolist(),
+            None if prior.attitude_sigma_deg is None else [prior.attitude_sigma_deg],
+        ]
+    numbers = [None if some is None else [f"{x + 0.0:.9f}" for x in some] for some in told]
+    words = [query.name, query.condition, str(query.camera), numbers]
+    return hashlib.sha256(json.dumps(words).encode()).hexdigest()

@@ -1,0 +1,95 @@
+"""Scenes: simulated ones with exact reference poses and many conditions over one ground, and
+flights of real photographs whose reference poses are their own structure from motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.flight import TRACK as FLIGHT
+from benchmark.datasets.identity import parts_of
+from scene.bundle.frames import Frames
+from scene.bundle.scene import MANIFEST, Scene
+from scene.errors import InputError
+from scene.geometry.pose import Pose
+from scene.localizer import Prior
+from scene.maps.colmap_files import check_pose
+
+TRACK: Final = "uav-sim"
+
+
+def is_scene(path: Path) -> bool:
+    """Whether a folder is a finished scene."""
+    return (path / MANIFEST).is_file()
+
+
+def open_scene(path: Path) -> Dataset:
+    """Open a scene: its map against the queries of every session.
+
+    Raises:
+        InputError: not a finished scene, one without map or queries, or lists that contradict each
+            other.
+    """
+    scene = Scene.open(path)
+    queries = tuple(query for session in scene.splits.queries for query in _queries(scene, session))
+    if not queries:
+        raise InputError(f"scene {path} has no query: its splits name map frames only")
+    sparse_map = scene.sparse_map()
+    for query in queries:
+        if query.name in sparse_map.images:
+            raise InputError(f"scene {path}: query {query.name} is a photograph of the map")
+    return Dataset(
+        name=scene.name,
+        track=TRACK if scene.manifest.reference == "exact" else FLIGHT,
+        parts=parts_of(scene.map_path, scene.images_root, sparse_map.names, queries),
+        map_conditions=tuple(sorted({_condition(scene, name) for name in sparse_map.images})),
+        model=scene.map_path,
+        load_map=scene.sparse_map,
+        images=scene.images_root,
+        queries=queries,
+    )
+
+
+def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
+    frames = scene.frames(session)
+    row_of = {name: row for row, name in enumerate(frames.names)}
+    for name in scene.splits.queries[session]:
+        if name not in row_of:
+            raise InputError(f"scene {scene.path}: query {name} is no frame of session {session}")
+        row = row_of[name]
+        yield BenchmarkQuery(
+            name=name,
+            condition=scene.sessions[session].condition,
+            group=session,
+            camera=frames.cameras[row],
+            image=scene.images_root / name,
+            prior=_prior(frames, row, f"scene {scene.path}: prior of {name}"),
+            reference=Pose.from_matrix(frames.cam_from_world[row]),
+        )
+
+
+def _prior(frames: Frames, row: int, what: str) -> Prior | None:
+    """What was measured of a frame; None without a position."""
+    if not frames.has_gps[row]:
+        return None
+    position, sigma = frames.gps_prior[row], frames.gps_sigma[row]
+    if not frames.has_attitude[row]:
+        return Prior(position, sigma)
+    attitude = frames.attitude_prior[row]
+    check_pose(attitude, position, what)
+    return Prior(
+        position=position,
+        position_sigma=sigma,
+        cam_from_world_rotation=Pose.from_quaternion(attitude, [0, 0, 0]).rotation.numpy(),
+        attitude_sigma_deg=float(frames.attitude_sigma_deg[row]),
+    )
+
+
+def _condition(scene: Scene, name: str) -> str:
+    """The condition a photograph was taken under; its session is the first part of its name."""
+    session = name.split("/")[0]
+    if session not in scene.sessions:
+        raise InputError(f"scene {scene.path}: map image {name} belongs to no session")
+    return scene.sessions[session].condition

@@ -1,0 +1,1 @@
+"""Leaderboards, pictures and pages."""

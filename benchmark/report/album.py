@@ -1,0 +1,261 @@
+"""What the drill-down of the page shows of every query, whatever the method.
+
+``RESULTS/<dataset>/album.h5`` holds, for each query, a small photograph, the map photograph that
+shows most of the same ground, and a few map points: in the world, where the reference pose puts
+them, and where the map photograph sees them. With an estimated pose, which results hold, they
+project to where that pose puts them. One album serves all methods; no localizer reads it. It also
+keeps what the data set was made of, so that a later run can say what changed.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import h5py
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.report.pictures import project_points, spaced_points
+from scene.errors import HDF5_DAMAGE, InputError
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.progress import progress_bar
+from scene.storage.files import parse_json, written_whole
+from scene.storage.hdf5 import array, attribute, group, groups, set_text
+from scene.storage.images import read_rgb
+
+ALBUM: Final = "album.h5"
+ALBUM_MARK: Final = b"dataset_sha256"
+"""What stands near the beginning of every album."""
+# Longest side of a photograph, pixels: sharp on a screen, and a page can still shrink it.
+SIDE: Final = 480
+_QUALITY: Final = 55
+# Of the encoder, 0 to 6: the usual 4 takes more than twice as long for 8 % fewer bytes.
+_EFFORT: Final = 2
+# Cells along the longest side; each holds one point at most.
+_CELLS: Final = 6
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One query.
+
+    Attributes:
+        camera: of the query.
+        photograph: WebP.
+        neighbour: name of the map photograph beside it; None when no map photograph sees a point
+            of the map that lies in this query.
+        world: (K, 3) map points that the neighbour sees, metres.
+        truth: (K, 2) their pixels at the reference pose.
+        seen: (K, 2) their pixels in the neighbour.
+    """
+
+    camera: Camera
+    photograph: bytes
+    neighbour: str | None
+    world: NDArray[np.float64]
+    truth: NDArray[np.float64]
+    seen: NDArray[np.float64]
+
+    def estimated(self, cam_from_world: Pose) -> NDArray[np.float64]:
+        """(K, 2) pixels of the points at an estimated pose, NaN where it does not see them."""
+        points = cam_from_world.transform(torch.from_numpy(self.world))
+        projected = self.camera.project(points)
+        return np.where(projected.valid.numpy()[:, None], projected.xy.numpy(), np.nan)
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """A photograph of the map: its size in pixels, and itself as WebP."""
+
+    width: int
+    height: int
+    photograph: bytes
+
+
+@dataclass(frozen=True)
+class Album:
+    """What the page shows of a data set.
+
+    Attributes:
+        sha256: of the data set.
+        entries: queries by name.
+        neighbours: map photographs by name.
+        parts: of the data set, see ``Dataset.parts``; none in an album of an older version.
+    """
+
+    sha256: str
+    entries: Mapping[str, Entry]
+    neighbours: Mapping[str, Neighbour]
+    parts: Mapping[str, str] = field(default_factory=dict)
+
+
+def make_album(dataset: Dataset, sparse_map: SparseMap) -> Album:
+    """Look at every query once more.
+
+    Raises:
+        InputError: a photograph is missing or broken.
+    """
+    entries: dict[str, Entry] = {}
+    neighbours: dict[str, Neighbour] = {}
+    with progress_bar(f"{dataset.name} album", len(dataset.queries)) as advance:
+        for query in dataset.queries:
+            entry = _entry(query, sparse_map)
+            entries[query.name] = entry
+            if entry.neighbour is not None and entry.neighbour not in neighbours:
+                camera = sparse_map.images[entry.neighbour].camera
+                photograph = webp(read_rgb(dataset.images / entry.neighbour, camera))
+                neighbours[entry.neighbour] = Neighbour(camera.width, camera.height, photograph)
+            advance(len(entries))
+    return Album(dataset.sha256, entries, neighbours, dataset.parts)
+
+
+def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
+    truth, visible = project_points(sparse_map.xyz, query.camera, query.reference)
+    seeing = {name: _seen(sparse_map, name, visible) for name in sparse_map.names}
+    away = np.linalg.norm(sparse_map.centres - query.reference.centre().numpy(), axis=1)
+    row = {name: k for k, name in enumerate(sparse_map.names)}
+    # Of those that show as much the nearest.
+    best = max(seeing, key=lambda name: (len(seeing[name]), -away[row[name]]), default=None)
+    neighbour = best if best is not None and len(seeing[best]) else None
+    observations = seeing[neighbour] if neighbour is not None else np.zeros(0, np.int64)
+    drawn = sparse_map.images[neighbour].point_rows[observations] if neighbour else observations
+    cell = max(query.camera.width, query.camera.height) / _CELLS
+    kept = spaced_points(
+        truth[drawn], np.ones(len(drawn), np.bool_), sparse_map.track_length[drawn], cell
+    )
+    rows = drawn[kept]
+    return Entry(
+        camera=query.camera,
+        photograph=webp(read_rgb(query.image, query.camera)),
+        neighbour=neighbour,
+        world=sparse_map.xyz[rows],
+        truth=truth[rows],
+        seen=sparse_map.images[neighbour].xy[observations[kept]] if neighbour else np.zeros((0, 2)),
+    )
+
+
+def _seen(sparse_map: SparseMap, name: str, visible: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Observations of a map photograph whose points are among the visible."""
+    rows = sparse_map.images[name].point_rows
+    return np.flatnonzero((rows >= 0) & visible[rows]) if len(visible) else np.zeros(0, np.int64)
+
+
+def webp(rgb: NDArray[np.uint8], side: int = SIDE) -> bytes:
+    """A photograph (H, W, 3) as WebP whose longest side is at most ``side`` pixels."""
+    image = Image.fromarray(rgb)
+    image.thumbnail((side, side), Image.Resampling.LANCZOS)
+    stream = io.BytesIO()
+    image.save(stream, "WEBP", quality=_QUALITY, method=_EFFORT)
+    return stream.getvalue()
+
+
+def keep_album(path: Path, dataset: Dataset, sparse_map: SparseMap) -> None:
+    """Write the album of a data set, unless it lies there already.
+
+    Raises:
+        InputError: as ``make_album`` and ``write_album``.
+    """
+    try:
+        if read_album(path, dataset.sha256) is not None:
+            return
+    except InputError:
+        pass  # a damaged one is made again
+    write_album(path, make_album(dataset, sparse_map))
+
+
+def write_album(path: Path, album: Album) -> None:
+    """Write an album atomically.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+        file.attrs["schema"] = 1
+        set_text(file, "dataset_sha256", album.sha256)
+        file["parts"] = np.frombuffer(json.dumps(album.parts).encode(), np.uint8)
+        for number, (name, entry) in enumerate(album.entries.items()):
+            part = file.create_group(f"queries/{number:06d}")
+            set_text(part, "name", name)
+            set_text(part, "camera", str(entry.camera))
+            if entry.neighbour is not None:
+                set_text(part, "neighbour", entry.neighbour)
+            part["photograph"] = np.frombuffer(entry.photograph, np.uint8)
+            part["world"], part["truth"], part["seen"] = entry.world, entry.truth, entry.seen
+        for number, (name, neighbour) in enumerate(album.neighbours.items()):
+            part = file.create_group(f"map/{number:06d}")
+            set_text(part, "name", name)
+            part.attrs["size"] = [neighbour.width, neighbour.height]
+            part["photograph"] = np.frombuffer(neighbour.photograph, np.uint8)
+
+
+def album_parts(path: Path, sha256: str) -> dict[str, str] | None:
+    """The parts of the data set of an album; None where it is of another, or of nobody knows
+    what."""
+    try:
+        with h5py.File(path, "r") as file:
+            if attribute(file, "dataset_sha256") != sha256:
+                return None
+            return _parts(file)
+    except HDF5_DAMAGE:
+        return None
+
+
+def _parts(file: h5py.File) -> dict[str, str]:
+    parts = parse_json(array(file, "parts").tobytes().decode()) if "parts" in file else {}
+    return {str(part): str(digest) for part, digest in parts.items()}
+
+
+def read_album(path: Path, sha256: str) -> Album | None:
+    """Read the album of a data set; None where there is none, or one of other data.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    if not path.is_file():
+        return None
+    try:
+        with h5py.File(path, "r") as file:
+            if attribute(file, "dataset_sha256") != sha256:
+                return None
+            neighbours = {
+                str(attribute(part, "name")): Neighbour(
+                    int(attribute(part, "size")[0]),
+                    int(attribute(part, "size")[1]),
+                    array(part, "photograph").tobytes(),
+                )
+                for _, part in (groups(group(file, "map")) if "map" in file else ())
+            }
+            entries = {
+                str(attribute(part, "name")): Entry(
+                    camera=Camera.parse(str(attribute(part, "camera")).split()),
+                    photograph=array(part, "photograph").tobytes(),
+                    neighbour=(
+                        str(attribute(part, "neighbour")) if "neighbour" in part.attrs else None
+                    ),
+                    world=array(part, "world").reshape(-1, 3),
+                    truth=array(part, "truth").reshape(-1, 2),
+                    seen=array(part, "seen").reshape(-1, 2),
+                )
+                for _, part in groups(group(file, "queries"))
+            }
+            parts = _parts(file)
+    except HDF5_DAMAGE as error:
+        raise InputError(
+            f"album {path} is damaged ({error}); remove it, and evaluate makes it again"
+        ) from None
+    if any(
+        entry.neighbour is not None and entry.neighbour not in neighbours
+        for entry in entries.values()
+    ):
+        raise InputError(f"album {path} lacks a map photograph; remove it and evaluate again")
+    return Album(sha256, entries, neighbours, parts)

@@ -1,0 +1,124 @@
+"""Tables of results as LaTeX, for ``booktabs``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from benchmark.report.paper import TITLE, Cell, Line, columns
+from benchmark.report.tables import Table
+from benchmark.results import TOTAL
+from benchmark.score import THRESHOLDS
+from scene.runtime.printed import printed
+
+_ESCAPED: Final = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "°": r"\textdegree{}",
+        "–": "--",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
+        **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+    }
+)
+
+
+def latex(boards: Sequence[Table], lines: Sequence[Line], note: str) -> str:
+    """The leaderboard, and the paper's table beside ours, as floating tables."""
+    parts = [
+        r"% \usepackage{booktabs} and \usepackage{textcomp} in the preamble.",
+        "% Recall in %, Wilson 95 % intervals below it as indices; all listed queries count.",
+    ]
+    for number, board in enumerate(boards, 1):
+        parts += ["", *_float(_board(board), _caption(board), f"leaderboard-{number}")]
+    parts += ["", *_float(_paper(lines), f"{TITLE}. {note}", "paper")]
+    return "\n".join(parts) + "\n"
+
+
+def escape(text: str) -> str:
+    """Text that LaTeX prints as it is."""
+    return printed(text.replace("\n", " ")).translate(_ESCAPED)
+
+
+def _caption(board: Table) -> str:
+    return (
+        f"{board.track}: {board.dataset}. Recall in % with its Wilson 95 % interval; failed "
+        f"queries and fallback poses count as wrong. {board.facts()}"
+    )
+
+
+def _float(body: Iterator[str], caption: str, label: str) -> Iterator[str]:
+    yield r"\begin{table}"
+    yield r"\centering"
+    yield f"\\caption{{{escape(caption)}}}"
+    yield f"\\label{{tab:{label}}}"
+    yield from body
+    yield r"\end{table}"
+
+
+def _board(board: Table) -> Iterator[str]:
+    header = ["method", "condition", "queries", *(str(threshold) for threshold in THRESHOLDS)]
+    header += ["median m", "median °", "failed", "fallback", "s/query"]
+    rows = []
+    for row in board.rows:
+        summary = row.summary
+        recalls = (summary.recall[threshold.key] for threshold in THRESHOLDS)
+        rows.append(
+            [
+                escape(row.method),
+                escape(row.condition),
+                str(summary.queries),
+                *(_interval(recall.value, recall.low, recall.high) for recall in recalls),
+                _number(summary.median_t_m),
+                _number(summary.median_r_deg),
+                str(summary.failed),
+                str(summary.fallback),
+                _number(summary.seconds.per_query.get(TOTAL)),
+            ]
+        )
+    yield from _tabular(header, rows, [row.method for row in board.rows])
+
+
+def _paper(lines: Sequence[Line]) -> Iterator[str]:
+    rows = [
+        [escape(line.method), escape(line.source), *(_cell(cell) for cell in line.cells)]
+        for line in lines
+    ]
+    sources = ["reported" if line.reported else "measured" for line in lines]
+    yield from _tabular(["method", "source", *columns()], rows, sources)
+
+
+def _tabular(
+    header: Sequence[str], rows: Sequence[Sequence[str]], parts: Sequence[str]
+) -> Iterator[str]:
+    """A rule stands wherever the part that a row belongs to changes."""
+    yield f"\\begin{{tabular}}{{ll{'r' * (len(header) - 2)}}}"
+    yield r"\toprule"
+    yield " & ".join(escape(cell) for cell in header) + r" \\"
+    before = None
+    for row, part in zip(rows, parts, strict=True):
+        if part != before:
+            yield r"\midrule"
+        before = part
+        yield " & ".join(row) + r" \\"
+    yield r"\bottomrule"
+    yield r"\end{tabular}"
+
+
+def _cell(cell: Cell | None) -> str:
+    if cell is None:
+        return "--"
+    if cell.low is None or cell.high is None:
+        return f"{cell.value:.1f}"
+    return _interval(cell.value, cell.low, cell.high)
+
+
+def _interval(value: float, low: float, high: float) -> str:
+    return f"${value:.1f}_{{[{low:.1f},\\,{high:.1f}]}}$"
+
+
+def _number(value: float | None) -> str:
+    return "--" if value is None else f"{value:.3f}"

@@ -1,0 +1,52 @@
+"""``leaderboard``: results files compared, as Markdown, LaTeX and one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from benchmark.report.latex import latex
+from benchmark.report.markdown import markdown, paper_markdown
+from benchmark.report.page import page
+from benchmark.report.paper import note, side_by_side
+from benchmark.report.tables import groups, table
+from scene.storage.files import write_text
+from scene.storage.outputs import Output, claim
+
+# What stands near the beginning of each file that this command wrote.
+_MARKS: Final = {
+    "leaderboard.md": b"Recall is the percentage of all listed queries",
+    "leaderboard.tex": b"% \\usepackage{booktabs} and \\usepackage{textcomp} in the preamble.",
+    "leaderboard.html": b"<title>ObjConnect leaderboard</title>",
+}
+
+
+def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
+    """Compare results files.
+
+    Args:
+        results: results files, or folders of them.
+        out: where to write ``leaderboard.md``, ``leaderboard.tex`` and ``leaderboard.html``, or
+            None.
+
+    Returns:
+        The Markdown text.
+
+    Raises:
+        InputError: no results, a file that is none or whose figures do not follow from its
+            queries, two files of one run that differ, a damaged album or basin beside it, or
+            ``out`` cannot be written.
+    """
+    if out is not None:
+        claim((Output(out / name, mark) for name, mark in _MARKS.items()), results, within=out)
+    found = groups(results)
+    boards = [table(group) for group in found]
+    lines = side_by_side(found)
+    text = markdown(boards) + paper_markdown(lines, note())
+    if out is not None:
+        html = page(found)
+        texts = (text, latex(boards, lines, note()), html)
+        for name, written in zip(_MARKS, texts, strict=True):
+            write_text(out / name, written)
+    return text

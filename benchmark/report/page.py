@@ -1,0 +1,352 @@
+"""The leaderboard as one HTML page that needs no network and no server.
+
+``templates/page.html``, ``page.css`` and ``page.js`` are the page; everything measured goes into it
+as one block of JSON and reaches the screen as text only.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from benchmark.basin import Basin, load_basin
+from benchmark.clustered import MIN_CLUSTERS, difference_interval
+from benchmark.paired import compare, mcnemar
+from benchmark.report.album import ALBUM, SIDE, Album, Entry, read_album, webp
+from benchmark.report.paper import TITLE, columns, note, side_by_side
+from benchmark.report.self_contained import fill
+from benchmark.report.tables import ALL, Group, Run, saturation, start_in_words, table
+from benchmark.results import BASIN, TOTAL, QueryResult, Recall, Summary, Uncertainty
+from benchmark.score import THRESHOLDS, is_correct
+from benchmark.uncertainty import risk_coverage
+from scene.geometry.pose import Pose
+from scene.localizer import Status
+from scene.runtime.progress import progress_bar
+
+log = logging.getLogger(__name__)
+
+# Bytes of all photographs of a page as they stand in it. With the numbers of 4 methods and 500
+# queries, which take less than 2 MB, a page stays below 15 MB.
+PICTURE_BYTES: Final = 11_000_000
+# Photographs shrink until they fit, but not below what a person can judge by.
+_MIN_SIDE: Final = 200
+# Bytes of a photograph grow with its side to this power; measured on real flights: 1.6 to 1.9.
+_GROWTH: Final = 1.6
+_BASE64: Final = 4 / 3
+# Pixels of a photograph's longest side in the drawings over it.
+_UNITS: Final = 1000
+
+
+def page(groups: Sequence[Group]) -> str:
+    """The page.
+
+    Args:
+        groups: of runs; albums and basins are read from where their results lie.
+
+    Raises:
+        InputError: an album or a basin is damaged.
+    """
+    albums = [_album(group) for group in groups]
+    shelf = _Shelf(groups, albums)
+    data = {
+        "thresholds": [{"key": t.key, "text": str(t)} for t in THRESHOLDS],
+        "boards": [
+            _board(group, album, shelf) for group, album in zip(groups, albums, strict=True)
+        ],
+        "paper": {
+            "title": TITLE,
+            "note": note(),
+            "columns": columns(),
+            "lines": [
+                {
+                    "method": line.method,
+                    "source": line.source,
+                    "reported": line.reported,
+                    "cells": [
+                        None if cell is None else {"value": cell.value, "text": cell.text()}
+                        for cell in line.cells
+                    ],
+                }
+                for line in side_by_side(groups)
+            ],
+        },
+        "pictures": shelf.pictures,
+    }
+    return fill("page", data)
+
+
+def _board(group: Group, album: Album | None, shelf: _Shelf) -> dict[str, Any]:
+    names = list(dict.fromkeys(q.name for run in group.runs for q in run.results.queries))
+    condition_of = {q.name: q.condition for run in group.runs for q in run.results.queries}
+    conditions = sorted(set(condition_of.values()))
+    entries = {} if album is None else album.entries
+    board = table(group)
+    return {
+        "track": group.track,
+        "dataset": group.dataset,
+        "start": start_in_words(group.start),
+        "facts": board.facts(),
+        "note": saturation(board) or "",
+        "conditions": conditions,
+        "map_conditions": group.map_conditions,
+        "queries": [
+            {
+                "name": name,
+                "condition": conditions.index(condition_of[name]),
+                **_pictures(entries.get(name), album, shelf),
+            }
+            for name in names
+        ],
+        "runs": [_run(run, names, entries) for run in group.runs],
+        "pairs": list(_pairs(group, names, [ALL, *conditions])),
+        "pairs_note": _pairs_note(group),
+    }
+
+
+def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[str, Any]:
+    results = run.results
+    by_name = {query.name: query for query in results.queries}
+    return {
+        "label": run.label,
+        "config": json.dumps(results.method.config),
+        "weights": results.method.weights_sha256,
+        "environment": results.environment.model_dump(),
+        "summaries": {
+            ALL: _summary(results.summary),
+            **{name: _summary(part) for name, part in results.by_condition.items()},
+        },
+        # Queries that a run lacks are null: they count as failed wherever runs are paired.
+        "queries": [
+            _query(by_name[name], entries.get(name)) if name in by_name else None for name in names
+        ],
+        "basin": _basin(run),
+        # Share right (%) of the surest 1, 2, 3 ... queries, for every threshold.
+        "surest": [
+            [round(100 - risk, 1) for _, risk in risk_coverage(results.queries, threshold)]
+            for threshold in THRESHOLDS
+        ],
+        "nees": _nees(results.summary.uncertainty),
+    }
+
+
+def _nees(found: Uncertainty | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "mean": _rounded(found.nees_mean),
+        "queries": found.queries,
+        "within": _recall(found.within_95),
+    }
+
+
+def _summary(summary: Summary) -> dict[str, Any]:
+    return {
+        "queries": summary.queries,
+        "recall": [_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS],
+        "t": _rounded(summary.median_t_m),
+        "r": _rounded(summary.median_r_deg),
+        "failed": summary.failed,
+        "fallback": summary.fallback,
+        "seconds": _rounded(summary.seconds.per_query.get(TOTAL)),
+        "memory": _rounded(summary.peak_memory_mb),
+    }
+
+
+def _query(query: QueryResult, entry: Entry | None) -> dict[str, Any]:
+    points: list[int | None] = []
+    if entry is not None and query.cam_from_world is not None:
+        numbers = query.cam_from_world
+        pose = Pose.from_quaternion(numbers[:4], numbers[4:])
+        points = _units(entry.estimated(pose), entry.camera.width, entry.camera.height)
+    return {
+        "status": query.status.value,
+        "reason": query.reason,
+        "t": _rounded(query.t_err_m),
+        "r": _rounded(query.r_err_deg),
+        "sigma": _rounded(query.sigma_t_m),
+        "seconds": _rounded(query.seconds.get(TOTAL)),
+        "inliers": query.inliers,
+        "points": points,
+    }
+
+
+def _pictures(entry: Entry | None, album: Album | None, shelf: _Shelf) -> dict[str, Any]:
+    if entry is None or album is None:
+        return {}
+    camera = entry.camera
+    shown: dict[str, Any] = {
+        "picture": shelf.number(entry.photograph),
+        "size": [camera.width, camera.height],
+        "truth": _units(entry.truth, camera.width, camera.height),
+    }
+    if entry.neighbour is not None:
+        beside = album.neighbours[entry.neighbour]
+        shown["beside"] = {
+            "name": entry.neighbour,
+            "picture": shelf.number(beside.photograph),
+            "size": [beside.width, beside.height],
+            "points": _units(entry.seen, beside.width, beside.height),
+        }
+    return shown
+
+
+def _units(xy: NDArray[np.float64], width: int, height: int) -> list[int | None]:
+    """Pixels (K, 2) as x, y, x, y in thousandths of the longest side; null where there is none.
+
+    Points far outside the picture are left out: their lines would leave it in any direction.
+    """
+    scaled = np.round(xy * (_UNITS / max(width, height)))
+    known = np.isfinite(scaled).all(1) & (np.abs(np.nan_to_num(scaled)) < 3 * _UNITS).all(1)
+    return [
+        int(value) if good else None
+        for row, good in zip(scaled.tolist(), known.tolist(), strict=True)
+        for value in row
+    ]
+
+
+def _pairs(
+    group: Group, names: Sequence[str], conditions: Sequence[str]
+) -> Iterator[dict[str, Any]]:
+    """Every two runs, under every condition and threshold: the second minus the first."""
+    found = [{query.name: query for query in run.results.queries} for run in group.runs]
+    known = {name: query for queries in found for name, query in queries.items()}
+    for condition in conditions:
+        listed = [name for name in names if condition in (ALL, known[name].condition)]
+        flights = [known[name].group for name in listed]
+        for number, threshold in enumerate(THRESHOLDS):
+            right = [
+                [name in queries and is_correct(queries[name], threshold) for name in listed]
+                for queries in found
+            ]
+            for a, b in combinations(range(len(right)), 2):
+                change = compare(right[a], right[b])
+                clustered = difference_interval(right[a], right[b], flights)
+                low, high = clustered or (change.low, change.high)
+                yield {
+                    "condition": condition,
+                    "threshold": number,
+                    "a": a,
+                    "b": b,
+                    "change": _rounded(change.change),
+                    "low": _rounded(low),
+                    "high": _rounded(high),
+                    "p": _rounded(mcnemar(change.lost, change.won)),
+                    "lost": change.lost,
+                    "won": change.won,
+                    "clustered": clustered is not None,
+                }
+
+
+def _pairs_note(group: Group) -> str:
+    flights = {query.group for run in group.runs for query in run.results.queries}
+    several = "flight" if len(flights) == 1 else "flights"
+    if len(flights) >= MIN_CLUSTERS:
+        return (
+            f"Intervals are of a bootstrap that draws whole flights, {len(flights)} here; where "
+            f"fewer than {MIN_CLUSTERS} are left they are Bonett and Price's."
+        )
+    return (
+        f"Intervals are Bonett and Price's, which take queries for independent: these come from "
+        f"{len(flights)} {several}, too few to draw whole flights, so the true ones are wider."
+    )
+
+
+def _basin(run: Run) -> list[dict[str, Any]] | None:
+    path = run.path.with_name(run.path.stem + BASIN)
+    if not path.is_file():
+        return None
+    basin: Basin = load_basin(path)
+    if (basin.dataset, basin.method) != (run.results.dataset, run.results.method):
+        log.warning("%s is left out: it is not of the method and data beside it", path)
+        return None
+    return [
+        {
+            "t": level.prior_t_m,
+            "r": level.prior_r_deg,
+            "queries": level.queries,
+            "recall": [_recall(level.recall(threshold.key)) for threshold in THRESHOLDS],
+        }
+        for level in basin.levels
+    ]
+
+
+def _recall(recall: Recall) -> list[float]:
+    # The page shows one decimal: with six here, rounding twice shows the same.
+    return [round(x, 6) for x in (recall.value, recall.low, recall.high)]
+
+
+def _rounded(value: float | None) -> float | None:
+    """Four digits are more than any of these figures is good for."""
+    return None if value is None or not math.isfinite(value) else float(f"{value:.4g}")
+
+
+def _album(group: Group) -> Album | None:
+    """The first album of the group's data beside one of its results files."""
+    albums = (read_album(run.path.with_name(ALBUM), group.sha256) for run in group.runs)
+    return next((album for album in albums if album is not None), None)
+
+
+class _Shelf:
+    """The photographs a page holds, within its bytes: the worst and best queries' come first."""
+
+    def __init__(self, groups: Sequence[Group], albums: Sequence[Album | None]) -> None:
+        ranked = list(dict.fromkeys(_by_rank(groups, albums)))
+        total = sum(len(photograph) for photograph in ranked) * _BASE64
+        side = max(_MIN_SIDE, math.floor(SIDE * (PICTURE_BYTES / max(total, 1)) ** (1 / _GROWTH)))
+        self.pictures: list[str] = []
+        self._numbers: dict[bytes, int] = {}
+        left = PICTURE_BYTES
+        with progress_bar("photographs", len(ranked)) as advance:
+            for done, photograph in enumerate(ranked, 1):
+                small = photograph if side >= SIDE else _shrunk(photograph, side)
+                text = "data:image/webp;base64," + base64.b64encode(small).decode()
+                if len(text) > left:
+                    break
+                left -= len(text)
+                self._numbers[photograph] = len(self.pictures)
+                self.pictures.append(text)
+                advance(done)
+
+    def number(self, photograph: bytes) -> int | None:
+        """Where a photograph stands among ``pictures``; None when there was no room for it."""
+        return self._numbers.get(photograph)
+
+
+def _shrunk(photograph: bytes, side: int) -> bytes:
+    with Image.open(io.BytesIO(photograph)) as image:
+        return webp(np.asarray(image.convert("RGB")), side)
+
+
+def _by_rank(groups: Sequence[Group], albums: Sequence[Album | None]) -> Iterator[bytes]:
+    """Photographs in turn: every run's worst query, its best, its second worst, and so on."""
+    ranked = [
+        (album, [query.name for query in sorted(run.results.queries, key=_badness)])
+        for group, album in zip(groups, albums, strict=True)
+        if album is not None
+        for run in group.runs
+    ]
+    for place in range(max((len(names) for _, names in ranked), default=0)):
+        for album, names in ranked:
+            if place >= len(names):
+                continue
+            # 0, 1, 2, 3 -> the last, the first, the last but one, the second.
+            name = names[place // 2] if place % 2 else names[-1 - place // 2]
+            if (entry := album.entries.get(name)) is not None:
+                yield entry.photograph
+                if entry.neighbour is not None:
+                    yield album.neighbours[entry.neighbour].photograph
+
+
+def _badness(query: QueryResult) -> tuple[bool, bool, float]:
+    """Best first: localized by position error, then fallback poses, then failures."""
+    return query.t_err_m is None, query.status is not Status.OK, query.t_err_m or 0.0

@@ -1,0 +1,130 @@
+"""Pictures of results for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from benchmark.datasets.dataset import BenchmarkQuery
+from benchmark.results import QueryResult
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.localizer import Status
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.printed import drawn
+from scene.storage.files import written_whole
+from scene.storage.images import read_rgb
+from scene.storage.marks import PNG_METADATA
+
+# One point per cell of this many pixels: enough to judge by, few enough to see the ground.
+_CELL = 48
+_REFERENCE, _ESTIMATE = "#00e5ff", "#ff2d95"
+_WIDTH_INCHES, _DPI = 9.0, 130
+
+
+def median_query(queries: Sequence[QueryResult]) -> QueryResult | None:
+    """The localized query (status ``ok``) of median position error; None without one."""
+    localized = [query for query in queries if query.status is Status.OK]
+    ranked = sorted(localized, key=lambda query: query.t_err_m or 0.0)
+    return ranked[(len(ranked) - 1) // 2] if ranked else None
+
+
+def query_overlay(
+    query: BenchmarkQuery, sparse_map: SparseMap, estimated: Pose, path: Path, method: str
+) -> None:
+    """Draw map points into a query at its reference pose and at an estimated pose.
+
+    Rings are where the points belong, crosses where the estimate puts them; a line joins the two.
+
+    Args:
+        query: the photograph, its camera and its reference pose.
+        sparse_map: whose points are drawn, thinned to one per small cell.
+        estimated: ``cam_from_world``, float64.
+        path: of the PNG.
+        method: named in the title.
+
+    Raises:
+        InputError: the photograph cannot be read or the picture cannot be written.
+    """
+    image = read_rgb(query.image, query.camera)
+    truth, seen = project_points(sparse_map.xyz, query.camera, query.reference)
+    rows = spaced_points(truth, seen, sparse_map.track_length, _CELL)
+    truth = truth[rows]
+    guess, valid = project_points(sparse_map.xyz[rows], query.camera, estimated)
+
+    height, width = image.shape[:2]
+    figure = Figure(figsize=(_WIDTH_INCHES, _WIDTH_INCHES * height / width + 0.75), dpi=_DPI)
+    figure.set_layout_engine("constrained")
+    axes = figure.add_subplot()
+    # Faded, so that markers stand out; COLMAP's pixels put the corner of the picture at (0, 0).
+    faded = (255 - 0.75 * (255.0 - image)).astype(np.uint8)
+    axes.imshow(faded, extent=(0, width, height, 0))
+    axes.add_collection(
+        LineCollection(
+            list(np.stack([truth[valid], guess[valid]], 1)), colors=_ESTIMATE, linewidths=0.6
+        )
+    )
+    axes.scatter(
+        truth[:, 0],
+        truth[:, 1],
+        s=34,
+        facecolors="none",
+        edgecolors=_REFERENCE,
+        linewidths=0.9,
+        label=f"map points at the reference pose ({len(rows)} shown)",
+    )
+    axes.scatter(
+        guess[valid, 0],
+        guess[valid, 1],
+        s=20,
+        marker="x",
+        c=_ESTIMATE,
+        linewidths=0.9,
+        label="the same points at the estimated pose",
+    )
+    axes.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
+    metres, degrees = estimated.error_to(query.reference)
+    axes.set_title(
+        drawn(f"{query.name}  ({query.condition}), {method}: ")
+        + f"{float(metres):.3f} m, {float(degrees):.3f}° from the reference",
+        fontsize=10,
+    )
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    with written_whole(path) as partial:
+        figure.savefig(partial, format="png", metadata=PNG_METADATA)
+
+
+def project_points(
+    points: NDArray[np.float64], camera: Camera, pose: Pose
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Pixels (M, 2) of world points, and whether each lies in the picture."""
+    projected = camera.project(pose.transform(torch.from_numpy(points)))
+    inside = projected.valid & camera.contains(projected.xy)
+    return projected.xy.numpy(), inside.numpy()
+
+
+def spaced_points(
+    xy: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+    track_length: NDArray[np.int64],
+    cell: float,
+) -> NDArray[np.int64]:
+    """Rows of the points to draw: in every cell of the picture the one with the longest track.
+
+    Args:
+        xy: (M, 2) pixels.
+        seen: (M,) which of them may be drawn.
+        track_length: (M,).
+        cell: its side, pixels.
+    """
+    rows = np.flatnonzero(seen)
+    rows = rows[np.argsort(-track_length[rows], kind="stable")]
+    cells = np.floor(xy[rows] / cell).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return rows[first]

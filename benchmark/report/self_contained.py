@@ -1,0 +1,44 @@
+"""HTML pages that hold everything they show: no network, no server, no other file.
+
+A page ``NAME`` is ``templates/NAME.html``, ``.css`` and ``.js``. Its data goes in as one block of
+JSON, in which nothing can end the block. A content security policy names the one script by its
+digest and allows no connection at all.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+
+def fill(page: str, data: Mapping[str, Any]) -> str:
+    """The page of that name around its data."""
+    folder = files("benchmark.report") / "templates"
+    style, script, whole = (
+        (folder / f"{page}.{kind}").read_text(encoding="utf-8") for kind in ("css", "js", "html")
+    )
+    return Template(whole).substitute(
+        style=style,
+        script=script,
+        style_digest=_digest(style),
+        script_digest=_digest(script),
+        data=embedded(data),
+    )
+
+
+def embedded(data: Mapping[str, Any]) -> str:
+    """JSON that can stand in a script element: no name in it can end the element or begin one."""
+    text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    for sign in "<>&\u2028\u2029":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    # A file name may hold bytes that are no text.
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def _digest(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

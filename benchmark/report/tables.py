@@ -1,0 +1,233 @@
+"""Results side by side: one table per data set and starting information."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.results import Results, Summary, load, results_files
+from benchmark.score import THRESHOLDS
+from scene.bundle.manifest import ALL_CONDITIONS
+from scene.errors import InputError
+from scene.runtime.printed import printed
+from scene.storage.files import sha256_of
+
+log = logging.getLogger(__name__)
+
+# The classical method that sets the bar, and the recall (percent) that leaves none to reach.
+_BAR: Final = "sift"
+_SATURATED: Final = 99.0
+
+ALL: Final = ALL_CONDITIONS
+_STARTS: Final = {
+    "prior": "each query's own prior",
+    "none": "no prior",
+    "retrieval": "the {} map photographs most like it, by VLAD of SIFT",
+    "pairs": "map photographs of the pair list {}",
+    "error": "a prior wrong by {}",
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One results file, and how it is called beside the others of its group."""
+
+    label: str
+    path: Path
+    results: Results
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that can be compared: the same data set, bit for bit, and the same start."""
+
+    track: str
+    dataset: str
+    sha256: str
+    start: str
+    map_conditions: tuple[str, ...]
+    runs: tuple[Run, ...]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table: a method under one condition, or under "all" of several."""
+
+    method: str
+    condition: str
+    summary: Summary
+
+
+@dataclass(frozen=True)
+class Table:
+    """The figures of a group."""
+
+    track: str
+    dataset: str
+    sha256: str
+    start: str
+    map_conditions: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+    def facts(self) -> str:
+        """What holds for every row, as one line."""
+        return (
+            f"Start: {start_in_words(self.start)}. Map: {', '.join(self.map_conditions)}. "
+            f"Data set {self.sha256[:12]}."
+        )
+
+
+def groups(results: Sequence[Path]) -> list[Group]:
+    """Results by track, data set and start.
+
+    Args:
+        results: results files, or folders of them.
+
+    Raises:
+        InputError: no results, a file that is none or whose figures do not follow from its
+            queries, or two files of one run that differ.
+    """
+    loaded: dict[tuple[str, str, str, str], list[tuple[Path, Results]]] = {}
+    for path, run in _distinct([file for given in results for file in results_files(given)]):
+        key = (run.dataset.track, run.dataset.name, run.dataset.sha256, run.start)
+        loaded.setdefault(key, []).append((path, run))
+    _name_versions(key[:3] for key in loaded)
+    return [
+        Group(*key, together[0][1].dataset.map_conditions, tuple(_runs(together)))
+        for key, together in sorted(loaded.items(), key=lambda item: item[0])
+    ]
+
+
+def table(group: Group) -> Table:
+    """The figures of a group: a row for each method and condition."""
+    return Table(
+        group.track,
+        group.dataset,
+        group.sha256,
+        group.start,
+        group.map_conditions,
+        tuple(row for run in group.runs for row in _rows(run)),
+    )
+
+
+def tables(results: Sequence[Path]) -> list[Table]:
+    """The leaderboard as figures.
+
+    Raises:
+        InputError: as ``groups``.
+    """
+    return [table(group) for group in groups(results)]
+
+
+def start_in_words(start: str) -> str:
+    """What methods were told about each query."""
+    kind, _, value = start.partition("=")
+    return _STARTS.get(kind, start).format(value)
+
+
+def saturation(board: Table) -> str | None:
+    """What the table cannot show: thresholds that plain SIFT + PnP leaves no room under."""
+    same = [
+        row
+        for row in board.rows
+        if row.method.split()[0] == _BAR and row.condition in board.map_conditions
+    ]
+    notes = []
+    for condition in dict.fromkeys(row.condition for row in same):
+        full = [
+            str(threshold)
+            for threshold in THRESHOLDS
+            if any(
+                row.condition == condition and row.summary.recall[threshold.key].value >= _SATURATED
+                for row in same
+            )
+        ]
+        if full:
+            notes.append(
+                f"Saturated: under `{_code(condition)}`, the map's own condition, SIFT + PnP "
+                f"already reaches {_SATURATED:g} % or more at {', '.join(full)}; another method "
+                "can only keep up there."
+            )
+    return "\n".join(notes) or None
+
+
+def _code(name: str) -> str:
+    """A name between Markdown's backticks."""
+    return printed(name).replace("`", "'")
+
+
+def _distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:
+    """Every run once: queries that are counted twice make intervals too narrow."""
+    by_bytes: dict[str, Path] = {}
+    by_run: dict[str, Path] = {}
+    for path in files:
+        results = load(path)
+        same = by_bytes.setdefault(sha256_of(path), path)
+        if same is not path:
+            log.warning("%s holds the same results as %s: they count once", path, same)
+            continue
+        first = by_run.setdefault(_run_of(results), path)
+        if first is not path:
+            raise InputError(
+                f"{first} and {path} are two results of {results.method.name} with one "
+                f"configuration on one data set ({results.dataset.name}) from one start: give one "
+                "of them"
+            )
+        yield path.resolve(), results
+
+
+def _run_of(results: Results) -> str:
+    """What was run on what: two results of which this is the same are of the same run."""
+    dataset, start = results.dataset.sha256, results.start
+    queries = [query.name for query in results.queries]
+    return json.dumps([dataset, start, queries, results.method.model_dump()], sort_keys=True)
+
+
+def _name_versions(datasets: Iterable[tuple[str, str, str]]) -> None:
+    """Say which data sets (track, name, digest) go by one name: they may be one that was changed,
+    and stand apart."""
+    versions: dict[tuple[str, str], dict[str, None]] = {}
+    for track, name, sha256 in datasets:
+        versions.setdefault((track, name), {})[sha256[:12]] = None
+    for (_, name), digests in versions.items():
+        if len(digests) > 1:
+            log.warning(
+                "results are of %d data sets called %s (%s): each has tables of its own; if it is "
+                "one data set that was changed, leave out the results of before",
+                len(digests),
+                name,
+                ", ".join(digests),
+            )
+
+
+def _rows(run: Run) -> Iterator[Row]:
+    if len(run.results.by_condition) > 1:
+        yield Row(run.label, ALL, run.results.summary)
+    for condition, summary in run.results.by_condition.items():
+        yield Row(run.label, condition, summary)
+
+
+def _runs(together: Sequence[tuple[Path, Results]]) -> Iterator[Run]:
+    for path, run in sorted(together, key=lambda pair: pair[1].method.name):
+        namesakes = [other for _, other in together if other.method.name == run.method.name]
+        yield Run(_label(run, namesakes), path, run)
+
+
+def _label(run: Results, namesakes: Sequence[Results]) -> str:
+    """The method's name, and what sets it apart from other runs of the same method."""
+    own = _settings(run)
+    differing = [
+        key for key in own if any(_settings(other).get(key) != own[key] for other in namesakes)
+    ]
+    if not differing:
+        return run.method.name
+    return f"{run.method.name} ({', '.join(f'{key}={own[key]}' for key in differing)})"
+
+
+def _settings(run: Results) -> dict[str, Any]:
+    weights = run.method.weights_sha256
+    return run.method.config | ({"weights": weights[:8]} if weights else {})

@@ -1,0 +1,1 @@
+"""Sparse maps: building, measuring, diagnosing and supplementing them."""

@@ -1,0 +1,153 @@
+"""The sparse map of a scene, with its known poses or by structure from motion."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.class_coverage import class_coverage
+from mapping.report import MapReport, report
+from scene.bundle.object_points import objects_of_points
+from scene.bundle.pictures import draw_pictures
+from scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish
+from scene.colmap.database import MappingJob
+from scene.colmap.native import VERSION
+from scene.colmap.sift import SiftOptions
+from scene.colmap.structure_from_motion import ADJUSTMENTS, reconstruct
+from scene.colmap.triangulation import triangulate
+from scene.errors import InputError
+from scene.maps.features import write_features
+from scene.maps.photographs import PosedImage
+from scene.runtime.progress import progress_bar
+from scene.storage.files import (
+    MARK,
+    folder_written_whole,
+    kept_while_working,
+    remove_partial,
+    sha256_of,
+    sole_writer,
+)
+
+_KEPT = f"{MARK}mapping"
+_SIFT = SiftOptions()
+Method = Literal["triangulate", "sfm"]
+
+# A pair is worth matching when this share of one picture is seen in the other, ...
+_MIN_OVERLAP = 0.2
+# ... and each picture is matched with at most so many others, those of largest overlap.
+_MAX_NEIGHBOURS = 20
+# Flights whose frames hardly overlap hang together through so many frames that follow each other.
+_FOLLOWING = 4
+
+
+def build_map(path: Path, method: Method = "triangulate", cluster: str | None = None) -> MapReport:
+    """Build the map of a finished scene from its map frames and record it in the manifest.
+
+    An older map is replaced once the new one is whole. The model is in world metres; the features
+    it was built from lie beside it. Called again after an interruption, it goes on from the
+    features and matches that were done, to the same map.
+
+    Args:
+        path: of the scene.
+        method: triangulation with the exact poses, or structure from motion that finds its own and
+            is then aligned to them.
+        cluster: whose cores find the features, see ``worker_pool``. Its nodes see
+            the scene under the path it has here.
+
+    Returns:
+        The map's figures against the truth.
+
+    Raises:
+        InputError: not a finished scene, one that another run is writing, a damaged photograph, or
+            no map came of it.
+    """
+    scene = Scene.open(path)
+    with sole_writer(path):
+        return _build(scene, method, cluster)
+
+
+def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
+    path = scene.path
+    images, seen = _map_frames(scene)
+    names = [image.name for image in images]
+    flights = [name.partition("/")[0] for name in names]
+    chosen = choose_pairs(scene.covisibility.of(names).mutual, flights)
+    pairs = [(names[i], names[j]) for i, j in chosen]
+    if not pairs:
+        raise InputError(f"the map frames of {path} do not overlap: fly more of them")
+    build, steps = {
+        "triangulate": (triangulate, len(images) + len(pairs)),
+        "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
+    }[method]
+    remove_partial(path)
+    digest = _digest(scene.images_root, images, pairs)
+    with kept_while_working(path / _KEPT, f"{digest}.db") as database:
+        with (
+            folder_written_whole(scene.map_path, MAP_FILES) as folder,
+            progress_bar("map", steps) as advance,
+        ):
+            job = MappingJob(
+                scene.images_root, pairs, _SIFT, cluster, images=images, database=database
+            )
+            sparse_map, features = build(job, folder, advance)
+            write_features(folder / FEATURES, features)
+        scene = finish(path, scene.manifest)
+        rendered = scene.manifest.preset is not None
+        if rendered:
+            draw_pictures(scene)
+    instances = scene.mapped_layers(sparse_map, "instance")
+    owners = objects_of_points(
+        len(sparse_map.xyz), ((image, layers["instance"]) for image, layers in instances)
+    )
+    kinds = class_coverage(scene, sparse_map, features) if rendered else {}
+    return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs), kinds)
+
+
+def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str, str]]) -> str:
+    """Of all that features and matches depend on."""
+    digest = hashlib.sha256(f"{VERSION} {_SIFT} {pairs}".encode())
+    for image in images:
+        photograph = root / image.name
+        content = sha256_of(photograph) if photograph.is_file() else "missing"
+        digest.update(f"{image.name} {image.camera} {content}".encode())
+    return digest.hexdigest()[:16]
+
+
+def choose_pairs(overlap: NDArray[np.float64], flights: Sequence[str]) -> list[tuple[int, int]]:
+    """Pairs of frames worth matching, each once: neighbours in space, and in time.
+
+    Args:
+        overlap: (N, N) share of each other's surface that frames see, symmetric.
+        flights: of each frame; frames of one flight follow each other in time.
+    """
+    pairs = set()
+    for i, shares in enumerate(overlap):
+        best = np.argsort(-shares, kind="stable")[:_MAX_NEIGHBOURS].tolist()
+        pairs |= {(min(i, j), max(i, j)) for j in best if shares[j] > _MIN_OVERLAP}
+        following = range(i + 1, min(i + 1 + _FOLLOWING, len(flights)))
+        pairs |= {(i, j) for j in following if flights[j] == flights[i] and shares[j] > 0}
+    return sorted(pairs)
+
+
+def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
+    """The map's photographs and the objects they show."""
+    wanted = set(scene.splits.map)
+    images = []
+    seen: set[int] = set()
+    for session in scene.sessions:
+        frames = scene.frames(session)
+        with scene.dense(session) as dense:
+            for k, name in enumerate(frames.names):
+                if name in wanted:
+                    camera, pose = frames.cameras[k], frames.cam_from_world[k]
+                    images.append(PosedImage(name, camera, pose))
+                    if dense.has("instance"):
+                        seen |= set(np.unique(dense.read("instance", k)).tolist())
+    if not images:
+        raise InputError(f"{scene.path} has no map frames: its splits.json lists none")
+    return images, seen

@@ -1,0 +1,84 @@
+"""How pixels, keypoints and map points spread over what a place is made of.
+
+A map whose points all lie on the ground says little about everything else, and photographs do not
+look so: where texture is as rich as outdoors, each kind of surface has keypoints as it has pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
+from scene.bundle.scene import Scene
+from scene.maps.features import Features
+from scene.maps.sparse_map import SparseMap
+
+KINDS = ("ground", "buildings", "vegetation", "other things")
+"""Of surfaces; the sky is none."""
+
+
+@dataclass(frozen=True)
+class KindShare:
+    """Shares 0..1 of one kind of surface in the map frames' pixels and keypoints, and in the map's
+    points."""
+
+    pixels: float
+    keypoints: float
+    points: float
+
+
+def class_coverage(
+    scene: Scene, sparse_map: SparseMap, features: Mapping[str, Features]
+) -> dict[str, KindShare]:
+    """The share of each of ``KINDS``.
+
+    A keypoint is of the kind its pixel shows, a point of the kind most of its observations show.
+
+    Args:
+        scene: whose semantic layer tells.
+        sparse_map: of the scene.
+        features: of the map's photographs, by name.
+
+    Raises:
+        InputError: a session is missing or damaged.
+    """
+    kind_of = _kind_of_label()
+    pixels, keypoints = np.zeros(len(KINDS) + 1), np.zeros(len(KINDS) + 1)
+    votes = np.zeros((len(sparse_map.xyz), len(KINDS) + 1))
+    for session in scene.sessions:
+        with scene.dense(session) as dense:
+            for k, name in enumerate(scene.frames(session).names):
+                if name not in features:
+                    continue
+                kind = kind_of[dense.read("semantic", k)]
+                pixels += np.bincount(kind.ravel(), minlength=len(pixels))
+                keypoints += np.bincount(_at(kind, features[name].xy), minlength=len(pixels))
+                if name in sparse_map.images:
+                    image = sparse_map.images[name]
+                    seen = image.point_rows >= 0
+                    np.add.at(votes, (image.point_rows[seen], _at(kind, image.xy[seen])), 1)
+    points = np.bincount(votes.argmax(1), minlength=len(pixels))
+    shares = [counts[:-1] / max(counts[:-1].sum(), 1) for counts in (pixels, keypoints, points)]
+    return {name: KindShare(*(float(share[k]) for share in shares)) for k, name in enumerate(KINDS)}
+
+
+def _kind_of_label() -> NDArray[np.int64]:
+    """Index into KINDS by semantic label; one past its end for the sky."""
+    kind = np.full(256, 3)
+    kind[:FIRST_OBJECT_LABEL] = 0
+    kind[CLASSES["sky"]] = len(KINDS)
+    kind[CLASSES["building"]] = 1
+    kind[[CLASSES["tree"], CLASSES["hedge"]]] = 2
+    return kind
+
+
+def _at(kind: NDArray[np.int64], xy: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+    """Values of a raster (H, W) under COLMAP pixels (N, 2)."""
+    column, row = np.floor(xy).astype(int).T
+    height, width = kind.shape
+    return np.asarray(kind[row.clip(0, height - 1), column.clip(0, width - 1)])

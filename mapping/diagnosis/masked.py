@@ -1,0 +1,82 @@
+"""Which of the things that given masks show have a point, where nobody knows the true objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objconnect.segmentation import NOTHING, Labels
+from scene.bundle.manifest import size_class
+from scene.bundle.object_points import ObjectCoverage
+from scene.errors import InputError
+from scene.maps.sparse_map import MapImage, SparseMap
+
+# So many observations around a mask say how far away it is.
+_AROUND = 8
+
+
+def mask_coverage(
+    sparse_map: SparseMap, masks: Mapping[str, Labels], kept: NDArray[np.bool_]
+) -> dict[str, ObjectCoverage]:
+    """Masks with and without a point, by the size class of what they show.
+
+    Every mask of every photograph counts by itself; its points are those observed inside it. Its
+    size is the longer side of its bounding box at the median distance of the observations around.
+
+    Args:
+        sparse_map: of the photographs.
+        masks: labels (H, W) by photograph.
+        kept: (M,) points that count.
+
+    Raises:
+        InputError: masks that are not of their photograph's size.
+    """
+    counts: dict[str, list[int]] = {}
+    for name, labels in masks.items():
+        image = sparse_map.images[name]
+        check_size(labels, image)
+        seen = image.point_rows >= 0
+        inside = points_by_label(labels, image, kept)
+        xy, rows = image.xy[seen], image.point_rows[seen]
+        depth = image.pose.transform(torch.from_numpy(sparse_map.xyz[rows]))[:, 2].numpy()
+        for label in np.unique(labels[labels != NOTHING]).tolist():
+            if not len(depth):
+                continue  # a photograph without a point says nothing of distances
+            row, column = np.nonzero(labels == label)
+            middle = column.mean() + 0.5, row.mean() + 0.5
+            near = np.argsort(np.square(xy - middle).sum(1), kind="stable")[:_AROUND]
+            longest = max(np.ptp(row), np.ptp(column)) + 1
+            metres = float(longest * np.median(depth[near]) / min(image.camera.focal))
+            counts.setdefault(size_class((metres, 0, 0)), []).append(inside.get(label, 0))
+    return {
+        size: ObjectCoverage(len(found), sum(count > 0 for count in found), sum(found))
+        for size, found in sorted(counts.items())
+    }
+
+
+def points_by_label(labels: Labels, image: MapImage, kept: NDArray[np.bool_]) -> dict[int, int]:
+    """How many kept points a photograph observes in each of its masks."""
+    seen = image.point_rows >= 0
+    seen[seen] = kept[image.point_rows[seen]]
+    column, row = np.floor(image.xy[seen]).astype(int).T
+    height, width = labels.shape
+    found = labels[row.clip(0, height - 1), column.clip(0, width - 1)]
+    values, counts = np.unique(found[found != NOTHING], return_counts=True)
+    return dict(zip(values.tolist(), counts.tolist(), strict=True))
+
+
+def check_size(labels: Labels, image: MapImage) -> None:
+    """Refuse masks of another size than their photograph.
+
+    Raises:
+        InputError: they are.
+    """
+    expected = (image.camera.height, image.camera.width)
+    if labels.shape != expected:
+        raise InputError(
+            f"the masks of {image.name} are {labels.shape[1]} x {labels.shape[0]} pixels, the "
+            f"photograph {expected[1]} x {expected[0]}: resize them, without interpolation"
+        )

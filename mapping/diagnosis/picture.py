@@ -1,0 +1,99 @@
+"""A map's points and what has none of them, over a photograph (the paper's Fig. 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from objconnect.segmentation import NOTHING, Labels
+from scene.maps.sparse_map import MapImage
+from scene.storage.files import written_whole
+
+_DPI = 110
+_SIDE = 7.5
+# Outlines of what has a point and of what has none.
+_WITH, _WITHOUT = "#37e05b", "#ff3b30"
+_FARTHEST_M = 1.0
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One state of the map.
+
+    Attributes:
+        title: above it.
+        kept: (M,) points that are in it.
+        has_points: whether each object of the photograph has one, by its label.
+    """
+
+    title: str
+    kept: NDArray[np.bool_]
+    has_points: Mapping[int, bool]
+
+
+def draw(
+    photograph: NDArray[np.uint8],
+    image: MapImage,
+    labels: Labels,
+    drift: NDArray[np.float64] | None,
+    panels: list[Panel],
+    path: Path,
+) -> None:
+    """A panel per state: outlines of objects, and observations coloured by their point's drift.
+
+    Args:
+        photograph: (H, W, 3).
+        image: the same in the map.
+        labels: (H, W) its objects to outline.
+        drift: (M,) metres, or None where it is not known.
+        panels: states of the map side by side.
+        path: of the picture.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    height, width = photograph.shape[:2]
+    figure = Figure(
+        figsize=(_SIDE * len(panels) + 1, _SIDE * height / width + 0.6), layout="constrained"
+    )
+    row = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, panel in zip(row, panels, strict=True):
+        ax.imshow(photograph, extent=(0, width, height, 0))
+        _outline(ax, labels, panel.has_points)
+        seen = image.point_rows >= 0
+        seen[seen] = panel.kept[image.point_rows[seen]]
+        x, y = image.xy[seen].T
+        if drift is None:
+            ax.scatter(x, y, s=9, c="#ffd60a", edgecolors="black", linewidths=0.3)
+        else:
+            off = drift[image.point_rows[seen]].clip(0, _FARTHEST_M)
+            shown = ax.scatter(x, y, s=9, c=off, cmap="plasma", vmin=0, vmax=_FARTHEST_M,
+                               edgecolors="black", linewidths=0.3)  # fmt: skip
+        bare = sum(not has for has in panel.has_points.values())
+        counted = (f": {len(panel.has_points) - bare} small objects have a point (green), "
+                   f"{bare} none (red)" if panel.has_points else "")  # fmt: skip
+        ax.set_title(f"{panel.title}{counted}", fontsize=10)
+        ax.set(xlim=(0, width), ylim=(height, 0))
+        ax.set_axis_off()
+    if drift is not None:
+        figure.colorbar(shown, ax=list(row), shrink=0.7, label="distance from the true surface (m)")
+    with written_whole(path) as partial:
+        figure.savefig(partial, format="png", dpi=_DPI)
+
+
+def _outline(ax: Axes, labels: Labels, has_points: Mapping[int, bool]) -> None:
+    for label in np.unique(labels[labels != NOTHING]).tolist():
+        mask = (labels == label).astype(np.uint8)
+        # A ring around it, so that what is a pixel wide is seen at all.
+        wider = cv2.dilate(mask, np.ones((5, 5), np.uint8))
+        colour = _WITH if has_points[label] else _WITHOUT
+        for ring in cv2.findContours(wider, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+            closed = np.concatenate([ring, ring[:1]])[:, 0] + 0.5
+            ax.plot(closed[:, 0], closed[:, 1], color=colour, linewidth=1.4)

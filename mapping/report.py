@@ -1,0 +1,133 @@
+"""How good a map is, against the truth of the scene it was built in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.class_coverage import KindShare
+from scene.bundle.manifest import SceneObject
+from scene.bundle.object_points import ObjectCoverage, coverage
+from scene.geometry.pose import Pose
+from scene.maps.photographs import PosedImage
+from scene.maps.sparse_map import SparseMap
+
+
+@dataclass(frozen=True)
+class ErrorSummary:
+    """Mean, root mean square and worst of some errors."""
+
+    mean: float
+    rms: float
+    max: float
+
+    @staticmethod
+    def of(values: NDArray[np.float64]) -> ErrorSummary:
+        """Of errors (N,)."""
+        return ErrorSummary(
+            float(values.mean()), float(np.sqrt((values**2).mean())), float(values.max())
+        )
+
+    def text(self, unit: str) -> str:
+        """For a person."""
+        return f"{self.mean:.3f}{unit} mean, {self.rms:.3f}{unit} rms, {self.max:.3f}{unit} at most"
+
+
+@dataclass(frozen=True)
+class MapReport:
+    """Figures of a map.
+
+    Attributes:
+        images: photographs given.
+        registered: of them in the map.
+        pairs: of photographs that were matched.
+        points: triangulated.
+        reprojection_error_px: mean over observations.
+        track_length: mean number of photographs that observe a point.
+        position_m: distance of the camera centres from the truth.
+        rotation_deg: of the rotations from the truth.
+        objects: by size class, of those seen in the map's photographs.
+        small_objects: the small ones by their class.
+        kinds: shares of each kind of surface.
+    """
+
+    images: int
+    registered: int
+    pairs: int
+    points: int
+    reprojection_error_px: float
+    track_length: float
+    position_m: ErrorSummary
+    rotation_deg: ErrorSummary
+    objects: Mapping[str, ObjectCoverage]
+    small_objects: Mapping[str, ObjectCoverage]
+    kinds: Mapping[str, KindShare]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a program."""
+        return asdict(self)
+
+    def text(self) -> str:
+        """For a person."""
+        possible = self.images * (self.images - 1) // 2
+        lines = [
+            f"{self.registered} of {self.images} images registered, {self.pairs} of {possible} "
+            "pairs matched",
+            f"{self.points} points, {self.reprojection_error_px:.2f} px mean reprojection error, "
+            f"tracks of {self.track_length:.1f} images",
+            "positions from the truth: " + self.position_m.text(" m"),
+            "rotations from the truth: " + self.rotation_deg.text("°"),
+        ]
+        lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
+        lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
+        lines += [
+            f"{name}: {s.pixels:.1%} of pixels, {s.keypoints:.1%} of keypoints, "
+            f"{s.points:.1%} of points"
+            for name, s in self.kinds.items()
+        ]
+        return "\n".join(lines)
+
+
+def report(
+    sparse_map: SparseMap,
+    truth: Sequence[PosedImage],
+    objects: Sequence[SceneObject],
+    seen: set[int],
+    owners: NDArray[np.int64],
+    pairs: int,
+    kinds: Mapping[str, KindShare],
+) -> MapReport:
+    """Measure a map.
+
+    Args:
+        sparse_map: built from the images of ``truth``, or from some of them.
+        truth: every photograph given, with its exact pose.
+        objects: of the scene.
+        seen: identifiers of the objects in the photographs.
+        owners: identifier of the object that each point lies on, (M,).
+        pairs: of photographs that were matched.
+        kinds: see ``mapping.class_coverage``.
+    """
+    mapped = [image for image in truth if image.name in sparse_map.images]
+    estimated = np.stack([sparse_map.images[image.name].cam_from_world for image in mapped])
+    exact = np.stack([image.cam_from_world for image in mapped])
+    metres, degrees = Pose.from_matrix(estimated).error_to(Pose.from_matrix(exact))
+    in_view = [item for item in objects if item.id in seen]
+    small = [item for item in in_view if item.size_class == "small"]
+    return MapReport(
+        images=len(truth),
+        registered=len(mapped),
+        pairs=pairs,
+        points=len(sparse_map.xyz),
+        reprojection_error_px=sparse_map.reprojection_error(),
+        track_length=float(sparse_map.track_length.mean()),
+        position_m=ErrorSummary.of(metres.numpy()),
+        rotation_deg=ErrorSummary.of(degrees.numpy()),
+        objects=coverage(owners, in_view, lambda item: item.size_class),
+        small_objects=coverage(owners, small, lambda item: item.class_name),
+        kinds=kinds,
+    )

@@ -1,0 +1,78 @@
+"""Small things that a map misses, added to it as points; and what that changed."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mapping.diagnosis.command import Diagnosis, diagnose
+from mapping.supplement.classifier import read_classifier
+from mapping.supplement.config import SupplementConfig
+from mapping.supplement.map import add_to_map
+from mapping.supplement.small import supplement_points
+from objconnect.masks import given_masks
+from objconnect.network import read_network
+from scene.bundle.scene import Scene
+
+
+@dataclass(frozen=True)
+class SupplementReport:
+    """What came of supplementing a map.
+
+    Attributes:
+        points: that were added.
+        observations: of them.
+        diagnosis: of the map, before and after.
+    """
+
+    points: int
+    observations: int
+    diagnosis: Diagnosis
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a program."""
+        return asdict(self)
+
+    def text(self) -> str:
+        """For a person."""
+        added = f"{self.points} points with {self.observations} observations added"
+        return f"{added}\n\n{self.diagnosis.text()}"
+
+
+def supplement(
+    path: Path, weights: Path | None = None, masks: Path | None = None
+) -> SupplementReport:
+    """Find small things that have no point in a scene's map, and add points on them.
+
+    Points that an earlier call added are replaced. ``mapping.supplement.map.remove_from_map``
+    takes them out again.
+
+    Args:
+        path: of a finished scene with its map.
+        weights: of an object-connect network, whose centres are looked at too; None: blobs
+            alone.
+        masks: of objects of the map's photographs: see ``given_masks``.
+
+    Returns:
+        What was added, with the map's figures before and after; ``pictures/diagnosis.png`` shows
+        both.
+
+    Raises:
+        InputError: not a finished scene, no map, none of its photographs looks down, or a damaged
+            file; the map is as it was.
+    """
+    scene = Scene.open(path)
+    scene.require_lists()
+    sparse_map = scene.sparse_map()
+    before = sparse_map.without(scene.added_points(sparse_map))
+    network = None if weights is None else read_network(weights)[0]
+    given = None if masks is None else dict(given_masks(masks, before.names))
+    config = SupplementConfig()
+    classifier = read_classifier()
+    points, detections = supplement_points(
+        before, scene.images_root, config, classifier, network, given
+    )
+    add_to_map(path, points, detections)
+    observations = sum(len(point.rows) for point in points)
+    return SupplementReport(len(points), observations, diagnose(path, masks))

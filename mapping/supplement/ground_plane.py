@@ -1,0 +1,108 @@
+"""What stands on the ground: points a little above the plane that lies under them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from scene.maps.sparse_map import MapImage
+
+# The ground under a point is a plane through so many points around it, seen from above ...
+_AROUND: Final = 24
+# ... that begins level at their median, and is fitted in rounds in each of which fewer are close.
+_CLOSE_M: Final = (0.8, 0.4, 0.2, 0.1, 0.1, 0.1)
+# FLANN's single tree (4), searched to the end.
+_EXACT: Final = {"algorithm": 4, "leaf_max_size": 10}
+_UNLIMITED: Final = {"checks": -1}
+
+# Side of the cells in which the ground is kept, room beside the middle 99 % of the points, and
+# cells at a time.
+_CELL_M: Final = 2.0
+_BESIDE_M: Final = 15.0
+_AT_ONCE: Final = 4096
+# Rounds in which a ray finds the ground.
+_ROUNDS: Final = 6
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The ground under a cloud, as heights at the corners of cells.
+
+    Attributes:
+        corner: (2,) east and north of the first.
+        z: (R, C) heights, rows to the north; world metres.
+    """
+
+    corner: NDArray[np.float64]
+    z: NDArray[np.float64]
+
+    @staticmethod
+    def of(cloud: NDArray[np.float64]) -> Ground:
+        """Of points (M, 3); see ``heights``."""
+        low, high = np.percentile(cloud[:, :2], [0.5, 99.5], axis=0)
+        corner = low - _BESIDE_M
+        columns, rows = (np.ceil((high + _BESIDE_M - corner) / _CELL_M) + 1).astype(int)
+        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+        places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * _CELL_M
+        places[:, :2] += corner
+        parts = np.array_split(places, 1 + len(places) // _AT_ONCE)
+        return Ground(corner, -np.concatenate([heights(p, cloud) for p in parts]).reshape(x.shape))
+
+    def at(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Heights (N,) at places (N, 2), linear between corners; beyond the last, as there."""
+        size = np.array(self.z.shape[::-1])
+        cells = ((xy - self.corner) / _CELL_M).clip(0, size - 1.001)
+        column, row = cells.astype(int).T
+        right, up = (cells % 1).T
+        south = self.z[row, column] * (1 - right) + self.z[row, column + 1] * right
+        north = self.z[row + 1, column] * (1 - right) + self.z[row + 1, column + 1] * right
+        return np.asarray(south * (1 - up) + north * up)
+
+    def under(self, image: MapImage, xy: NDArray[np.float64], above: float) -> NDArray[np.float64]:
+        """Where the rays of pixels (N, 2) are so high above it, (N, 3)."""
+        rays = image.camera.unproject(torch.from_numpy(xy))[0].numpy()
+        rays = rays @ image.cam_from_world[:3, :3]
+        z = np.full(len(xy), np.median(self.z))
+        places = np.tile(image.centre, (len(xy), 1))
+        for _ in range(_ROUNDS):
+            along = (z + above - image.centre[2]) / np.minimum(rays[:, 2], -1e-6)
+            places = image.centre + rays * along[:, None]
+            z = self.at(places[:, :2])
+        return places
+
+
+def heights(xyz: NDArray[np.float64], cloud: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of points (N, 3) above the plane that most of the cloud (M, 3) around them lies in, (N,).
+
+    World metres, up is z; infinite where the cloud has too few points.
+    """
+    if len(cloud) < _AROUND or not len(xyz):
+        return np.full(len(xyz), math.inf)
+    found, _ = nearest(xyz[:, :2], cloud[:, :2], _AROUND)
+    around = cloud[found] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
+    design = np.concatenate([around[..., :2], np.ones((*found.shape, 1))], 2)
+    off = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
+    for close in _CLOSE_M:
+        weight = 1 / (1 + np.square(off / close))
+        weighted = design * weight[..., None]
+        normal = np.einsum("nki,nkj->nij", weighted, design) + 1e-6 * np.eye(3)
+        right = np.einsum("nki,nk->ni", weighted, around[..., 2])
+        plane = np.linalg.solve(normal, right[..., None])[..., 0]
+        off = around[..., 2] - np.einsum("nki,ni->nk", design, plane)
+    return np.asarray(xyz[:, 2] - plane[:, 2])
+
+
+def nearest(
+    query: NDArray[np.float64], cloud: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The points of a cloud (M, D) nearest to others (N, D): rows and distances, (N, count)."""
+    middle = cloud.mean(0)
+    tree = cv2.flann.Index((cloud - middle).astype(np.float32), _EXACT)
+    rows, squares = tree.knnSearch((query - middle).astype(np.float32), count, params=_UNLIMITED)
+    return rows.astype(np.int64), np.sqrt(squares.astype(np.float64))

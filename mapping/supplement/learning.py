@@ -1,0 +1,161 @@
+"""How the classifier of places learns: `python -m mapping.supplement.learning SCENE... --out FILE`.
+
+On maps of rendered scenes every place is known to be within 0.5 m of the thing it lies on, or not.
+Those on small things, which are few, count ten times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from baselines.checkpoint import write_weights
+from mapping.diagnosis.drift import CLOSE_M, read_truth
+from mapping.supplement.classifier import FIGURES, PlaceClassifier
+from mapping.supplement.config import SupplementConfig
+from mapping.supplement.small import Places, find_places
+from scene.bundle.scene import Scene
+from scene.errors import InputError
+from scene.maps.sparse_map import SparseMap
+from scene.runtime.progress import progress_bar
+
+STEPS: Final = 3000
+_BATCH: Final = 1024
+_RATE: Final = 4e-3
+_DECAY: Final = 1e-2
+_SMALL: Final = 10.0
+_DROPPED: Final = 0.1
+_SHARES: Final = (0.95, 0.93, 0.9)
+
+
+class Lessons(NamedTuple):
+    """Places of a scene, and what they are.
+
+    Attributes:
+        figures: (T, F).
+        on_thing: (T,) within 0.5 m of the thing they lie on.
+        small: (T,) the small thing, 0 for none.
+        lacking: small things that the photographs show and the map has no point of.
+    """
+
+    figures: NDArray[np.float32]
+    on_thing: NDArray[np.bool_]
+    small: NDArray[np.int64]
+    lacking: frozenset[int]
+
+
+def lessons(path: Path) -> Lessons:
+    """Of a rendered scene with its map.
+
+    Raises:
+        InputError: not such a scene.
+    """
+    scene = Scene.open(path)
+    sparse_map = scene.sparse_map()
+    sparse_map = sparse_map.without(scene.added_points(sparse_map))
+    places = find_places(sparse_map, scene.images_root, SupplementConfig())
+    truth = read_truth(scene, _as_map(sparse_map, places))
+    before = read_truth(scene, sparse_map)
+    if truth is None or before is None:
+        raise InputError(
+            f"{path} does not know its objects: the classifier learns on rendered scenes"
+        )
+    small = {item.id for item in scene.objects.objects if item.size_class == "small"}
+    on_thing = (truth.owners > 0) & (truth.drift < CLOSE_M)
+    owner = np.where(on_thing & np.isin(truth.owners, list(small)), truth.owners, 0)
+    lacking = (small & before.seen) - set(np.unique(before.owners).tolist())
+    return Lessons(places.figures, on_thing, owner, frozenset(lacking))
+
+
+def _as_map(sparse_map: SparseMap, places: Places) -> SparseMap:
+    """Places as the points of a map, whose truth can be read."""
+    tracks, images = places.tracks, {}
+    for view, image in enumerate(places.images):
+        mine = tracks.view == view
+        xy = places.blobs[view].xy[tracks.row[mine]]
+        images[image.name] = replace(image, xy=xy, point_rows=tracks.track[mine])
+    count = len(tracks.xyz)
+    colours = np.zeros((count, 3), np.uint8)
+    return SparseMap(images, tracks.xyz, colours, np.zeros(count), tracks.views)
+
+
+def learn(taught: Sequence[Lessons], steps: int = STEPS, seed: int = 0) -> PlaceClassifier:
+    """A classifier of what scenes teach.
+
+    Raises:
+        InputError: they have no place at all.
+    """
+    torch.manual_seed(seed)
+    classifier = PlaceClassifier()
+    figures = torch.from_numpy(np.concatenate([each.figures for each in taught]))
+    if not len(figures):
+        raise InputError("the scenes have no place to learn from")
+    right = torch.from_numpy(np.concatenate([each.on_thing for each in taught])).float()
+    small = torch.from_numpy(np.concatenate([each.small for each in taught])) > 0
+    weight = torch.where(small, _SMALL, 1.0)
+    classifier.mean.copy_(figures.mean(0))
+    classifier.deviation.copy_(figures.std(0).clamp_min(1e-6))
+    drop = torch.nn.Dropout(_DROPPED)
+    optimizer = torch.optim.AdamW(classifier.parameters(), _RATE, weight_decay=_DECAY)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, steps)
+    with progress_bar("steps", steps) as advance:
+        for step in range(1, steps + 1):
+            some = torch.randint(len(figures), (_BATCH,))
+            noisy = classifier.mean + drop(figures[some] - classifier.mean)
+            loss = binary_cross_entropy_with_logits(classifier(noisy), right[some], weight[some])
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            schedule.step()
+            advance(step)
+    return classifier.eval()
+
+
+def report(classifier: PlaceClassifier, looked_at: Lessons) -> list[str]:
+    """How many small things the likeliest places reach, while so many of them are on things."""
+    likely = classifier.likely(looked_at.figures)
+    order = np.argsort(-likely, kind="stable")
+    share = np.cumsum(looked_at.on_thing[order]) / np.arange(1, len(order) + 1)
+    lines = []
+    for wanted in _SHARES:
+        enough = np.flatnonzero(share >= wanted)
+        kept = order[: enough[-1] + 1] if len(enough) else order[:0]
+        found = looked_at.lacking & set(looked_at.small[kept].tolist())
+        least = float(likely[kept].min()) if len(kept) else 1.0
+        lines.append(
+            f"{wanted:.0%} of {len(kept)} places on things from probability {least:.3f} on: "
+            f"{len(found)} of {len(looked_at.lacking)} small things without a point have one"
+        )
+    return lines
+
+
+def main() -> None:
+    """Learn on scenes, print what the classifier reaches on others, write it."""
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("scenes", nargs="+", type=Path, metavar="SCENE")
+    words.add_argument("--validation", nargs="*", default=[], type=Path, metavar="SCENE")
+    words.add_argument("--out", type=Path, required=True, metavar="FILE")
+    words.add_argument("--steps", type=int, default=STEPS)
+    words.add_argument("--seed", type=int, default=0)
+    chosen = words.parse_args()
+    try:
+        classifier = learn([lessons(path) for path in chosen.scenes], chosen.steps, chosen.seed)
+        for path in chosen.validation:
+            print(path, *report(classifier, lessons(path)), sep="\n")
+        write_weights(chosen.out, classifier, {"figures": FIGURES})
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

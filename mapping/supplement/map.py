@@ -1,0 +1,123 @@
+"""Lifted centres as points of a scene's map, and the map as it was."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mapping.supplement.association import Detections
+from mapping.supplement.triangulation import Lifted
+from scene.bundle.manifest import write_json
+from scene.bundle.scene import MAP_FILES, Scene, finish
+from scene.bundle.supplement import (
+    ADDED_FEATURES,
+    SUPPLEMENT,
+    AddedPoint,
+    Supplement,
+    read_supplement,
+)
+from scene.colmap.models import NewPoint, add_points, remove_points
+from scene.errors import InputError
+from scene.maps.colmap_files import read_model
+from scene.maps.features import Features, write_features
+from scene.storage.files import folder_written_whole, remove_partial, sole_writer
+from scene.storage.images import read_rgb
+
+
+def add_to_map(
+    path: Path, points: Sequence[Lifted], detections: Mapping[str, Detections]
+) -> Supplement:
+    """Add points to the map of a scene, in place of those that were added before.
+
+    Nothing else of the map changes: poses, points and keypoints keep their values and identifiers.
+    What was added is listed in ``map/supplement.json``, with its descriptors in
+    ``map/supplement.h5``.
+
+    Args:
+        path: of a finished scene with its map.
+        points: of ``triangulation.lift``; each becomes one object.
+        detections: that they were lifted from.
+
+    Raises:
+        InputError: not a finished scene, one that another run is writing, no map, or a damaged one.
+    """
+    scene = Scene.open(path)
+    with sole_writer(path):
+        remove_partial(path)
+        scene.sparse_map()  # says what is missing or damaged
+        new = [_new_point(scene, point, detections) for point in points]
+        with folder_written_whole(scene.map_path, MAP_FILES) as folder:
+            _copy_before(scene, folder)
+            before = read_model(folder)
+            ids = add_points(folder, new, folder)
+            added = [
+                AddedPoint(id=number, object=k, confidence=point.confidence)
+                for k, (number, point) in enumerate(zip(ids, points, strict=True))
+            ]
+            supplement = Supplement(points=tuple(added), map_sha256=before.sha256)
+            write_json(folder / SUPPLEMENT, supplement)
+            write_features(folder / ADDED_FEATURES, _features(points, detections))
+        finish(path, scene.manifest)
+    return supplement
+
+
+def remove_from_map(path: Path) -> int:
+    """Take out what was added to the map of a scene: its files are those of before, byte for byte.
+
+    Returns:
+        How many points that were.
+
+    Raises:
+        InputError: as ``add_to_map``, nothing was added, or the map was changed since.
+    """
+    scene = Scene.open(path)
+    with sole_writer(path):
+        supplement = read_supplement(scene.map_path)
+        if supplement is None:
+            raise InputError(f"nothing was added to the map of {path}")
+        with folder_written_whole(scene.map_path, MAP_FILES) as folder:
+            _copy_before(scene, folder)
+        finish(path, scene.manifest)
+    return len(supplement.points)
+
+
+def _copy_before(scene: Scene, folder: Path) -> None:
+    """The map as it was before anything was added to it."""
+    for file in scene.map_path.iterdir():
+        if file.name in MAP_FILES and file.name not in (SUPPLEMENT, ADDED_FEATURES):
+            shutil.copyfile(file, folder / file.name)
+    supplement = read_supplement(scene.map_path)
+    if supplement is not None:
+        remove_points(folder, [point.id for point in supplement.points], folder)
+
+
+def _new_point(scene: Scene, point: Lifted, detections: Mapping[str, Detections]) -> NewPoint:
+    """With the colour of the photograph that is surest of it."""
+    xy = {name: detections[name].xy[row] for name, row in point.rows.items()}
+    surest = max(point.rows, key=lambda name: detections[name].confidence[point.rows[name]])
+    rgb = read_rgb(scene.images_root / surest)
+    column, row = np.floor(xy[surest]).astype(int)
+    return NewPoint(
+        point.xyz, rgb[row.clip(0, rgb.shape[0] - 1), column.clip(0, rgb.shape[1] - 1)], xy
+    )
+
+
+def _features(
+    points: Sequence[Lifted], detections: Mapping[str, Detections]
+) -> dict[str, Features]:
+    """The detections that became observations, by photograph, in the order of their points."""
+    rows: dict[str, list[int]] = {}
+    for point in points:
+        for name, row in point.rows.items():
+            rows.setdefault(name, []).append(row)
+    return {
+        name: Features(
+            detections[name].xy[kept].astype(np.float32),
+            np.ones(len(kept), np.float32),
+            detections[name].descriptors[kept],
+        )
+        for name, kept in rows.items()
+    }

@@ -1,0 +1,119 @@
+"""Points on small things that stand on the ground, and of which a map has none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.views import looks_down
+from mapping.supplement.association import Detections
+from mapping.supplement.blobs import Blobs, find
+from mapping.supplement.classifier import PlaceClassifier, measured
+from mapping.supplement.config import SupplementConfig
+from mapping.supplement.ground_plane import Ground, nearest
+from mapping.supplement.photoconsistency import costs
+from mapping.supplement.tracks import Tracks, distinct, follow, solve
+from mapping.supplement.triangulation import Lifted, triangulate
+from objconnect.network import ObjConnectNet
+from objconnect.segmentation import Labels
+from scene.errors import InputError
+from scene.maps.sparse_map import MapImage, SparseMap
+from scene.runtime.progress import progress_bar
+from scene.storage.images import read_rgb
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where photographs of a map show one blob a little above the ground.
+
+    Attributes:
+        images: photographs.
+        blobs: of each.
+        tracks: T places.
+        figures: (T, F) what was measured of them: ``classifier.measured``.
+    """
+
+    images: list[MapImage]
+    blobs: list[Blobs]
+    tracks: Tracks
+    figures: NDArray[np.float32]
+
+
+def find_places(
+    sparse_map: SparseMap,
+    folder: Path,
+    config: SupplementConfig,
+    network: ObjConnectNet | None = None,
+    masks: Mapping[str, Labels] | None = None,
+) -> Places:
+    """Every place where a small thing may be; arguments and errors as ``supplement_points``."""
+    names = [name for name in sparse_map.names if masks is None or name in masks]
+    images = [sparse_map.images[name] for name in names]
+    # The classifier learned from above.
+    images = [image for image in images if looks_down(image.cam_from_world[:3, :3])]
+    if names and not images:
+        raise InputError(
+            "no photograph looks down by 30 degrees: small things are known from above alone"
+        )
+    blobs: list[Blobs] = []
+    with progress_bar("blobs", len(images)) as advance:
+        for image in images:
+            rgb = read_rgb(folder / image.name, image.camera)
+            blobs.append(find(rgb, network, None if masks is None else masks[image.name]))
+            advance(len(blobs))
+    ground = Ground.of(sparse_map.xyz)
+    tracks = follow(images, blobs, ground, config.views)
+    tracks = distinct(solve(images, blobs, tracks, config.views), config.views)
+    above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
+    tracks = tracks.only((above > config.above_m) & (above < config.below_m))
+    found = costs(images, folder, blobs, ground, tracks)
+    return Places(images, blobs, tracks, measured(images, blobs, ground, tracks, found))
+
+
+def supplement_points(
+    sparse_map: SparseMap,
+    folder: Path,
+    config: SupplementConfig,
+    classifier: PlaceClassifier,
+    network: ObjConnectNet | None = None,
+    masks: Mapping[str, Labels] | None = None,
+) -> tuple[list[Lifted], dict[str, Detections]]:
+    """Find small things that have no point in a map, and points on them.
+
+    Args:
+        sparse_map: without added points; up is z.
+        folder: of its photographs.
+        config: thresholds.
+        classifier: who says which places are on things.
+        network: see ``blobs.find``.
+        masks: of objects, by photograph; photographs without are left out.
+
+    Raises:
+        InputError: a photograph is missing or damaged, or none looks down.
+    """
+    places = find_places(sparse_map, folder, config, network, masks)
+    names = [image.name for image in places.images]
+    detections = {name: each.detections for name, each in zip(names, places.blobs, strict=True)}
+    likely = classifier.likely(places.figures)
+    tracks = places.tracks.only(likely > config.likely)
+    points = []
+    for track in range(len(tracks.xyz)):
+        mine = tracks.track == track
+        views, rows = tracks.view[mine].tolist(), tracks.row[mine].tolist()
+        members = {names[view]: row for view, row in zip(views, rows, strict=True)}
+        point = triangulate(sparse_map, detections, members, config)
+        if point is not None:
+            points.append(point)
+    return _missing(sparse_map, points, config), detections
+
+
+def _missing(sparse_map: SparseMap, points: list[Lifted], config: SupplementConfig) -> list[Lifted]:
+    """Those away from what the map has."""
+    if not points:
+        return []
+    _, off = nearest(np.array([point.xyz for point in points]), sparse_map.xyz, 1)
+    return [point for point, far in zip(points, off[:, 0] > config.apart_m, strict=True) if far]

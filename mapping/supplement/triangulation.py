@@ -1,0 +1,225 @@
+"""Points where the rays of detections meet, in as many photographs as agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mapping.supplement.association import Detections, Pairs, associate, directions
+from mapping.supplement.config import SupplementConfig
+from scene.maps.sparse_map import MapImage, SparseMap
+from scene.runtime.progress import progress_bar
+
+# Rounds of Gauss-Newton: two or three are enough from a linear solution.
+_ROUNDS = 10
+_CONVERGED_M = 1e-6
+# Photographs that make a point at all.
+_LEAST = 2
+# Proposals held against the detections of a photograph at a time.
+_CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """An object's centre in space.
+
+    Attributes:
+        xyz: (3,) world metres.
+        rows: row of its detection by name of the photograph.
+        error_px: mean reprojection error.
+        angle_deg: the largest angle between two of its rays.
+        confidence: mean of its detections'.
+    """
+
+    xyz: NDArray[np.float64]
+    rows: Mapping[str, int]
+    error_px: float
+    angle_deg: float
+    confidence: float
+
+
+def lift(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], config: SupplementConfig
+) -> list[Lifted]:
+    """Associate detections across photographs and triangulate them with the known poses.
+
+    Every pair of detections proposes a point; the detections of all photographs that lie where it
+    projects, and look like the pair, support it. Points are taken in the order of their support,
+    each detection once, and solved again from all of theirs.
+
+    Args:
+        sparse_map: with the poses, which stay as they are.
+        detections: by name of a photograph of the map.
+        config: thresholds.
+
+    Returns:
+        Points in the order they were taken.
+    """
+    pairs = associate(sparse_map, detections, config)
+    proposals = _propose(sparse_map, detections, pairs)
+    members = _support(sparse_map, detections, pairs, proposals, config)
+    order = np.argsort(-(members >= 0).sum(1), kind="stable")
+    taken = {name: np.zeros(len(found.xy), bool) for name, found in detections.items()}
+    points = []
+    for proposal in order.tolist():
+        rows = {
+            name: int(row)
+            for name, row in zip(sparse_map.names, members[proposal], strict=True)
+            if row >= 0 and not taken[name][row]
+        }
+        point = triangulate(sparse_map, detections, rows, config)
+        if point is not None:
+            points.append(point)
+            for name, row in point.rows.items():
+                taken[name][row] = True
+    return points
+
+
+def _propose(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
+) -> NDArray[np.float64]:
+    """Where the rays of each pair meet, (E, 3)."""
+    rows, poses = np.zeros((len(pairs), 2, 2)), np.zeros((len(pairs), 2, 3, 4))
+    for view, name in enumerate(sparse_map.names):
+        here = pairs.views == view
+        if here.any():
+            image = sparse_map.images[name]
+            rows[here] = _normalised(image, detections[name].xy)[pairs.rows[here]]
+            poses[here] = image.cam_from_world[:3]
+    return linear_points(rows, poses)
+
+
+def linear_points(
+    normalised: NDArray[np.float64], cam_from_world: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Direct linear transform: points (T, 3) seen at x/z, y/z (T, V, 2) from poses (T, V, 3, 4).
+
+    Hartley and Zisserman, Multiple View Geometry, 12.2. Points at infinity are not finite.
+    """
+    x, y = normalised[..., :1], normalised[..., 1:]
+    first, second, third = (cam_from_world[..., k, :] for k in range(3))
+    system = np.concatenate([x * third - first, y * third - second], -2)
+    solution = np.linalg.svd(system)[2][..., -1, :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(solution[..., :3] / solution[..., 3:])
+
+
+def _support(
+    sparse_map: SparseMap,
+    detections: Mapping[str, Detections],
+    pairs: Pairs,
+    proposals: NDArray[np.float64],
+    config: SupplementConfig,
+) -> NDArray[np.int64]:
+    """The detection of each photograph where each proposal projects, -1 for none, (E, N)."""
+    members = np.full((len(pairs), len(sparse_map.names)), -1)
+    looks = _looks(sparse_map, detections, pairs)
+    with progress_bar("support", len(sparse_map.names)) as advance:
+        for view, name in enumerate(sparse_map.names):
+            found = detections.get(name)
+            if found is not None and len(found.xy):
+                image = sparse_map.images[name]
+                local = image.pose.transform(torch.from_numpy(proposals))
+                seen = image.camera.project(local)
+                for start in range(0, len(pairs), _CHUNK):
+                    part = slice(start, start + _CHUNK)
+                    off = torch.cdist(seen.xy[part], torch.from_numpy(found.xy)).numpy()
+                    alike = looks[part] @ found.descriptors.T
+                    off[(alike < config.similarity) | ~seen.valid[part].numpy()[:, None]] = np.inf
+                    near = off.min(1) < config.reprojection_px
+                    members[part, view] = np.where(near, off.argmin(1), -1)
+            advance(view + 1)
+    return members
+
+
+def _looks(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
+) -> NDArray[np.float32]:
+    """Mean descriptor of each pair, of unit length, (E, D)."""
+    width = max((found.descriptors.shape[1] for found in detections.values()), default=0)
+    total = np.zeros((len(pairs), width), np.float32)
+    for view, name in enumerate(sparse_map.names):
+        for side in range(2):
+            here = pairs.views[:, side] == view
+            if here.any():
+                total[here] += detections[name].descriptors[pairs.rows[here, side]]
+    length = np.linalg.norm(total, axis=1, keepdims=True).clip(1e-12)
+    return np.asarray(total / length, np.float32)
+
+
+def triangulate(
+    sparse_map: SparseMap,
+    detections: Mapping[str, Detections],
+    rows: Mapping[str, int],
+    config: SupplementConfig,
+) -> Lifted | None:
+    """The point of some detections, without those it does not project to; None where too few
+    remain, or their rays hardly cross.
+
+    Args:
+        sparse_map: with the poses.
+        detections: by photograph.
+        rows: one detection each of some photographs.
+        config: thresholds.
+    """
+    while len(rows) >= config.views:
+        images = [sparse_map.images[name] for name in rows]
+        xy = np.array([detections[name].xy[row] for name, row in rows.items()])
+        xyz = _meet(images, xy)
+        off, _ = _residuals(images, xy, xyz)
+        error = np.linalg.norm(off, axis=1)
+        good = error < config.reprojection_px
+        if good.all():
+            rays = np.concatenate([directions(i, p[None]) for i, p in zip(images, xy, strict=True)])
+            angle = float(np.degrees(np.arccos((rays @ rays.T).clip(-1, 1).min())))
+            if angle < config.angle_deg:
+                return None
+            sure = [detections[name].confidence[row] for name, row in rows.items()]
+            return Lifted(xyz, rows, float(error.mean()), angle, float(np.mean(sure)))
+        rows = {name: row for (name, row), kept in zip(rows.items(), good, strict=True) if kept}
+    return None
+
+
+def _meet(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The point of least reprojection error: linear, then Gauss-Newton, (3,)."""
+    seen = np.concatenate([_normalised(i, p[None]) for i, p in zip(images, xy, strict=True)])
+    poses = np.stack([image.cam_from_world[:3] for image in images])
+    xyz: NDArray[np.float64] = linear_points(seen[None], poses[None])[0]
+    for _ in range(_ROUNDS):
+        off, slope = _residuals(images, xy, xyz)
+        known = np.isfinite(off).all(1)
+        if known.sum() < _LEAST:
+            break
+        jacobian = slope[known].reshape(-1, 3)
+        step = np.linalg.lstsq(jacobian, off[known].ravel(), rcond=None)[0]
+        xyz = xyz + step
+        if np.linalg.norm(step) < _CONVERGED_M:
+            break
+    return xyz
+
+
+def _residuals(
+    images: Sequence[MapImage], xy: NDArray[np.float64], xyz: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Detections (V, 2) minus projections of a point, infinite behind a camera, and the derivative
+    of the projections (V, 2, 3)."""
+    off, slope = np.full(xy.shape, np.inf), np.zeros((len(xy), 2, 3))
+    poses = np.stack([image.cam_from_world for image in images])
+    local = poses[:, :3, :3] @ xyz + poses[:, :3, 3]
+    for camera in dict.fromkeys(image.camera for image in images):
+        mine = np.array([image.camera == camera for image in images])
+        seen = camera.project(torch.from_numpy(local[mine]), jacobian=True)
+        assert seen.jacobian is not None
+        valid = seen.valid.numpy()[:, None]
+        off[mine] = np.where(valid, xy[mine] - seen.xy.numpy(), np.inf)
+        slope[mine] = seen.jacobian.numpy() @ poses[mine, :3, :3]
+    return off, slope
+
+
+def _normalised(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """x/z and y/z of pixels (K, 2)."""
+    return np.asarray(image.camera.unproject(torch.from_numpy(xy))[0][..., :2])

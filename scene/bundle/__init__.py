@@ -1,0 +1,1 @@
+"""A scene on disk: manifest, frames, layers, objects."""

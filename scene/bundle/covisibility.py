@@ -1,0 +1,171 @@
+"""Which frames see the same surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from scene.errors import HDF5_DAMAGE, InputError
+from scene.geometry.camera import Camera
+from scene.storage.files import written_whole
+from scene.storage.hdf5 import array
+
+COVISIBLE = 0.1
+"""Two frames are covisible when each sees at least this share of the other's surface."""
+
+# A point this much (relative) behind what a frame sees there is hidden; nearer than that it may be
+# the slope of the surface within the pixel.
+_BEHIND = 0.01
+
+
+@dataclass(frozen=True)
+class Covisibility:
+    """How much of each other the N frames of a scene see.
+
+    Attributes:
+        names: image names, in the order of the sessions and of their frames.
+        overlap: (N, N) float64 in 0..1; ``overlap[i, j]`` is the share of the surface in frame i
+            that frame j sees too, zero on the diagonal.
+    """
+
+    names: tuple[str, ...]
+    overlap: NDArray[np.float64]
+
+    @property
+    def mutual(self) -> NDArray[np.float64]:
+        """The smaller share of the two frames of each pair, (N, N), symmetric."""
+        return np.minimum(self.overlap, self.overlap.T)
+
+    def of(self, names: Sequence[str]) -> Covisibility:
+        """The same for some frames only, in the order given.
+
+        Raises:
+            InputError: a frame is not in the list.
+        """
+        row = {name: k for k, name in enumerate(self.names)}
+        missing = [name for name in names if name not in row]
+        if missing:
+            raise InputError(f"the covisibility of the scene does not know frame {missing[0]}")
+        rows = [row[name] for name in names]
+        return Covisibility(tuple(names), self.overlap[np.ix_(rows, rows)])
+
+
+def write_covisibility(path: Path, covisibility: Covisibility) -> None:
+    """Write ``covisibility.h5``: names, overlap, and the covisible pairs with their share.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    mutual = covisibility.mutual
+    pairs = np.argwhere(np.triu(mutual) >= COVISIBLE)
+    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+        file["names"] = np.array([name.encode() for name in covisibility.names], "S")
+        file.create_dataset("overlap", data=covisibility.overlap, compression="gzip", shuffle=True)
+        file["pairs"] = pairs.astype(np.uint32)
+        file["share"] = mutual[pairs[:, 0], pairs[:, 1]]
+
+
+def read_covisibility(path: Path) -> Covisibility:
+    """Read ``covisibility.h5``.
+
+    Raises:
+        InputError: missing or damaged file.
+    """
+    if not path.is_file():
+        raise InputError(f"{path} does not exist: simulate writes it with the scene")
+    try:
+        with h5py.File(path, "r") as file:
+            names = tuple(name.decode() for name in array(file, "names"))
+            overlap = array(file, "overlap").astype(np.float64)
+    except HDF5_DAMAGE:
+        raise InputError(f"{path} is damaged or incomplete") from None
+    if overlap.shape != (len(names), len(names)):
+        raise InputError(f"{path}: the overlap of {len(names)} frames has shape {overlap.shape}")
+    return Covisibility(names, overlap)
+
+
+def surface_points(
+    camera: Camera,
+    cam_from_world: NDArray[np.float64],
+    depth: NDArray[np.float32],
+    per_side: int = 8,
+) -> NDArray[np.float64]:
+    """World points seen on a coarse grid of a picture, (per_side^2, 3); NaN at the sky.
+
+    Args:
+        camera: of the picture.
+        cam_from_world: (4, 4).
+        depth: (H, W) planar metres, 0 where there is no surface.
+        per_side: grid points per side.
+    """
+    steps = (np.arange(per_side) + 0.5) / per_side
+    rows, columns = (steps * camera.height).astype(int), (steps * camera.width).astype(int)
+    xy = np.stack(np.meshgrid(columns + 0.5, rows + 0.5), -1).reshape(-1, 2)
+    z = depth[np.ix_(rows, columns)].reshape(-1).astype(np.float64)
+    rays, _ = camera.unproject(torch.from_numpy(xy))
+    local = rays.numpy() * np.where(z > 0, z, np.nan)[:, None]
+    return np.asarray((local - cam_from_world[:3, 3]) @ cam_from_world[:3, :3])
+
+
+def visible_share(
+    cameras: Sequence[Camera],
+    cam_from_world: NDArray[np.float64],
+    points: NDArray[np.float64],
+    depths: Iterable[NDArray[np.float32]] | None = None,
+) -> NDArray[np.float64]:
+    """Share of each frame's surface that each other frame sees.
+
+    Args:
+        cameras: N of them.
+        cam_from_world: (N, 4, 4).
+        points: (N, S, 3) of ``surface_points``.
+        depths: of the N frames, (H, W) metres, consumed one at a time: what lies behind the
+            surface seen there is hidden. None leaves occlusion out.
+
+    Returns:
+        (N, N) in 0..1: of row's surface what column sees; zero on the diagonal.
+    """
+    world = torch.from_numpy(points)
+    real = torch.isfinite(world).all(-1)
+    shares = np.zeros((len(cameras), len(cameras)))
+    images = iter(depths) if depths is not None else None
+    for j, camera in enumerate(cameras):
+        pose = torch.from_numpy(cam_from_world[j])
+        local = world @ pose[:3, :3].T + pose[:3, 3]
+        projected = camera.project(local)
+        seen = projected.valid & camera.contains(projected.xy) & real
+        if images is not None:
+            depth = torch.from_numpy(next(images))
+            # The far edges of the picture belong to its last pixels.
+            column = projected.xy[..., 0][seen].long().clamp_max(camera.width - 1)
+            row = projected.xy[..., 1][seen].long().clamp_max(camera.height - 1)
+            there = depth[row, column].double() * (1 + _BEHIND)
+            seen[seen.clone()] = local[..., 2][seen] <= there
+        shares[:, j] = (seen.sum(-1) / real.sum(-1).clamp_min(1)).numpy()
+    np.fill_diagonal(shares, 0)
+    return shares
+
+
+def overlap_matrix(
+    cameras: Sequence[Camera],
+    cam_from_world: NDArray[np.float64],
+    points: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Share of each frame's surface that each other frame has in view, occlusion left out.
+
+    Args:
+        cameras: N of them.
+        cam_from_world: (N, 4, 4).
+        points: (N, S, 3) of ``surface_points``.
+
+    Returns:
+        (N, N) in 0..1, symmetric (the smaller share of the two), zero on the diagonal.
+    """
+    shares = visible_share(cameras, cam_from_world, points)
+    return np.minimum(shares, shares.T)

@@ -1,0 +1,40 @@
+"""Semantic labels of a scene's pixels, by class."""
+
+from __future__ import annotations
+
+CLASSES: dict[str, int] = {
+    "sky": 0,
+    "grass": 1,
+    "field": 2,
+    "road": 3,
+    "pavement": 4,
+    "parking": 5,
+    "driveway": 6,
+    "path": 7,
+    "water": 8,
+    "building": 16,
+    "tree": 17,
+    "hedge": 18,
+    "fence": 19,
+    "car": 20,
+    "truck": 21,
+    "container": 22,
+    "bench": 23,
+    "lamp": 24,
+    "van": 25,
+    "bin": 26,
+    "hydrant": 27,
+    "sign": 28,
+    "bollard": 29,
+    "table": 30,
+    "bale": 31,
+    "tractor": 32,
+    "pole": 33,
+    "wire": 34,
+    "tank": 35,
+    "pallet": 36,
+    "boat": 37,
+}
+"""Semantic label of every class; labels below `FIRST_OBJECT_LABEL` are sky and ground cover."""
+
+FIRST_OBJECT_LABEL = 16

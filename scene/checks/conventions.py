@@ -1,0 +1,95 @@
+"""The ways poses, pixels and depths are commonly misread.
+
+Each reading turns data written by its convention into ours. When our own reading of a scene does
+not agree with itself and another one does, that one names the mistake.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.geometry.camera import MODELS, Camera
+
+Array = NDArray[np.float64]
+
+
+def _same(matrices: Array) -> Array:
+    return matrices
+
+
+def _inverted(matrices: Array) -> Array:
+    return np.linalg.inv(matrices)
+
+
+def _transposed(matrices: Array) -> Array:
+    result = matrices.copy()
+    result[..., :3, :3] = np.swapaxes(matrices[..., :3, :3], -1, -2)
+    return result
+
+
+def _centred(matrices: Array) -> Array:
+    result = matrices.copy()
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", matrices[..., :3, :3], matrices[..., :3, 3])
+    return result
+
+
+def _opengl(matrices: Array) -> Array:
+    result = matrices.copy()
+    result[..., 1:3, :] *= -1
+    return result
+
+
+def shifted(camera: Camera, pixels: float) -> Camera:
+    """The camera with its principal point moved by ``pixels`` along both axes."""
+    names = MODELS[camera.model]
+    params = tuple(
+        p + pixels if name in ("cx", "cy") else p
+        for name, p in zip(names, camera.params, strict=True)
+    )
+    return replace(camera, params=params)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read a scene.
+
+    Attributes:
+        fault: what is wrong with a scene that only this reading explains; empty for our own.
+        poses: cam_from_world (N, 4, 4) out of what is written.
+        principal_shift: pixels to add to the principal point.
+        radial_depth: whether depth is the distance along the ray.
+    """
+
+    fault: str
+    poses: Callable[[Array], Array] = _same
+    principal_shift: float = 0.0
+    radial_depth: bool = False
+
+
+OURS = Reading("")
+
+POSE_READINGS = (
+    Reading("poses are inverted: world_from_cam where cam_from_world is expected", _inverted),
+    Reading("rotations are transposed: world-from-camera beside a camera translation", _transposed),
+    Reading("translations are camera centres, expected t = -R C", _centred),
+    Reading("camera axes are OpenGL's (y up, z backward), expected y down, z forward", _opengl),
+)
+
+DEPTH_READINGS = (
+    Reading("depth is the distance along the ray, expected planar z", radial_depth=True),
+)
+
+PIXEL_READINGS = (
+    Reading(
+        "principal points are half a pixel low: pixels are counted from the centre of the first "
+        "pixel (OpenCV), expected from its corner (COLMAP)",
+        principal_shift=0.5,
+    ),
+    Reading("principal points are half a pixel high", principal_shift=-0.5),
+)
+
+READINGS = (*POSE_READINGS, *DEPTH_READINGS, *PIXEL_READINGS)

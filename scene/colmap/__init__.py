@@ -1,0 +1,1 @@
+"""COLMAP, through pycolmap: the only package that imports it."""

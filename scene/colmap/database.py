@@ -1,0 +1,235 @@
+"""COLMAP's database: features and verified matches, kept through interruptions."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from scene.colmap.models import empty_model, lens_ids, posed_model
+from scene.colmap.native import ROOM, SEED, Progress, native_camera
+from scene.colmap.sift import CHUNK, SiftOptions, extract_sift, read_features
+from scene.maps.features import Features, unit_descriptors
+from scene.maps.matching import match
+from scene.maps.photographs import Photograph, PosedImage
+from scene.runtime.cluster import worker_pool
+from scene.storage.files import require_room, write_text, written_whole
+from scene.storage.images import check_photographs
+
+# Images that a worker of a cluster is handed at once.
+_UNIT = 4
+
+
+# Nearest over second nearest descriptor distance, COLMAP's own default.
+_MAX_RATIO = 0.8
+
+
+# Pairs matched between two progress reports; what is done by then survives an interruption.
+_PAIR_CHUNK = 32
+
+
+# Matches within this distance of the epipolar line agree with it (px).
+_VERIFIED_PX = 2.0
+# The same before the lens is calibrated; COLMAP's own.
+_GUESSED_PX = 4.0
+
+
+@dataclass(frozen=True)
+class MatchingJob:
+    """Photographs to match, and by what.
+
+    Attributes:
+        root: folder that the photographs' names are relative to.
+        pairs: names of the photographs to match.
+        sift: the detector.
+        cluster: whose cores find the features, see ``worker_pool``; its
+            nodes see ``root`` under the same path.
+    """
+
+    root: Path
+    pairs: Sequence[tuple[str, str]]
+    sift: SiftOptions
+    cluster: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MappingJob(MatchingJob):
+    """Photographs with known poses, to be matched and mapped.
+
+    Attributes:
+        images: with their poses.
+        database: file that keeps features and matches, new or left by an interrupted call of an
+            equal job; None keeps none.
+    """
+
+    images: Sequence[PosedImage]
+    database: Path | None = None
+
+
+def match_photographs(
+    root: Path,
+    photographs: Sequence[Photograph],
+    pairs: Sequence[tuple[str, str]],
+    database: Path,
+    options: SiftOptions,
+    on_progress: Progress | None = None,
+) -> None:
+    """Fill ``database`` with features and verified matches; goes on with what an interrupted call
+    of the same arguments left in it.
+
+    Args:
+        root: folder the names are relative to.
+        photographs: all of them, whole files of the size of their cameras.
+        pairs: names to match.
+        database: file, new or left by an interrupted call.
+        options: of the detector.
+        on_progress: called with the number of photographs and pairs done.
+
+    Raises:
+        InputError: a photograph is missing or damaged, or the file cannot be written.
+    """
+    ids = {photograph.name: k for k, photograph in enumerate(photographs, 1)}
+    numbers = lens_ids(photographs)
+    cameras = {p.lens: native_camera(p.camera, numbers[p.lens]) for p in photographs}
+    for photograph in photographs:
+        cameras[photograph.lens].has_prior_focal_length = photograph.focal_known
+    model = empty_model(cameras.values())
+    for photograph in photographs:
+        native = pycolmap.Image(
+            name=photograph.name,
+            camera_id=numbers[photograph.lens],
+            image_id=ids[photograph.name],
+        )
+        model.add_image_with_trivial_frame(native)
+    require_database(database, model)
+    fill_database(database, ids, MatchingJob(root, pairs, options), _GUESSED_PX, on_progress)
+
+
+def match_posed(
+    job: MappingJob, database: Path, on_progress: Progress | None
+) -> tuple[pycolmap.Reconstruction, dict[str, Features]]:
+    """Fill a database with verified matches; the posed images as a model, and their features."""
+    images = job.images
+    check_photographs(job.root, {image.name: image.camera for image in images})
+    empty, ids = posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
+    require_database(database, empty)
+    fill_database(database, ids, job, _VERIFIED_PX, on_progress)
+    features = read_features(database, job.root)
+    return posed_model(images, {name: item.xy for name, item in features.items()})[0], features
+
+
+def fill_database(
+    database: Path,
+    ids: Mapping[str, int],
+    job: MatchingJob,
+    max_error: float,
+    on_progress: Progress | None,
+) -> None:
+    """Extract, match and verify what a database of images does not hold yet."""
+    root, pairs = job.root, job.pairs
+
+    def report(done: int) -> None:
+        if on_progress is not None:
+            on_progress(done)
+
+    with pycolmap.Database.open(database) as db:
+        left = [name for name in ids if not db.exists_keypoints(ids[name])]
+        done = len(ids) - len(left)
+        with closing(_find_features(job, left, database.parent)) as found:
+            for features in found:
+                size = sum(
+                    item.descriptors.nbytes + 24 * len(item.xy) for item in features.values()
+                )
+                require_room(database, ROOM + 2 * size)
+                with pycolmap.DatabaseTransaction(db):
+                    for name, item in features.items():
+                        sift = pycolmap.FeatureExtractorType.SIFT
+                        native = pycolmap.FeatureDescriptors(sift, item.descriptors)
+                        db.write_descriptors(ids[name], native)
+                        shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
+                        db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
+                done += len(features)
+                report(done)
+    descriptors = {
+        name: unit_descriptors(item.descriptors)
+        for name, item in read_features(database, root).items()
+    }
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = SEED
+    verification.ransac.max_error = max_error
+    pair_list = database.with_suffix(".pairs")
+    for start in range(0, len(pairs), _PAIR_CHUNK):
+        chunk_of_pairs = pairs[start : start + _PAIR_CHUNK]
+        with pycolmap.Database.open(database) as db:
+            left_pairs = [
+                (a, b) for a, b in chunk_of_pairs if not db.exists_two_view_geometry(ids[a], ids[b])
+            ]
+            for a, b in left_pairs:
+                require_room(database, ROOM)
+                if not db.exists_matches(ids[a], ids[b]):
+                    matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
+                    db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
+        if left_pairs:
+            require_room(database, ROOM)
+            write_text(pair_list, "".join(f"{a} {b}\n" for a, b in left_pairs))
+            pycolmap.verify_matches(database, pair_list, verification)
+        report(len(ids) + start + len(chunk_of_pairs))
+    pair_list.unlink(missing_ok=True)
+
+
+def _find_features(
+    job: MatchingJob, names: Sequence[str], beside: Path
+) -> Generator[dict[str, Features], None, None]:
+    """SIFT of many images, some at a time. Nodes of a cluster need not see ``beside``."""
+    size = CHUNK if job.cluster is None else _UNIT
+    chunks = [names[start : start + size] for start in range(0, len(names), size)]
+    threads, temporary = (-1, beside) if job.cluster is None else (1, None)
+    find = partial(_sift_of, job.root, job.sift, threads, temporary)
+    with worker_pool(job.cluster if chunks else None, find) as workers:
+        yield from workers.map(chunks)
+
+
+def _sift_of(
+    root: Path, options: SiftOptions, threads: int, beside: Path | None, names: Sequence[str]
+) -> Iterator[dict[str, Features]]:
+    yield extract_sift(root, names, options, threads=threads, beside=beside)
+
+
+def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
+    """A database of the model's images, unless a sound one is there."""
+    if not _is_sound(database):
+        for journal in ("-journal", "-wal", "-shm"):
+            database.with_name(database.name + journal).unlink(missing_ok=True)
+        require_room(database, ROOM)
+        write_database(database, model)
+
+
+def _is_sound(database: Path) -> bool:
+    """Whether a database is there and whole: COLMAP ends the process on a damaged one."""
+    if not database.is_file():
+        return False
+    try:
+        with closing(sqlite3.connect(database)) as connection:
+            return connection.execute("PRAGMA quick_check").fetchall() == [("ok",)]
+    except sqlite3.DatabaseError:
+        return False
+
+
+def write_database(path: Path, model: pycolmap.Reconstruction) -> None:
+    """A database of the model's own identifiers: COLMAP's extractor numbers images as it
+    happens to finish them, and the numbers decide the order of everything after."""
+    with written_whole(path) as partial, pycolmap.Database.open(partial) as db:
+        for camera in model.cameras.values():
+            db.write_camera(camera, use_camera_id=True)
+        for rig in model.rigs.values():
+            db.write_rig(rig, use_rig_id=True)
+        for frame in model.frames.values():
+            db.write_frame(frame, use_frame_id=True)
+        for image in model.images.values():
+            db.write_image(image, use_image_id=True)

@@ -1,0 +1,178 @@
+"""COLMAP's models: written from poses and points, points added and taken away."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from scene.colmap.native import native_camera, native_pose
+from scene.errors import InputError
+from scene.maps.colmap_files import read_model
+from scene.maps.photographs import Photograph, PosedImage
+from scene.maps.sparse_map import SparseMap
+from scene.storage.files import require_room
+
+
+def posed_model(
+    images: Sequence[PosedImage], keypoints: Mapping[str, NDArray[Any]]
+) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
+    """A model of keypoints (K, 2) and poses without points, and the identifier of each image."""
+    numbers = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
+    cameras = [native_camera(camera, number) for camera, number in numbers.items()]
+    model, ids = empty_model(cameras), {image.name: k for k, image in enumerate(images, 1)}
+    for image in images:
+        native = pycolmap.Image(
+            name=image.name,
+            keypoints=keypoints[image.name].astype(np.float64),
+            camera_id=numbers[image.camera],
+            image_id=ids[image.name],
+        )
+        model.add_image_with_trivial_frame(native, native_pose(image.cam_from_world))
+    return model, ids
+
+
+def empty_model(cameras: Iterable[pycolmap.Camera]) -> pycolmap.Reconstruction:
+    model = pycolmap.Reconstruction()
+    for camera in cameras:
+        model.add_camera_with_trivial_rig(camera)
+    return model
+
+
+def write_model(model: pycolmap.Reconstruction, out: Path) -> None:
+    """Write a model's files; COLMAP says nothing when they end up shorter than they should be."""
+    keypoints = sum(image.num_points2D() for image in model.images.values())
+    require_room(out, (1 << 20) + 40 * keypoints + 100 * model.num_points3D())
+    model.write(out)
+
+
+def _whole_model(folder: Path) -> pycolmap.Reconstruction:
+    """A model for COLMAP, which ends the process on a damaged one, after our own reader."""
+    read_model(folder)
+    return pycolmap.Reconstruction(folder)
+
+
+def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out: Path) -> None:
+    """Write images with their poses as a binary model.
+
+    Args:
+        images: of the model, in the order of their identifiers.
+        sparse_map: whose keypoints the images take, and those of whose points they observe.
+        out: existing folder for the model.
+    """
+    mapped = sparse_map.images if sparse_map is not None else {}
+    nothing = np.zeros((0, 2))
+    keypoints = {i.name: mapped[i.name].xy if i.name in mapped else nothing for i in images}
+    model, ids = posed_model(images, keypoints)
+    if sparse_map is not None:
+        tracks: dict[int, list[pycolmap.TrackElement]] = {}
+        for name in [image.name for image in images if image.name in mapped]:
+            rows = mapped[name].point_rows
+            for keypoint in np.flatnonzero(rows >= 0).tolist():
+                element = pycolmap.TrackElement(ids[name], keypoint)
+                tracks.setdefault(int(rows[keypoint]), []).append(element)
+        for row, elements in sorted(tracks.items()):
+            track = pycolmap.Track(elements)
+            model.add_point3D(sparse_map.xyz[row], track, sparse_map.rgb[row])
+        model.update_point_3d_errors()
+    write_model(model, out)
+
+
+@dataclass(frozen=True)
+class NewPoint:
+    """A point to add to a model.
+
+    Attributes:
+        xyz: (3,) world metres.
+        rgb: (3,) uint8.
+        xy: (2,) COLMAP pixels of its observation by name of the image; no two points share one.
+    """
+
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.uint8]
+    xy: Mapping[str, NDArray[np.float64]]
+
+
+def add_points(model: Path, points: Sequence[NewPoint], out: Path) -> list[int]:
+    """Write a model with more points; what it has keeps its identifiers, its order and its values.
+
+    Args:
+        model: folder of a binary model.
+        points: whose observations become keypoints after those that the images have.
+        out: existing folder.
+
+    Returns:
+        COLMAP's identifiers of the new points.
+
+    Raises:
+        InputError: the model is damaged, or an observation is in an image it does not have.
+    """
+    native = _whole_model(model)
+    images = {image.name: image for image in native.images.values()}
+    ids = []
+    for point in points:
+        track = []
+        for name, xy in point.xy.items():
+            if name not in images:
+                raise InputError(f"model {model} has no image {name!r}")
+            keypoints = images[name].points2D
+            track.append(pycolmap.TrackElement(images[name].image_id, len(keypoints)))
+            keypoints.append(pycolmap.Point2D(xy))
+        ids.append(int(native.add_point3D(point.xyz, pycolmap.Track(track), point.rgb)))
+        native.points3D[ids[-1]].error = _mean_error(native, ids[-1])
+    native.write(out)
+    return ids
+
+
+def _mean_error(model: pycolmap.Reconstruction, point_id: int) -> float:
+    """Mean reprojection error (px) of a point, as COLMAP keeps it with each."""
+    point = model.points3D[point_id]
+    errors = []
+    for element in point.track.elements:
+        image = model.images[element.image_id]
+        projected = image.project_point(point.xyz)
+        if projected is None:
+            raise InputError(f"point {point_id} lies behind image {image.name}, which observes it")
+        errors.append(np.linalg.norm(projected - image.points2D[element.point2D_idx].xy))
+    return float(np.mean(errors))
+
+
+def remove_points(model: Path, ids: Sequence[int], out: Path) -> None:
+    """Undo ``add_points``: the files are those of before, byte for byte.
+
+    Args:
+        model: folder of a binary model.
+        ids: what ``add_points`` returned, whose keypoints are the last ones of their images.
+        out: existing folder.
+
+    Raises:
+        InputError: the model is damaged, lacks a point, or was changed in between.
+    """
+    native = _whole_model(model)
+    added: dict[int, set[int]] = {}
+    for point_id in ids:
+        if point_id not in native.points3D:
+            raise InputError(f"model {model} has no point {point_id}")
+        for element in native.points3D[point_id].track.elements:
+            added.setdefault(element.image_id, set()).add(element.point2D_idx)
+    for point_id in ids:
+        native.delete_point3D(point_id)
+    for image_id, keypoints in added.items():
+        image = native.images[image_id]
+        left = image.num_points2D() - len(keypoints)
+        if min(keypoints) != left:
+            raise InputError(
+                f"the keypoints of points added to {model} are not the last of image {image.name}: "
+                "the model was changed since, build it again"
+            )
+        del image.points2D[left:]
+    native.write(out)
+
+
+def lens_ids(photographs: Sequence[Photograph]) -> dict[str, int]:
+    return {lens: k for k, lens in enumerate(dict.fromkeys(p.lens for p in photographs), 1)}

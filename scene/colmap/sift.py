@@ -1,0 +1,116 @@
+"""COLMAP's SIFT."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from scene.colmap.native import ROOM, Progress
+from scene.errors import InputError
+from scene.maps.features import Features
+from scene.storage.files import require_room
+from scene.storage.scratch import scratch
+
+# Images per call of the extractor: enough to keep the cores busy, few enough to show progress.
+CHUNK = 16
+
+
+# A keypoint with its descriptor in a database (B); and no photograph has more of them.
+KEYPOINT_BYTES = 160
+_MOST_KEYPOINTS = 1 << 16
+
+
+@dataclass(frozen=True)
+class SiftOptions:
+    """COLMAP's SIFT: difference of Gaussians, RootSIFT (L1-root) descriptors."""
+
+    max_features: int = 8192
+    peak_threshold: float = 0.02 / 3
+    upright: bool = False
+
+    def native(self) -> pycolmap.FeatureExtractionOptions:
+        options = pycolmap.FeatureExtractionOptions()
+        options.use_gpu = False
+        options.sift.max_num_features = self.max_features
+        options.sift.peak_threshold = self.peak_threshold
+        options.sift.upright = self.upright
+        return options
+
+
+class SiftExtractor:
+    """Extracts SIFT from one image at a time."""
+
+    def __init__(self, options: SiftOptions) -> None:
+        self._native = pycolmap.FeatureExtractor.create(options.native(), pycolmap.Device.cpu)
+
+    def __call__(self, rgb: NDArray[np.uint8]) -> Features:
+        """Features of an (H, W, 3) uint8 image."""
+        grey = pycolmap.Bitmap.from_array(np.ascontiguousarray(rgb)).clone_as_grey()
+        keypoints, descriptors = self._native.extract(grey)
+        x, y, scale, _ = pycolmap.keypoints_to_matrix(keypoints).T
+        return Features(np.stack([x, y], -1), scale.copy(), np.array(descriptors.data))
+
+
+def extract_sift(
+    root: Path,
+    names: Sequence[str],
+    options: SiftOptions,
+    on_progress: Progress | None = None,
+    threads: int = -1,
+    beside: Path | None = None,
+) -> dict[str, Features]:
+    """SIFT of many images.
+
+    Args:
+        root: folder the names are relative to.
+        names: images.
+        options: of the detector.
+        on_progress: called with the number of images done.
+        threads: to use; -1 for as many as there are cores.
+        beside: folder for temporary files, as ``scene.storage.scratch.scratch`` takes it.
+
+    Raises:
+        InputError: an image is missing or cannot be read.
+        WriteError: there is no room for temporary files.
+    """
+    native = options.native()
+    native.num_threads = threads
+    with scratch(beside) as folder:
+        database = folder / "database.db"
+        for start in range(0, len(names), CHUNK):
+            chunk = list(names[start : start + CHUNK])
+            most = min(options.max_features, _MOST_KEYPOINTS)
+            require_room(database, ROOM + 2 * len(chunk) * most * KEYPOINT_BYTES)
+            pycolmap.extract_features(
+                database,
+                root,
+                chunk,
+                extraction_options=native,
+                device=pycolmap.Device.cpu,
+            )
+            if on_progress is not None:
+                on_progress(start + len(chunk))
+        features = read_features(database, root)
+    for name in names:
+        if name not in features:
+            raise InputError(f"image {root / name} cannot be read or is damaged")
+    return features
+
+
+def read_features(database: Path, root: Path) -> dict[str, Features]:
+    features = {}
+    with pycolmap.Database.open(database) as db:
+        for image in db.read_all_images():
+            if not db.exists_keypoints(image.image_id):
+                raise InputError(f"image {root / image.name} cannot be read or is damaged")
+            # Rows are x y and a 2x2 affine shape, whose determinant is the squared scale.
+            rows = db.read_keypoints(image.image_id)
+            scale = np.sqrt(np.abs(np.linalg.det(rows[:, 2:].reshape(-1, 2, 2))))
+            descriptors = np.array(db.read_descriptors(image.image_id).data)
+            features[image.name] = Features(rows[:, :2].copy(), scale, descriptors)
+    return features

@@ -1,0 +1,285 @@
+"""Sparse maps from photographs whose poses nobody knows, or knows roughly."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from scene.colmap.database import MappingJob, match_posed
+from scene.colmap.models import lens_ids, write_model
+from scene.colmap.native import CAUCHY, LEAST_VARIANCE, ROOM, SEED, Progress
+from scene.colmap.triangulation import pipeline_options
+from scene.errors import InputError
+from scene.geometry.pose import Pose
+from scene.maps.colmap_files import read_model
+from scene.maps.features import Features
+from scene.maps.photographs import Photograph
+from scene.maps.sparse_map import SparseMap
+from scene.storage.scratch import scratch
+
+ADJUSTMENTS = 4
+"""Rounds of robust adjustment at the end of ``reconstruct``."""
+
+
+# A similarity needs three camera centres, and holds those within so many metres of the truth.
+ALIGNABLE = 3
+_ALIGN_M = 1.0
+
+
+# Robust adjustment: the outliers' least residual in standard deviations, the least angle between
+# the rays of a point (COLMAP's own), and the relative change of cost that ends a round.
+_OUTLIER = 5.0
+_MIN_ANGLE_DEG = 1.5
+_CONVERGED = 1e-8
+
+
+Mapper = Literal["incremental", "global"]
+
+
+def reconstruct(
+    job: MappingJob, out: Path, on_progress: Progress | None = None
+) -> tuple[SparseMap, dict[str, Features]]:
+    """Build a map by incremental structure from motion, calibration known and poses not.
+
+    The largest model is adjusted with a robust loss, then moved, turned and scaled onto the known
+    camera centres; its poses stay what the photographs say, and images that could not be
+    registered are missing from it.
+
+    Args:
+        job: photographs, with the poses to align to.
+        out: existing folder for the model.
+        on_progress: called with the number of images and pairs done, then of images registered,
+            then of adjustments.
+
+    Returns:
+        The map as written, and the features it was built from by image name.
+
+    Raises:
+        InputError: an image is missing, damaged or not of its camera's size, or fewer than three
+            images could be registered.
+    """
+    root, images = job.root, job.images
+    with scratch(out) as folder:
+        database = job.database or folder / "database.db"
+        _, features = match_posed(job, database, on_progress)
+        matched, registered = len(images) + len(job.pairs), 2  # the pair every model starts from
+
+        def report(done: int) -> None:
+            if on_progress is not None:
+                on_progress(matched + done)
+
+        def on_image() -> None:
+            nonlocal registered
+            registered += 1
+            report(registered)
+
+        models = pycolmap.incremental_mapping(
+            database, root, folder, pipeline_options(), next_image_callback=on_image
+        )
+    model = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
+    if model is None or model.num_reg_images() < ALIGNABLE:
+        raise InputError(
+            f"structure from motion could not register {ALIGNABLE} of the {len(images)} "
+            f"images of {root}: they need overlap and texture"
+        )
+    _adjust_robustly(model, lambda done: report(len(images) + done))
+    robust = pycolmap.RANSACOptions(max_error=_ALIGN_M, random_seed=SEED)
+    centres = [Pose.from_matrix(image.cam_from_world).centre().numpy() for image in images]
+    similarity = pycolmap.align_reconstruction_to_locations(
+        model, [image.name for image in images], np.array(centres), ALIGNABLE, robust
+    )
+    if similarity is None:
+        raise InputError(f"the model of {root} does not fit the known camera centres")
+    model.transform(similarity)
+    write_model(model, out)
+    return read_model(out), features
+
+
+def _adjust_robustly(model: pycolmap.Reconstruction, on_round: Progress) -> None:
+    """Adjust poses and points again, wrong matches playing ever less of a part.
+
+    COLMAP's mapper ends with least squares over everything within four pixels, where a wrong match
+    weighs a hundred times what the noise of a right one does.
+    """
+    options = pycolmap.BundleAdjustmentOptions(
+        print_summary=False,
+        refine_focal_length=False,
+        refine_principal_point=False,
+        refine_extra_params=False,
+    )
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.solver_options.num_threads = 1
+    options.ceres.solver_options.function_tolerance = _CONVERGED
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    for done in range(ADJUSTMENTS):
+        on_round(done)
+        sigma = _residual_sigma(model)
+        options.ceres.loss_function_scale = CAUCHY * sigma
+        pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+        pycolmap.ObservationManager(model).filter_all_points3D(_OUTLIER * sigma, _MIN_ANGLE_DEG)
+    on_round(ADJUSTMENTS)
+    model.update_point_3d_errors()
+
+
+def _residual_sigma(model: pycolmap.Reconstruction) -> float:
+    """Standard deviation of one pixel coordinate (px), from the median point: outliers do not
+    matter."""
+    model.update_point_3d_errors()
+    error = np.median([point.error for point in model.points3D.values()])
+    # A two-dimensional normal has its mean distance at sqrt(pi / 2).
+    return float(max(error / np.sqrt(np.pi / 2), np.sqrt(LEAST_VARIANCE)))
+
+
+def map_photographs(
+    root: Path,
+    photographs: Sequence[Photograph],
+    database: Path,
+    out: Path,
+    mapper: Mapper,
+    on_progress: Progress | None = None,
+) -> list[Path]:
+    """Structure from motion, poses and calibration unknown.
+
+    Args:
+        root: folder the names are relative to.
+        photographs: of ``database``.
+        database: filled by ``match_photographs``.
+        out: existing folder for the models.
+        mapper: "incremental" (one photograph after the other) or "global" (all at once).
+        on_progress: called with the number of photographs registered; never by the global mapper.
+
+    Returns:
+        Folders of the models, each in a frame and scale of its own, those of most photographs
+        first. Photographs that do not hang together are in several models, or in none.
+    """
+    numbers = lens_ids(photographs)
+    # A focal length refined early, from few photographs, may lead the whole model astray.
+    refine_focal = not all(p.focal_known for p in photographs)
+    fixed = {
+        numbers[p.lens] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
+    }
+    with scratch(out, ROOM) as folder:
+        if mapper == "global":
+            pipeline = _global_options()
+            adjustment = pipeline.mapper.bundle_adjustment
+            adjustment.refine_focal_length = refine_focal
+            adjustment.refine_extra_params = len(fixed) < len(numbers)
+            models = pycolmap.global_mapping(database, root, folder, pipeline)
+        else:
+            pipeline = pipeline_options()
+            pipeline.ba_refine_focal_length = refine_focal
+            pipeline.mapper.abs_pose_refine_focal_length = refine_focal
+            pipeline.ba_refine_extra_params = True
+            pipeline.constant_cameras = pipeline.mapper.constant_cameras = fixed
+            pipeline.min_model_size = ALIGNABLE
+            models = _map_incrementally(database, root, folder, pipeline, on_progress)
+    ordered = sorted(models.values(), key=lambda m: -m.num_reg_images())
+    folders = [out / str(k) for k in range(len(ordered))]
+    for model, folder in zip(ordered, folders, strict=True):
+        folder.mkdir()
+        write_model(model, folder)
+    return folders
+
+
+def _map_incrementally(
+    database: Path,
+    root: Path,
+    folder: Path,
+    pipeline: pycolmap.IncrementalPipelineOptions,
+    on_progress: Progress | None,
+) -> dict[int, pycolmap.Reconstruction]:
+    registered = 0
+
+    def on_image(number: int) -> None:
+        nonlocal registered
+        registered += number
+        if on_progress is not None:
+            on_progress(registered)
+
+    return dict(
+        pycolmap.incremental_mapping(
+            database,
+            root,
+            folder,
+            pipeline,
+            initial_image_pair_callback=lambda: on_image(2),
+            next_image_callback=lambda: on_image(1),
+        )
+    )
+
+
+def _global_options() -> pycolmap.GlobalPipelineOptions:
+    pipeline = pycolmap.GlobalPipelineOptions()
+    pipeline.random_seed = pipeline.mapper.random_seed = SEED
+    pipeline.mapper.rotation_averaging.random_seed = SEED
+    pipeline.mapper.global_positioning.random_seed = SEED
+    pipeline.mapper.retriangulation.random_seed = SEED
+    pipeline.num_threads = pipeline.mapper.num_threads = 1
+    pipeline.mapper.global_positioning.use_gpu = False
+    pipeline.mapper.bundle_adjustment.ceres.use_gpu = False
+    return pipeline
+
+
+def adjust_to_positions(
+    model: Path,
+    photographs: Sequence[Photograph],
+    world_from_model: NDArray[np.float64],
+    positions: Mapping[str, NDArray[np.float64]],
+    sigma: NDArray[np.float64],
+    refined: Collection[str],
+    out: Path,
+    *,
+    principal_point: bool = False,
+) -> SparseMap:
+    """Move a model into the world, then adjust poses, points and lenses to the pixels and to
+    measured positions together, with a robust loss on the positions.
+
+    Args:
+        model: folder of ``map_photographs``.
+        photographs: of the model, and others.
+        world_from_model: (3, 4) similarity, scale times rotation and translation.
+        positions: (3,) measured camera centres by name, world metres.
+        sigma: (3,) their standard deviation per axis, metres.
+        refined: lenses whose focal length is adjusted too; with none, only the distortion of those
+            that are not calibrated.
+        out: existing folder for the adjusted model.
+        principal_point: adjust the principal points of the lenses that are adjusted at all.
+    """
+    native = pycolmap.Reconstruction(model)
+    native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in native.reg_image_ids():
+        config.add_image(image_id)
+    numbers = lens_ids(photographs)
+    for photograph in photographs:
+        if photograph.calibrated or (refined and photograph.lens not in refined):
+            config.set_constant_cam_intrinsics(numbers[photograph.lens])
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = bool(refined)
+    options.refine_principal_point = principal_point
+    options.ceres.solver_options.num_threads = 1
+    with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
+    with_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    with_priors.alignment_ransac.random_seed = SEED
+    priors = [
+        pycolmap.PosePrior(
+            corr_data_id=image.data_id,
+            position=positions[image.name],
+            position_covariance=np.diag(sigma**2),
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+        )
+        for image in native.images.values()
+        if image.name in positions
+    ]
+    pycolmap.create_pose_prior_bundle_adjuster(options, with_priors, config, priors, native).solve()
+    native.update_point_3d_errors()
+    write_model(native, out)
+    return read_model(out)

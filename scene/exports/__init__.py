@@ -1,0 +1,1 @@
+"""A scene written for other programs."""

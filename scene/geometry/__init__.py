@@ -1,0 +1,1 @@
+"""Poses, cameras, projection and geodesy."""

@@ -1,0 +1,194 @@
+"""Cameras in COLMAP's models and pixel convention."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scene.errors import InputError
+from scene.geometry.projection import Intrinsics, Projection
+
+# No camera has a larger focal length (px) or coefficient; damaged files do, and overflow.
+_LARGEST = 1e9
+# A distortion coefficient below this moves no point.
+_SMALLEST = 1e-12
+
+# Parameter names of every model, in COLMAP's order.
+MODELS: Final[dict[str, tuple[str, ...]]] = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One calibrated camera.
+
+    Attributes:
+        model: a key of ``MODELS``.
+        width: pixels.
+        height: pixels.
+        params: pixels and distortion coefficients, in COLMAP's order for the model.
+
+    Raises:
+        InputError: unknown model, wrong number of parameters, or values no camera has.
+    """
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise InputError(f"unknown camera model {self.model!r}; known: {', '.join(MODELS)}")
+        expected = MODELS[self.model]
+        if len(self.params) != len(expected):
+            raise InputError(
+                f"camera model {self.model} takes {len(expected)} parameters "
+                f"({' '.join(expected)}), got {len(self.params)}"
+            )
+        if self.width <= 0 or self.height <= 0:
+            raise InputError(f"camera size must be positive, got {self.width} x {self.height}")
+        if not all(math.isfinite(p) for p in self.params):
+            raise InputError(f"camera parameters must be finite, got {self.params}")
+        if max(abs(p) for p in self.params) > _LARGEST:
+            raise InputError(f"camera parameters are out of range, got {self.params}")
+        if min(self.focal) <= 0:
+            raise InputError(f"focal length must be positive, got {self.focal}")
+
+    @staticmethod
+    def parse(words: Sequence[str]) -> Camera:
+        """From ``MODEL width height params...``, the form of COLMAP's and hloc's text files.
+
+        Raises:
+            InputError: a word is missing or is not a number.
+        """
+        try:
+            model, width, height = words[0], int(words[1]), int(words[2])
+            params = tuple(float(w) for w in words[3:])
+        except (IndexError, ValueError):
+            raise InputError(
+                f"expected 'MODEL width height params...', got {' '.join(words)!r}"
+            ) from None
+        return Camera(model, width, height, params)
+
+    def __str__(self) -> str:
+        numbers = " ".join(repr(p) for p in self.params)
+        return f"{self.model} {self.width} {self.height} {numbers}"
+
+    def _value(self, name: str, default: float = 0.0) -> float:
+        names = MODELS[self.model]
+        return self.params[names.index(name)] if name in names else default
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        """Focal lengths fx, fy in pixels."""
+        if "f" in MODELS[self.model]:
+            return self._value("f"), self._value("f")
+        return self._value("fx"), self._value("fy")
+
+    @property
+    def principal(self) -> tuple[float, float]:
+        """Principal point cx, cy in COLMAP pixels."""
+        return self._value("cx"), self._value("cy")
+
+    @property
+    def distortion(self) -> tuple[float, float, float, float]:
+        """k1 k2 p1 p2, or k1 k2 k3 k4 for the fisheye; zero where the model has none."""
+        last = ("k3", "k4") if self.is_fisheye else ("p1", "p2")
+        k1, k2, c, d = (self._value(n) for n in ("k1", "k2", *last))
+        return k1, k2, c, d
+
+    @property
+    def is_fisheye(self) -> bool:
+        """Whether the model is equidistant rather than perspective."""
+        return self.model == "OPENCV_FISHEYE"
+
+    @property
+    def calibration(self) -> NDArray[np.float64]:
+        """K, (3, 3) float64, COLMAP pixels, without distortion."""
+        (fx, fy), (cx, cy) = self.focal, self.principal
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
+
+    def fold_limit(self) -> float:
+        """Where the distortion polynomial first stops growing: radius x/z, or angle (rad).
+
+        Beyond it points far outside the field of view fold back into the picture. Infinite (for
+        the fisheye: a right angle) when it never does.
+        """
+        k1, k2, k3, k4 = self.distortion
+        if self.is_fisheye:
+            slope, unbounded = [9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0], math.pi / 2
+        else:
+            slope, unbounded = [5 * k2, 3 * k1, 1.0], math.inf
+        while abs(slope[0]) < _SMALLEST:
+            slope = slope[1:]
+        roots = np.roots(slope)
+        squares = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and r.real > 0]
+        return min([unbounded, *(math.sqrt(s) for s in squares)])
+
+    def intrinsics(
+        self, dtype: torch.dtype = torch.float64, device: torch.device | None = None
+    ) -> Intrinsics:
+        """The camera as tensors, ready to project."""
+
+        def tensor(values: object) -> Tensor:
+            return torch.tensor(values, dtype=dtype, device=device)
+
+        return Intrinsics(
+            fisheye=self.is_fisheye,
+            focal=tensor(self.focal),
+            principal=tensor(self.principal),
+            distortion=tensor(self.distortion),
+            limit=tensor(self.fold_limit()),
+        )
+
+    def project(self, points: Tensor, jacobian: bool = False) -> Projection:
+        """Project points of the camera frame, (..., N, 3); see ``Intrinsics.project``."""
+        return self.intrinsics(points.dtype, points.device).project(points, jacobian)
+
+    def unproject(self, xy: Tensor) -> tuple[Tensor, Tensor]:
+        """Rays with z = 1 through pixels (..., N, 2); see ``Intrinsics.unproject``."""
+        return self.intrinsics(xy.dtype, xy.device).unproject(xy)
+
+    def contains(self, xy: Tensor, border: float = 0.0) -> Tensor:
+        """Whether pixels lie inside the picture, at least ``border`` pixels from its edge."""
+        x, y = xy[..., 0], xy[..., 1]
+        return (
+            (x >= border) & (x <= self.width - border) & (y >= border) & (y <= self.height - border)
+        )
+
+    def pixel_grid(self, dtype: torch.dtype = torch.float64) -> Tensor:
+        """Pixel centres, (H, W, 2), x then y."""
+        x = torch.arange(self.width, dtype=dtype) + 0.5
+        y = torch.arange(self.height, dtype=dtype) + 0.5
+        return torch.stack(torch.meshgrid(x, y, indexing="xy"), -1)
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera of the same picture resized to ``width`` x ``height`` pixels.
+
+        Raises:
+            InputError: a model with one focal length cannot hold two different scales.
+        """
+        sx, sy = width / self.width, height / self.height
+        if "f" in MODELS[self.model] and not math.isclose(sx, sy, rel_tol=1e-3):
+            raise InputError(
+                f"{self.model} has one focal length and cannot be resized from "
+                f"{self.width} x {self.height} to {width} x {height}"
+            )
+        scale = {"f": sx, "fx": sx, "cx": sx, "fy": sy, "cy": sy}
+        names = MODELS[self.model]
+        params = tuple(p * scale.get(n, 1.0) for n, p in zip(names, self.params, strict=True))
+        return Camera(self.model, width, height, params)

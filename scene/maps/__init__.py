@@ -1,0 +1,1 @@
+"""Sparse maps, local features and COLMAP's binary files, as arrays."""

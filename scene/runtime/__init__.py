@@ -1,0 +1,1 @@
+"""Progress, memory, clusters and system packages."""

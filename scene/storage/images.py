@@ -1,0 +1,351 @@
+"""Photographs: reading with one clear error, writing as a drone does."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import struct
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL.TiffImagePlugin import IFDRational
+
+from scene.errors import InputError
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic
+from scene.storage.files import require_readable, written_whole
+
+# What libraries raise on a damaged image or EXIF.
+_DAMAGE: Final = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
+# A few bytes may claim any size. Pillow refuses twice the number that it warns of.
+_MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
+# Pillow's warnings, of large images and of damaged EXIF, mean nothing to those who run a command.
+warnings.filterwarnings("ignore", module=r"PIL\.")
+# A segment of a JPEG is no longer, with the name of what it holds (B).
+_SEGMENT: Final = 65_500
+# No lens has a focal length beyond these (mm), and no aircraft flies so high (m).
+_FOCAL_MM: Final = (1.0, 10_000.0)
+_HIGHEST_M: Final = 1e6
+# The film that focal lengths are told for, millimetres.
+_FILM_WIDTH = 36.0
+_FILM_DIAGONAL = math.hypot(36, 24)
+# Pictures wider than 3:2 by far.
+_WIDE = 1.6
+# What EXIF's units of resolution are, millimetres.
+_CENTIMETRE = 3
+_MILLIMETRES = {2: 25.4, _CENTIMETRE: 10.0}
+
+
+def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
+    """Read a photograph as stored, (H, W, 3) uint8 RGB; an EXIF rotation is not applied.
+
+    Grey values of more than 8 bits are stretched from the least to the largest of the photograph:
+    thermal and machine cameras use a small part of their range.
+
+    Args:
+        path: the file.
+        camera: when given, the size the photograph must have.
+
+    Raises:
+        InputError: missing, no regular file, truncated, not an image, of more pixels than
+            179 million, or not the size of ``camera``.
+    """
+    with _opened(path) as image:
+        if image.mode.startswith(("I", "F")):
+            pixels = _stretched(np.asarray(image), path)
+        else:
+            pixels = np.asarray(image.convert("RGB"))
+    if camera is not None and pixels.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"image {path} is {pixels.shape[1]} x {pixels.shape[0]} pixels but its camera is "
+            f"{camera.width} x {camera.height}: resize the image or use its own calibration"
+        )
+    return pixels
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """An image file, and one clear error for what is wrong with it, also within the block."""
+    if not path.exists() and not path.is_symlink():
+        hint = ": the model it is named in was made on Windows" if "\\" in path.name else ""
+        raise InputError(f"image {path} does not exist{hint}")
+    require_readable(path, "image")
+    try:
+        with Image.open(path) as image:
+            yield image
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        raise InputError(f"{path} is not an image this program can read") from None
+    except Image.DecompressionBombError:
+        raise InputError(
+            f"image {path} has more than {_MOST_PIXELS / 1e6:.0f} million pixels: make it smaller"
+        ) from None
+    except _DAMAGE as error:
+        raise InputError(f"image {path} is damaged: {error}") from None
+
+
+def _stretched(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
+    """Grey values (H, W) of any type as (H, W, 3), from their least to their largest."""
+    values = grey.astype(np.float64)
+    if not np.isfinite(values).all():
+        raise InputError(f"image {path} has values that are not finite")
+    low, high = values.min(), values.max()
+    scaled = (values - low) * (255 / (high - low) if high > low else 0.0)
+    return np.repeat(np.rint(scaled).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
+    """Make sure photographs are there, whole, and of the size of their cameras.
+
+    COLMAP skips what it cannot read and decodes half of a truncated file without a word.
+
+    Args:
+        root: folder the names are relative to.
+        cameras: by image name.
+
+    Raises:
+        InputError: as ``read_rgb``, about the first photograph at fault.
+    """
+    for name, camera in cameras.items():
+        read_rgb(root / name, camera)
+
+
+@dataclass(frozen=True)
+class Exif:
+    """What a drone writes into a photograph.
+
+    Attributes:
+        position: where the aircraft believes it was, or None.
+        time: when, or None.
+        make: of the camera.
+        model: of the camera.
+        focal_35mm: focal length in millimetres of a film 36 mm wide, or None.
+        gimbal: yaw clockwise from north, pitch above the horizon and roll of the camera in degrees,
+            as DJI's XMP says them, or None.
+    """
+
+    position: Geodetic | None
+    time: datetime | None
+    make: str = "ObjConnect"
+    model: str = "simulated camera"
+    focal_35mm: float | None = None
+    gimbal: tuple[float, float, float] | None = None
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of a photograph as stored, pixels.
+
+    Raises:
+        InputError: missing file or not an image.
+    """
+    with _opened(path) as image:
+        return image.size
+
+
+def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95) -> None:
+    """Write a photograph with EXIF. ``rgb`` is (H, W, 3) uint8.
+
+    Chroma is kept at full resolution, so that compression costs features little.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    with written_whole(path) as partial:
+        Image.fromarray(rgb).save(
+            partial,
+            "JPEG",
+            quality=quality,
+            subsampling=0,
+            exif=_encode(exif, rgb.shape[1]).tobytes(),
+        )
+
+
+def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) -> None:
+    """Copy a photograph with its metadata, made smaller where a side is over ``longest`` pixels,
+    and turned by 180 degrees where ``over``.
+
+    Raises:
+        InputError: it is missing or damaged, or ``out`` cannot be written.
+    """
+    rgb = read_rgb(source)
+    height, width = rgb.shape[:2]
+    scale = min(1.0, longest / max(width, height))
+    with written_whole(out) as partial:
+        if scale == 1 and not over:
+            shutil.copyfile(source, partial)
+            return
+        size = (round(scale * width), round(scale * height))
+        with _opened(source) as original:
+            kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
+        if len(kept.get("xmp", b"")) > _SEGMENT:
+            del kept["xmp"]
+        if len(kept.get("exif", b"")) > _SEGMENT:  # thumbnails, notes of the maker's
+            kept["exif"] = _encode(read_exif(source), size[0]).tobytes()
+        picture = Image.fromarray(rgb[::-1, ::-1] if over else rgb)
+        smaller = picture.resize(size, Image.Resampling.LANCZOS)
+        smaller.save(partial, "JPEG", quality=95, subsampling=0, **kept)
+
+
+def _encode(exif: Exif, width: int) -> Image.Exif:
+    tags = Image.Exif()
+    tags[ExifTags.Base.Make] = exif.make
+    tags[ExifTags.Base.Model] = exif.model
+    detail = tags.get_ifd(ExifTags.IFD.Exif)
+    if exif.time is not None:
+        stamp = exif.time.astimezone(UTC).strftime("%Y:%m:%d %H:%M:%S")
+        tags[ExifTags.Base.DateTime] = stamp
+        detail[ExifTags.Base.DateTimeOriginal] = stamp
+        detail[ExifTags.Base.OffsetTimeOriginal] = "+00:00"
+    if exif.focal_35mm is not None:
+        detail[ExifTags.Base.FocalLength] = _rational(exif.focal_35mm)
+        detail[ExifTags.Base.FocalLengthIn35mmFilm] = round(exif.focal_35mm)
+        # Whole millimetres are coarse: the pitch of the pixels says the same exactly.
+        detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * width / _FILM_WIDTH)
+        detail[ExifTags.Base.FocalPlaneResolutionUnit] = _CENTIMETRE
+        detail[ExifTags.Base.ExifImageWidth] = width
+    if exif.position is not None:
+        gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
+        place = exif.position
+        gps[ExifTags.GPS.GPSLatitudeRef] = "N" if place.latitude >= 0 else "S"
+        gps[ExifTags.GPS.GPSLatitude] = _sexagesimal(abs(place.latitude))
+        gps[ExifTags.GPS.GPSLongitudeRef] = "E" if place.longitude >= 0 else "W"
+        gps[ExifTags.GPS.GPSLongitude] = _sexagesimal(abs(place.longitude))
+        gps[ExifTags.GPS.GPSAltitudeRef] = b"\x00" if place.altitude >= 0 else b"\x01"
+        gps[ExifTags.GPS.GPSAltitude] = _rational(abs(place.altitude))
+    return tags
+
+
+def read_exif(path: Path) -> Exif:
+    """Read what a drone wrote; fields it did not write, or that say nothing, are None.
+
+    Raises:
+        InputError: missing file or not an image.
+    """
+    with _opened(path) as image:
+        size, xmp = image.size, image.info.get("xmp", b"")
+        try:
+            tags = image.getexif()
+            detail = tags.get_ifd(ExifTags.IFD.Exif)
+            gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
+        except _DAMAGE:  # the picture may be whole
+            tags, detail, gps = Image.Exif(), {}, {}
+    stamp = detail.get(ExifTags.Base.DateTimeOriginal)
+    return Exif(
+        position=_decode_position(gps),
+        time=_decode_time(stamp, detail.get(ExifTags.Base.SubsecTimeOriginal)),
+        make=_text(tags.get(ExifTags.Base.Make)),
+        model=_text(tags.get(ExifTags.Base.Model)),
+        focal_35mm=_decode_focal(detail, size),
+        gimbal=_decode_gimbal(xmp if isinstance(xmp, bytes) else str(xmp).encode()),
+    )
+
+
+def _text(value: object) -> str:
+    """Cameras fill the field up with zero bytes."""
+    return str(value or "").strip("\0 ")
+
+
+def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None:
+    """Millimetres on a film 36 mm wide: by the pitch of the pixels where the camera tells it, else
+    by the equivalent that makers print."""
+    try:
+        unit = _MILLIMETRES[int(detail.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
+        pitch = unit / float(detail[ExifTags.Base.FocalPlaneXResolution])
+        sensor = pitch * float(detail[ExifTags.Base.ExifImageWidth])
+        focal = _FILM_WIDTH * float(detail[ExifTags.Base.FocalLength]) / sensor
+    except _DAMAGE:
+        focal = math.nan
+    if _FOCAL_MM[0] <= focal <= _FOCAL_MM[1]:
+        return focal
+    try:
+        focal = float(detail[ExifTags.Base.FocalLengthIn35mmFilm])
+    except _DAMAGE:
+        return None
+    if not _FOCAL_MM[0] <= focal <= _FOCAL_MM[1]:
+        return None
+    # The equivalent holds for the diagonal (CIPA DCG-001); wide pictures are cut from 4:3 sensors.
+    aspect = max(size) / min(size)
+    diagonal = math.hypot(1, 1 / aspect) if aspect < _WIDE else math.hypot(1, 3 / 4)
+    return focal * _FILM_WIDTH / _FILM_DIAGONAL * diagonal
+
+
+def _decode_gimbal(xmp: bytes) -> tuple[float, float, float] | None:
+    """DJI's attitude of the camera, which stands in an attribute or in an element."""
+    angles = []
+    for axis in (b"Yaw", b"Pitch", b"Roll"):
+        found = re.search(rb"Gimbal" + axis + rb"Degree(?:=\"|>)\s*([+-]?[0-9.]+)", xmp)
+        try:
+            angles.append(math.nan if found is None else float(found[1]))
+        except ValueError:
+            return None
+        if not math.isfinite(angles[-1]):
+            return None
+    return angles[0], angles[1], angles[2]
+
+
+def _decode_time(stamp: object, fraction: object) -> datetime | None:
+    """Whole seconds, and the decimal digits that follow them where the camera writes some."""
+    digits = _text(fraction)
+    try:
+        whole = datetime.strptime(str(stamp), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+        return whole + timedelta(seconds=float(f"0.{digits}") if digits.isdecimal() else 0)
+    except (ValueError, OverflowError):  # there is no second after the year 9999
+        return None
+
+
+def _decode_position(gps: dict[int, object]) -> Geodetic | None:
+    def angle(tag: int, reference: int, negative: str) -> float | None:
+        parts = gps.get(tag)
+        if not isinstance(parts, tuple) or len(parts) != 3:
+            return None
+        degrees = float(sum(float(part) / 60**k for k, part in enumerate(parts)))
+        return -degrees if gps.get(reference) == negative else degrees
+
+    try:
+        latitude: float | None = angle(ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLatitudeRef, "S")
+        longitude = angle(ExifTags.GPS.GPSLongitude, ExifTags.GPS.GPSLongitudeRef, "W")
+        altitude = float(str(gps.get(ExifTags.GPS.GPSAltitude, 0.0)))
+    except _DAMAGE:
+        return None
+    if latitude is None or longitude is None:
+        return None
+    # A receiver without a fix writes 0/0, which reads as NaN.
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+        return None
+    if not abs(altitude) <= _HIGHEST_M:
+        altitude = 0.0
+    below = gps.get(ExifTags.GPS.GPSAltitudeRef) in (b"\x01", 1)
+    return Geodetic(latitude, longitude, -altitude if below else altitude)
+
+
+def _rational(value: float, denominator: int = 10_000) -> IFDRational:
+    return IFDRational(Fraction(round(value * denominator), denominator))
+
+
+def _sexagesimal(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:
+    whole = int(degrees)
+    minutes = (degrees - whole) * 60
+    seconds = (minutes - int(minutes)) * 60
+    return _rational(whole, 1), _rational(int(minutes), 1), _rational(seconds)

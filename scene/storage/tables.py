@@ -1,0 +1,53 @@
+"""Tables of others, as CSV: every fault is named by file and line."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from scene.errors import InputError
+from scene.storage.files import read_text
+
+
+def read_table(
+    path: Path, what: str, columns: Sequence[str]
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Where each row of a CSV file is, as ``file:line``, and its values by column.
+
+    Other columns may be there too. White space around values does not count, nor do blank lines.
+
+    Args:
+        path: of the file.
+        what: it is, for messages.
+        columns: that it must have.
+
+    Raises:
+        InputError: an unreadable file, a missing column or one named twice, a row of another
+            number of values, or a quote that is never closed.
+    """
+    rows = csv.reader(io.StringIO(read_text(path, what), newline=""))
+    line = 1
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        missing = [column for column in columns if column not in header]
+        if missing:
+            raise InputError(f"{path}:1: {what} lacks the column {', '.join(missing)}")
+        twice = [name for name, count in Counter(header).items() if name and count > 1]
+        if twice:
+            raise InputError(f"{path}:1: {what} has the column {twice[0]!r} twice")
+        line = rows.line_num + 1
+        for values in rows:
+            where, several, line = f"{path}:{line}", rows.line_num > line, rows.line_num + 1
+            if not any(values):
+                continue
+            if len(values) != len(header):
+                hint = ": is a quote never closed?" if several else ""
+                raise InputError(
+                    f"{where}: expected {len(header)} columns, got {len(values)}{hint}"
+                )
+            yield where, dict(zip(header, (value.strip() for value in values), strict=True))
+    except csv.Error as error:
+        raise InputError(f"{path}:{line}: {error}: is a quote never closed?") from None

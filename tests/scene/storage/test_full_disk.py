@@ -1,0 +1,232 @@
+"""A disk that is really full: a small file system in memory, mounted for the test."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from benchmark.datasets.dataset import open_datasets
+from benchmark.journal import Journal
+from benchmark.results import QueryResult
+from scene.bundle.frames import read_frames, write_frames
+from scene.colmap.sift import SiftOptions
+from scene.colmap.triangulation import triangulate
+from scene.errors import InputError, WriteError
+from scene.maps.photographs import PosedImage
+from scene.storage.files import (
+    folder_written_whole,
+    kept_while_working,
+    require_room,
+    sole_writer,
+    write_text,
+    written_whole,
+)
+from tests.benchmark.made_data import scored_query
+from tests.scene.bundle.test_frames import ALL, assert_equal, made_frames, made_layers
+
+GATE = Path(__file__).parents[2] / "data" / "gate"
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 2 MB."""
+    path = tmp_path / "disk"
+    path.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(path)]
+    mounted = shutil.which("mount") and not subprocess.run(mount, check=False).returncode
+    if not mounted:
+        pytest.skip("a file system can be mounted by root alone")
+    try:
+        yield path
+    finally:
+        subprocess.run(["umount", "-l", str(path)], check=True)
+
+
+def fill(disk: Path, left: int = 0) -> Path:
+    """Leave so many bytes."""
+    path = disk / "filling"
+    path.write_bytes(bytes(max(shutil.disk_usage(disk).free - left, 0)))
+    return path
+
+
+def test_a_file(disk: Path) -> None:
+    path = disk / "result"
+    path.write_text("old")
+    with pytest.raises(WriteError, match="No space left"), written_whole(path) as partial:
+        partial.write_bytes(bytes(3_000_000))
+    assert path.read_text() == "old"
+    assert [p.name for p in disk.iterdir()] == ["result"]
+
+
+def test_a_folder(disk: Path) -> None:
+    with pytest.raises(WriteError, match="No space left"), folder_written_whole(disk / "m") as out:
+        (out / "a").write_bytes(bytes(3_000_000))
+    assert not list(disk.iterdir())
+
+
+def test_a_session(disk: Path) -> None:
+    """HDF5 says it in its own words, and may say it when the file is closed."""
+    path = disk / "frames.h5"
+    write_frames(path, made_frames(3), ALL, (made_layers(k) for k in range(3)))
+    filling = fill(disk, 3000)
+    with pytest.raises(WriteError, match="cannot write"):
+        write_frames(path, made_frames(40), ALL, (made_layers(k) for k in range(40)))
+    assert_equal(read_frames(path), made_frames(3))
+    assert {p.name for p in disk.iterdir()} == {"frames.h5", "filling"}
+    filling.unlink()
+    write_frames(path, made_frames(40), ALL, (made_layers(k) for k in range(40)))
+    assert len(read_frames(path)) == 40
+
+
+def test_a_checkpoint(disk: Path) -> None:
+    """Torch writes by itself."""
+    path = disk / "checkpoint.pt"
+    torch.save({"done": 1}, path)
+    with pytest.raises(WriteError, match="cannot write"), written_whole(path) as partial:
+        torch.save({"w": torch.zeros(1_000_000)}, partial)
+    assert torch.load(path, weights_only=True) == {"done": 1}
+    assert [p.name for p in disk.iterdir()] == ["checkpoint.pt"]
+
+
+def test_an_error_that_is_not_the_disk_s_is_not_taken_for_it(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="mine"), written_whole(tmp_path / "a"):
+        raise RuntimeError("mine")
+
+
+def test_a_journal(disk: Path) -> None:
+    """Queries that were noted are there when there is room again."""
+    filling = fill(disk, 4096)
+    noted = []
+    opened = Journal(disk / "j", "key", QueryResult)
+    with pytest.raises(WriteError, match="No space left"), opened as journal:
+        for k in range(100):
+            journal.add(scored_query(f"{k}.jpg", 0.1))
+            noted.append(f"{k}.jpg")
+    assert 1 < len(noted) < 100
+    filling.unlink()
+    with Journal(disk / "j", "key", QueryResult) as journal:
+        assert list(journal.done) == noted
+        journal.add(scored_query("new.jpg", 0.1))
+
+
+def test_a_damaged_journal_keeps_what_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    with pytest.raises(KeyboardInterrupt), Journal(path, "key", QueryResult) as journal:
+        for name in ("a", "b"):
+            journal.add(scored_query(name, 0.1))
+        raise KeyboardInterrupt
+    data = path.read_bytes()
+    path.write_bytes(data[:-30] + b"\xb3" + data[-29:])  # no UTF-8
+    with Journal(path, "key", QueryResult) as journal:
+        assert list(journal.done) == ["a"]
+
+
+def matching(disk: Path) -> Callable[[], object]:
+    """Map four photographs of the gate with a database on the disk."""
+    (dataset,) = open_datasets(GATE)
+    known = dataset.load_map().images
+    names = sorted(known)[:4]
+    images = [PosedImage(n, known[n].camera, known[n].cam_from_world) for n in names]
+    pairs = [(a, b) for k, a in enumerate(names) for b in names[k + 1 :]]
+    (disk.parent / "map").mkdir(exist_ok=True)
+
+    def run() -> object:
+        out, database = disk.parent / "map", disk / "kept.db"
+        return triangulate(dataset.images, images, pairs, out, SiftOptions(), database=database)
+
+    return run
+
+
+def test_colmap_is_not_let_near_a_full_disk(disk: Path) -> None:
+    """It would end the process: 'terminate called', signal 6."""
+    fill(disk, 900_000)
+    with pytest.raises(WriteError, match=r"has 1 MB left and \d+ MB are needed"):
+        matching(disk)()
+
+
+def test_what_is_matched_outlives_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is said to be full after the third pair; the next run does not match them again."""
+    import scene.colmap as adapter
+
+    run = matching(tmp_path / "disk")
+    (tmp_path / "disk").mkdir()
+    compared = 0
+    match = adapter.match
+
+    def counted(*args: object) -> object:
+        nonlocal compared
+        compared += 1
+        return match(*args)  # type: ignore[arg-type]
+
+    def room(path: Path, needed: int) -> None:
+        if compared == 3:
+            raise WriteError("cannot write: full")
+
+    monkeypatch.setattr(adapter, "match", counted)
+    with monkeypatch.context() as patch:
+        patch.setattr(adapter, "require_room", room)
+        with (
+            pytest.raises(WriteError),
+            kept_while_working(tmp_path / "disk", "kept.db"),
+        ):
+            run()
+    assert (tmp_path / "disk" / "kept.db").is_file()
+    run()
+    assert compared == 6  # the pairs of four photographs
+    with pytest.raises(InputError), kept_while_working(tmp_path / "disk", "kept.db"):
+        raise InputError("these photographs make no map")
+    assert not (tmp_path / "disk").exists()
+
+
+def test_room(tmp_path: Path) -> None:
+    require_room(tmp_path / "new", 1000)
+    with pytest.raises(WriteError, match="are needed: free some"):
+        require_room(tmp_path / "new", 10**18)
+
+
+def test_a_disk_that_cannot_be_written(disk: Path) -> None:
+    """Nor by root: no permission stands in the way, the file system does."""
+    (disk / "scene").mkdir()
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+    with pytest.raises(WriteError, match="Read-only"), sole_writer(disk / "scene"):
+        pass
+    with pytest.raises(WriteError, match="Read-only"):
+        write_text(disk / "scene" / "a", "text")
+    with pytest.raises(InputError, match="Read-only"), sole_writer(disk / "new"):
+        pass
+    with pytest.raises(WriteError, match="Read-only"), folder_written_whole(disk / "map"):
+        pass
+    with pytest.raises(WriteError, match="Read-only"), kept_while_working(disk / "kept", "a.db"):
+        pass
+    journal = Journal(disk / "out" / "j", "key", QueryResult)
+    with pytest.raises(InputError, match="Read-only"), journal:
+        pass
+
+
+def test_a_killed_evaluation_has_noted_every_query(tmp_path: Path) -> None:
+    """kill -9: nothing waits in a buffer."""
+    code = (
+        "import os, pathlib, signal, sys\n"
+        "from benchmark.journal import Journal\n"
+        "from benchmark.results import QueryResult\n"
+        "from tests.benchmark.made_data import scored_query\n"
+        "with Journal(pathlib.Path(sys.argv[1]), 'key', QueryResult) as journal:\n"
+        "    for k in range(5):\n"
+        "        journal.add(scored_query(f'{k}.jpg', 0.1))\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    killed = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "j")], cwd=GATE.parents[2], check=False
+    )
+    assert killed.returncode == -signal.SIGKILL
+    with Journal(tmp_path / "j", "key", QueryResult) as journal:
+        assert list(journal.done) == [f"{k}.jpg" for k in range(5)]

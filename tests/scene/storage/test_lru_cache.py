@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from scene.storage.lru_cache import LruCache
+
+
+def test_the_last_used_stay_within_the_bound() -> None:
+    read: list[int] = []
+
+    def zeros(size: int) -> NDArray[np.uint8]:
+        read.append(size)
+        return np.zeros(size, np.uint8)
+
+    held = LruCache(zeros, 100)
+    for size in (40, 50, 40, 30):  # 50 was used longest ago
+        assert len(held(size)) == size
+        assert held.nbytes <= 100
+    assert read == [40, 50, 30]
+    assert held(40) is held(40)
+    held(50)
+    assert read == [40, 50, 30, 50]
+    # One alone may be larger: it is needed.
+    assert len(held(200)) == 200
+    assert (len(held), held.nbytes) == (1, 200)
+
+
+ROOM = """
+import numpy as np
+from scene.storage.lru_cache import MEGABYTE, room
+from scene.runtime.memory import resident_bytes
+
+bound = round(resident_bytes() / MEGABYTE) + 200
+print(room(bound) / MEGABYTE)
+taken = np.ones(100 * MEGABYTE, np.uint8)
+print(room(bound) / MEGABYTE)
+assert taken.all()
+print(room(1))
+"""
+
+
+def test_half_of_what_is_left_below_a_bound_is_for_values() -> None:
+    """In a process that does nothing else: what other tests let go may leave memory meanwhile."""
+    answer = subprocess.run(
+        [sys.executable, "-c", ROOM],
+        check=True,
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+    )
+    at_first, with_less, without = map(float, answer.stdout.split())
+    assert at_first == pytest.approx(100, abs=10)
+    # What is taken meanwhile is not there any more.
+    assert with_less == pytest.approx(50, abs=10)
+    assert without == 0
