@@ -52,7 +52,8 @@ def state() -> dict[str, Any]:
     return {
         "working folder": Path.cwd(),
         **{f"${name}": value for name, value in variables.items()},
-        "sys.path": list(sys.path),
+        # Ray adds a folder of its own when it is first imported.
+        "sys.path": [path for path in sys.path if not path.endswith("thirdparty_files")],
         **{str(n): signal.getsignal(n) for n in signal.valid_signals() - _TAKEN_BY_LIBRARIES},
         "logging": (logging.root.level, logging.root.disabled, logging.root.manager.disable),
         "torch's threads": torch.get_num_threads(),

@@ -148,9 +148,7 @@ def read_classifier(path: Path | None = None) -> PlaceClassifier:
     path = path or shipped(SHIPPED)
     weights = read_weights(path)
     if weights.config.get("figures") != FIGURES:
-        raise InputError(
-            f"{path} does not classifier places by the {FIGURES} figures of this version"
-        )
+        raise InputError(f"{path} does not judge places by the {FIGURES} figures of this version")
     classifier = PlaceClassifier()
     load_into(classifier, weights.tensors, path)
     return classifier.eval()

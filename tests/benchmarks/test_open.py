@@ -48,7 +48,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (path / "reference_poses.txt").write_text("\n".join(lines[MAPPED:]) + "\n")
     (path / "gps.csv").write_text("\n".join(rows) + "\n")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scene.digests, "_TICK_NS", -(10**18))  # they were written just now
+        patch.setattr(scene.storage.digests, "_TICK_NS", -(10**18))  # they were written just now
         opened(path)
         yield path
 

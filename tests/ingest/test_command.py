@@ -221,7 +221,7 @@ def test_an_interrupted_run_goes_on(
     def stop(*_: Any, **__: Any) -> Any:
         raise KeyboardInterrupt
 
-    import scene.colmap as adapter
+    import scene.colmap.database as adapter
 
     calls = 0
     match = adapter.match

@@ -130,8 +130,9 @@ WAITING = """
 import signal, sys, time
 from benchmark import cli
 
-# A shell that runs the tests in the background lets them ignore Ctrl-C.
+# A shell that runs the tests in the background lets them ignore Ctrl-C, and nohup SIGHUP.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 def wait(*arguments, **more):
     print("at work", flush=True)
@@ -159,8 +160,8 @@ class Slow(FakeLocalizer):
 benchmark.registry.create = lambda name, settings: Slow({})
 """
 MAP = """
-import scene.colmap
-scene.colmap._triangulate = wait
+import scene.colmap.triangulation
+scene.colmap.triangulation._triangulate = wait
 """
 
 
@@ -258,6 +259,7 @@ def test_a_signal_during_rendering(number: int, word: str, tmp_path: Path) -> No
         stderr=subprocess.PIPE,
         text=True,
         env=environment(TMPDIR=str(temporary)),
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # also under nohup
     ) as process:
         try:
             begun = time.monotonic()

@@ -182,7 +182,9 @@ def test_scratch_is_gone_after_an_error(tmp_path: Path) -> None:
 
 
 def test_colmap_leaves_no_logs(tmp_path: Path) -> None:
-    code = "import scene.colmap, pycolmap; pycolmap.logging.error('of no use'); print('done')"
+    code = (
+        "import scene.colmap.native, pycolmap; pycolmap.logging.error('of no use'); print('done')"
+    )
     done = python(code, TMPDIR=str(tmp_path))
     assert (done.stdout, done.stderr) == ("done\n", "")
     assert list(tmp_path.iterdir()) == []
@@ -193,7 +195,7 @@ def test_colmap_takes_no_signal_of_python_s(installed: str) -> None:
     install = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7));"
     code = "import os, signal, sys;"
     code += install if installed == "before" else ""
-    code += "import scene.colmap;"
+    code += "import scene.colmap.native;"
     code += install if installed == "after" else ""
     code += "os.kill(os.getpid(), signal.SIGTERM); signal.pause()"
     done = python(code)
@@ -201,7 +203,7 @@ def test_colmap_takes_no_signal_of_python_s(installed: str) -> None:
 
 
 def test_sigterm_without_a_handler_ends_quietly() -> None:
-    done = python("import os, signal, scene.colmap; os.kill(os.getpid(), signal.SIGTERM)")
+    done = python("import os, signal, scene.colmap.native; os.kill(os.getpid(), signal.SIGTERM)")
     assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
 
 
@@ -391,7 +393,7 @@ def test_a_photograph_that_is_none_is_one_line(
 def test_large_and_damaged_photographs_print_no_warning(tmp_path: Path) -> None:
     """A warning of Pillow's is two lines on standard error."""
     made(tmp_path / "a.jpg", "large")
-    code = "import os, pathlib; from scene.images import read_exif;"
+    code = "import os, pathlib; from scene.storage.images import read_exif;"
     code += "read_exif(pathlib.Path(os.environ['PHOTOGRAPH']))"
     done = python(code, PHOTOGRAPH=str(tmp_path / "a.jpg"))
     assert (done.returncode, done.stderr) == (0, "")
@@ -485,7 +487,7 @@ def test_a_model_with_a_pipe_in_it(tmp_path: Path) -> None:
 
 
 def test_texts_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene.files, "_LONGEST_TEXT", 10, raising=False)
+    monkeypatch.setattr(scene.storage.files, "_LONGEST_TEXT", 10, raising=False)
     (tmp_path / "a").write_text("0123456789")
     assert read_text(tmp_path / "a", "list") == "0123456789"
     (tmp_path / "a").write_text("0123456789+")

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from scene.colmap.absolute_pose import PnpResult, estimate_absolute_pose
+from scene.colmap.database import MappingJob
 from scene.colmap.sift import SiftExtractor, SiftOptions, extract_sift
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError
@@ -242,7 +243,9 @@ def plane_map(
 ) -> tuple[SparseMap, Path]:
     root, images = plane_flight
     out = tmp_path_factory.mktemp("map")
-    sparse_map, features = triangulate(root, images, PAIRS, out, SiftOptions(max_features=800))
+    sparse_map, features = triangulate(
+        MappingJob(root, PAIRS, SiftOptions(max_features=800), images=images), out
+    )
     assert set(features) == set(sparse_map.images)
     return sparse_map, out
 
@@ -280,7 +283,9 @@ def test_photographs_without_overlap_have_no_map(
     for k in range(2):
         cv2.imwrite(str(tmp_path / f"{k}.png"), textured(10 + k, 320)[:240])
     with pytest.raises(InputError, match="no point could be triangulated from the 2 images"):
-        triangulate(tmp_path, images[:2], PAIRS[:1], tmp_path / "out", SiftOptions(400))
+        triangulate(
+            MappingJob(tmp_path, PAIRS[:1], SiftOptions(400), images=images[:2]), tmp_path / "out"
+        )
 
 
 def test_batch_extraction_equals_one_image_at_a_time(
@@ -322,7 +327,9 @@ def test_an_image_that_cannot_be_read_is_named(
     with pytest.raises(InputError, match=r"1\.png"):
         extract_sift(tmp_path, ["0.png", "1.png"], SiftOptions())
     with pytest.raises(InputError, match=r"1\.png"):
-        triangulate(tmp_path, plane_flight[1][:2], PAIRS[:1], tmp_path, SiftOptions())
+        triangulate(
+            MappingJob(tmp_path, PAIRS[:1], SiftOptions(), images=plane_flight[1][:2]), tmp_path
+        )
 
 
 def test_more_images_than_one_call_of_the_extractor_takes(
@@ -346,6 +353,8 @@ def test_triangulation_repeats_itself_and_keeps_one_camera_for_all(
     tmp_path: Path,
 ) -> None:
     root, images = plane_flight
-    again, _ = triangulate(root, images, PAIRS, tmp_path, SiftOptions(max_features=800))
+    again, _ = triangulate(
+        MappingJob(root, PAIRS, SiftOptions(max_features=800), images=images), tmp_path
+    )
     assert again.sha256 == plane_map[0].sha256
     assert pycolmap.Reconstruction(tmp_path).num_cameras() == 1

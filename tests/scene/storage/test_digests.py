@@ -27,7 +27,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder of digests of its own; a file is remembered however lately it changed."""
     folder = tmp_path / "kept"
     monkeypatch.setenv(FOLDER_VARIABLE, str(folder))
-    monkeypatch.setattr(scene.digests, "_TICK_NS", -(10**15))
+    monkeypatch.setattr(scene.storage.digests, "_TICK_NS", -(10**15))
     return folder
 
 
@@ -73,7 +73,7 @@ def test_another_process_remembers(file: Path, kept: Path) -> None:
     odd.write_bytes(b"odd")
     digests([file, odd])
     code = (
-        "import hashlib, sys; from pathlib import Path; from scene.digests import digests\n"
+        "import hashlib, sys; from pathlib import Path; from scene.storage.digests import digests\n"
         "del hashlib.file_digest\n"
         "print(*digests(sorted(Path(sys.argv[1]).iterdir())))"
     )
@@ -117,7 +117,7 @@ def test_a_file_that_changes_within_a_tick(
         return [status.st_dev, status.st_ino, status.st_size, *times]
 
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
-    monkeypatch.setattr(scene.digests, "_state", coarse)
+    monkeypatch.setattr(scene.storage.digests, "_state", coarse)
     for k in range(20):
         data = f"{k:05d}".encode()
         file.write_bytes(data)
@@ -128,10 +128,10 @@ def test_one_that_rests_is_remembered(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unreadable: Any
 ) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
-    clock = scene.digests.time.time_ns
+    clock = scene.storage.digests.time.time_ns
     digest(file)
     assert not (tmp_path / "kept").exists()
-    monkeypatch.setattr(scene.digests.time, "time_ns", lambda: clock() + 10 * 10**9)
+    monkeypatch.setattr(scene.storage.digests.time, "time_ns", lambda: clock() + 10 * 10**9)
     digest(file)
     unreadable()
     assert digest(file) == sha256(b"first")
@@ -189,7 +189,7 @@ def test_two_processes_at_once(kept: Path, tmp_path: Path) -> None:
     for k in range(40):
         (folder / f"{k:02d}").write_text(str(k))
     code = (
-        "import sys; from pathlib import Path; import scene.digests as of\n"
+        "import sys; from pathlib import Path; import scene.storage.digests as of\n"
         "of._TICK_NS = -10**15\n"
         "files = sorted(Path(sys.argv[1]).iterdir())\n"
         "for k in range(int(sys.argv[2]), 40, 2): of.digests(files[: k + 1])"
@@ -216,7 +216,7 @@ def test_what_is_gone_is_forgotten(kept: Path, file: Path) -> None:
 
 def test_the_folder_has_bounds(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is not ours stays."""
-    monkeypatch.setattr(scene.digests, "_MOST_BYTES", 2000)
+    monkeypatch.setattr(scene.storage.digests, "_MOST_BYTES", 2000)
     kept.mkdir()
     (kept / "notes.txt").write_text("mine")
     for k in range(30):
@@ -242,7 +242,7 @@ def test_what_cannot_be_read(kept: Path, tmp_path: Path) -> None:
 def test_much_to_read_is_shown_and_the_same(
     kept: Path, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scene.digests, "_LONG", 0)
+    monkeypatch.setattr(scene.storage.digests, "_LONG", 0)
     assert digest(file) == sha256(b"first")
 
 

@@ -150,7 +150,7 @@ def test_one_process_writes_a_folder_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "scene"
     hold = (
         "import pathlib, sys\n"
-        "from scene.files import sole_writer\n"
+        "from scene.storage.files import sole_writer\n"
         "with sole_writer(pathlib.Path(sys.argv[1])):\n"
         "    print('held', flush=True)\n"
         "    sys.stdin.read()\n"

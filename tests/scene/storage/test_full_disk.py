@@ -16,6 +16,7 @@ from benchmark.datasets.dataset import open_datasets
 from benchmark.journal import Journal
 from benchmark.results import QueryResult
 from scene.bundle.frames import read_frames, write_frames
+from scene.colmap.database import MappingJob
 from scene.colmap.sift import SiftOptions
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError, WriteError
@@ -139,7 +140,9 @@ def matching(disk: Path) -> Callable[[], object]:
 
     def run() -> object:
         out, database = disk.parent / "map", disk / "kept.db"
-        return triangulate(dataset.images, images, pairs, out, SiftOptions(), database=database)
+        return triangulate(
+            MappingJob(dataset.images, pairs, SiftOptions(), images=images, database=database), out
+        )
 
     return run
 
@@ -155,7 +158,7 @@ def test_what_is_matched_outlives_a_full_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The disk is said to be full after the third pair; the next run does not match them again."""
-    import scene.colmap as adapter
+    import scene.colmap.database as adapter
 
     run = matching(tmp_path / "disk")
     (tmp_path / "disk").mkdir()
