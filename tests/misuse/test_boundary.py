@@ -259,7 +259,7 @@ def test_a_signal_during_rendering(number: int, word: str, tmp_path: Path) -> No
         stderr=subprocess.PIPE,
         text=True,
         env=environment(TMPDIR=str(temporary)),
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # also under nohup
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # noqa: PLW1509 - nohup
     ) as process:
         try:
             begun = time.monotonic()
