@@ -6,8 +6,10 @@ TORCH ?= torch==2.13.0
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
+# Processes that share the tests; auto: one a core.
+WORKERS ?= auto
 
-.PHONY: demo test lint bench install clean weights
+.PHONY: demo test test-rest test-all lint bench install clean weights
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -30,17 +32,27 @@ demo: libraries
 	$(BIN)/objconnect simulate --config configs/demo.yaml --out $(DEMO)/scene
 	test -d $(DEMO)/scene/map || $(BIN)/objconnect map $(DEMO)/scene
 	$(BIN)/objconnect validate $(DEMO)/scene
-	$(BIN)/objconnect evaluate $(DEMO)/scene --method sift --out $(DEMO)/results --cache $(DEMO)/cache >/dev/null
+	$(BIN)/objconnect evaluate $(DEMO)/scene --method sift --method pixloc --method objconnect \
+	  --start error=3m,5deg --out $(DEMO)/results --cache $(DEMO)/cache >/dev/null
 	$(BIN)/objconnect leaderboard $(DEMO)/results --out $(DEMO)/leaderboard
-	@echo "Pictures: $(DEMO)/scene/pictures, $(DEMO)/results; page: $(DEMO)/leaderboard/leaderboard.html"
+	$(BIN)/objconnect view $(DEMO)/scene --results $(DEMO)/results --out $(DEMO)/view.html
+	@echo "Look at: $(DEMO)/leaderboard/leaderboard.html, $(DEMO)/view.html, $(DEMO)/scene/pictures"
 
 # What the tests of the leaderboard's page click in.
 .PHONY: browser
 browser: install
 	@$(BIN)/python -m tests.browser
 
+# What a contributor runs before a commit: minutes, on all cores.
 test: libraries browser lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+# Kills at random moments, clusters, wheels, fuzz: tens of minutes.
+test-rest: libraries browser
+	$(BIN)/python -m pytest -n $(WORKERS) -m 'slow or thorough'
+	$(BIN)/python -m tests.fuzz --inputs 4000
+
+test-all: test test-rest
 
 lint: install
 	$(BIN)/ruff check .

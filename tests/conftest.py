@@ -22,6 +22,7 @@ from scene.storage.digests import FOLDER_VARIABLE
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
+from tests.shared import alone, made_once
 from tests.two_nodes import TwoNodes
 
 # The same examples in every run and on every machine, however slow it is.
@@ -122,10 +123,12 @@ RENDERED = SimulateConfig.model_validate(
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """A rendered scene with its map. Tests that change it take ``rendered_copy``."""
     require_libraries()
-    path = tmp_path_factory.mktemp("rendered") / "hamlet"
-    simulate(RENDERED, path)
-    build_map(path)
-    return Scene.open(path)
+
+    def make(folder: Path) -> None:
+        simulate(RENDERED, folder / "hamlet")
+        build_map(folder / "hamlet")
+
+    return Scene.open(made_once(tmp_path_factory, "rendered", make) / "hamlet")
 
 
 @pytest.fixture
@@ -134,11 +137,12 @@ def rendered_copy(rendered: Scene, tmp_path: Path) -> Path:
     return Path(shutil.copytree(rendered.path, tmp_path / "copy"))
 
 
-@pytest.fixture(scope="session")
-def two_nodes() -> Iterator[TwoNodes]:
-    """A Ray cluster on this machine."""
-    nodes = TwoNodes()
-    try:
-        yield nodes
-    finally:
-        nodes.end()
+@pytest.fixture(scope="module")
+def two_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoNodes]:
+    """A Ray cluster on this machine, which holds one at a time."""
+    with alone(tmp_path_factory, "cluster"):
+        nodes = TwoNodes()
+        try:
+            yield nodes
+        finally:
+            nodes.end()

@@ -21,6 +21,8 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from tests.two_nodes import TwoNodes
 
+pytestmark = pytest.mark.thorough
+
 TINY = SimulateConfig.model_validate(
     {
         "seed": 5,

@@ -10,6 +10,8 @@ import pytest
 
 from tests.mutants import MUTANTS, ROOT, Mutant, unlisted
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_the_list_is_true(mutant: Mutant) -> None:

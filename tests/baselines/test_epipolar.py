@@ -97,6 +97,7 @@ def test_geometry_that_does_not_say_where_is_named(
     assert estimate.reason == reason
 
 
+@pytest.mark.thorough
 def test_rendered_queries_are_localized() -> None:
     (dataset,) = open_datasets(GATE)
     localizer = EpipolarLocalizer(EpipolarConfig(max_features=1500))
@@ -108,6 +109,7 @@ def test_rendered_queries_are_localized() -> None:
     assert np.median(errors) < 0.5
 
 
+@pytest.mark.thorough
 def test_queries_of_a_real_flight_are_localized(beach: Path) -> None:
     dataset = open_datasets(beach)[0]
     localizer = EpipolarLocalizer(EpipolarConfig())

@@ -20,6 +20,7 @@ def plan(*variants: dict[str, object]) -> Plan:
     return load_config(Plan, None, {"training": TINY, "variants": list(variants)})
 
 
+@pytest.mark.thorough
 def test_variants_are_trained_and_asked_once_and_stand_in_one_table(
     rendered: Scene, tmp_path: Path
 ) -> None:

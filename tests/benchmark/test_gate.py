@@ -64,6 +64,7 @@ def two_pixels(query: Query) -> Query:
     return replace(query, camera=biased)
 
 
+@pytest.mark.thorough
 def test_a_bias_of_two_pixels_is_caught(gate: Dataset, tmp_path: Path) -> None:
     evaluate(gate, Faulty(two_pixels), tmp_path)
     answer = regress(tmp_path)
@@ -71,6 +72,7 @@ def test_a_bias_of_two_pixels_is_caught(gate: Dataset, tmp_path: Path) -> None:
     assert "DROP sift on gate (flight), all, 0.25m_2deg: -" in answer.stdout
 
 
+@pytest.mark.thorough
 def test_one_query_in_ten_dropped_is_caught(gate: Dataset, tmp_path: Path) -> None:
     dropped = {query.name for query in gate.queries[::10]}
     evaluate(gate, Faulty(lambda q: None if q.name in dropped else q), tmp_path)
@@ -79,6 +81,7 @@ def test_one_query_in_ten_dropped_is_caught(gate: Dataset, tmp_path: Path) -> No
     assert "DROP sift on gate" in answer.stdout
 
 
+@pytest.mark.thorough
 def test_swapped_cameras_are_caught(gate: Dataset, tmp_path: Path) -> None:
     first, second = dict.fromkeys(query.camera for query in gate.queries)
     other = {first: second, second: first}

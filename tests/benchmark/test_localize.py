@@ -98,6 +98,7 @@ def test_exif_is_the_prior(
     assert prior.position_sigma.tolist() == [3, 3, 3]
 
 
+@pytest.mark.thorough
 def test_real_photographs_of_another_size(flight_copy: Path, tmp_path: Path, beach: Path) -> None:
     """As the pilot hands them over: larger than the map's, with GPS in their EXIF."""
     folder = tmp_path / "new"

@@ -10,6 +10,8 @@ import yaml
 from scene.bundle.scene import Scene
 from tests.benchmark.test_regress import GOOD, write
 
+pytestmark = pytest.mark.thorough
+
 pytest_plugins = "pytester"
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples" / "gate"

@@ -28,6 +28,8 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
 
+pytestmark = pytest.mark.thorough
+
 # Where 320 pixels a side suffice for a map, half a metre in snow takes more: a third of a metre on
 # the ground per pixel left `pixloc` at 0.5 to 0.9 m.
 SNOWED: Final = SimulateConfig.model_validate(

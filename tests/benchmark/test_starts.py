@@ -109,6 +109,7 @@ def test_retrieval_is_of_the_map(meadow: Dataset) -> None:
         assert set(found) <= set(MAP_NAMES)
 
 
+@pytest.mark.thorough
 def test_retrieval_finds_what_overlaps(beach: Path) -> None:
     whole, _ = open_datasets(beach)
     sparse_map = whole.load_map()

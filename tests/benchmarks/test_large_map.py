@@ -17,6 +17,8 @@ from scene.localizer import Status
 from scene.storage.lru_cache import MEGABYTE
 from tests.benchmarks.large_map import Flight, fly, ground, localizer_of, queries, write_map
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:

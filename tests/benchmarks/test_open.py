@@ -22,6 +22,8 @@ from benchmark.datasets.textfiles import read_cameras, read_gps, read_poses
 from scene.maps.colmap_files import read_model
 from tests.benchmark.made_data import CAMERA, pose_at, write_model
 
+pytestmark = pytest.mark.thorough
+
 MAPPED, ASKED = 700, 300
 # What matters the first time alone.
 BYTES = 20_000

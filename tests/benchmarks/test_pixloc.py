@@ -16,6 +16,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from tests.baselines.pixloc import official
 from tests.benchmarks.pixloc_cost import METHODS, Ground, lower_bound, made
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def ground(tmp_path_factory: pytest.TempPathFactory) -> Ground:

@@ -15,6 +15,8 @@ from simulate.command import _frames, _pack
 from simulate.config import SimulateConfig
 from tests.benchmarks.renderer import Renderer, nadir_job
 
+pytestmark = pytest.mark.thorough
+
 POSES = 4
 CONFIG = SimulateConfig.model_validate(
     {

@@ -15,6 +15,8 @@ from scene.geometry.camera import Camera
 from scene.localizer import Prior, Query
 from scene.maps.sparse_map import MapImage, SparseMap
 
+pytestmark = pytest.mark.thorough
+
 CAMERA = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
 # Metres between photographs of a survey, points of each of them.
 SPACING, POINTS = 20.0, 30

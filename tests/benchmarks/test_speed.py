@@ -19,6 +19,8 @@ from scene.geometry.camera import Camera
 from scene.maps.colmap_files import read_model
 from scene.maps.matching import match
 
+pytestmark = pytest.mark.thorough
+
 CAMERA = Camera("OPENCV", 1024, 768, (869.0, 866.0, 526.0, 420.0, -0.4, 0.19, 1e-4, 6e-4))
 
 

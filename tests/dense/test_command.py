@@ -86,6 +86,7 @@ def test_the_scene_is_whole(scene_and_report: tuple[Scene, DenseReport]) -> None
         assert (scene.path / "pictures" / name).stat().st_size > 10_000
 
 
+@pytest.mark.thorough
 def test_an_interrupted_run_goes_on_to_the_same_bytes(
     scene_and_report: tuple[Scene, DenseReport],
     rendered_copy: Path,

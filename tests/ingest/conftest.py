@@ -10,6 +10,7 @@ from ingest.command import ingest
 from ingest.report import IngestReport
 from scene.bundle.scene import Scene
 from scene.storage.images import write_resized
+from tests.shared import made_once
 
 SIDE = 500
 
@@ -17,10 +18,12 @@ SIDE = 500
 @pytest.fixture(scope="session")
 def photographs(beach: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All photographs of a real flight as its pilot would hand them over, but small."""
-    folder = tmp_path_factory.mktemp("photographs")
-    for path in sorted((beach / "photos").iterdir()):
-        write_resized(path, folder / path.name, SIDE)
-    return folder
+
+    def make(folder: Path) -> None:
+        for path in sorted((beach / "photos").iterdir()):
+            write_resized(path, folder / path.name, SIDE)
+
+    return made_once(tmp_path_factory, "photographs", make)
 
 
 @pytest.fixture(scope="session")

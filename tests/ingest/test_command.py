@@ -92,6 +92,7 @@ def test_pictures_turned_over_are_turned_back(ingested: Ingested, photographs: P
     assert np.abs(there - given[::-1, ::-1]).mean() < 3
 
 
+@pytest.mark.thorough
 def test_the_principal_point_is_found_where_cameras_turn_about(ingested: Ingested) -> None:
     """13.6 and 6.1 px of 1600 to the right and below, by an adjustment of larger pictures."""
     cameras = set(ingested[0].frames("flight").cameras)
@@ -257,6 +258,7 @@ def test_an_interrupted_run_goes_on(
     assert not list(out.glob(".*"))
 
 
+@pytest.mark.thorough
 def test_killed_while_pictures_are_turned_back(
     photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -149,6 +149,7 @@ def finished(rendered: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[
     return digests_of(path)
 
 
+@pytest.mark.thorough
 def test_killed_while_matching_and_resumed_is_the_same_map(
     rendered: Scene, rendered_copy: Path, finished: dict[str, str]
 ) -> None:
@@ -202,6 +203,7 @@ def test_killed_at_ten_random_moments_is_the_same_map(
     assert not list(rendered_copy.glob(".*"))
 
 
+@pytest.mark.thorough
 def test_what_an_interrupted_run_kept_may_be_damaged_or_of_other_photographs(
     rendered_copy: Path, finished: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

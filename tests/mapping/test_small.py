@@ -118,6 +118,7 @@ def run(*arguments: str) -> dict[str, Any]:
     return parsed
 
 
+@pytest.mark.thorough
 def test_small_things_are_added_once_and_taken_out_again(rendered_copy: Path) -> None:
     folder = Scene.open(rendered_copy).map_path
     files = {file.name: sha256_of(file) for file in folder.iterdir()}

@@ -243,6 +243,7 @@ def children(process: int) -> list[int]:
     return [int(child) for child in listed.read_text().split()]
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the children of a process")
 @pytest.mark.parametrize(("number", "word"), SIGNALS)
 def test_a_signal_during_rendering(number: int, word: str, tmp_path: Path) -> None:

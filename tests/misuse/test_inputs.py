@@ -92,6 +92,7 @@ KEPT = (
 )
 
 
+@pytest.mark.thorough
 def test_files_of_the_user_s_outlive_every_command_that_writes_a_scene(rendered_copy: Path) -> None:
     for name in KEPT:
         (rendered_copy / name).parent.mkdir(parents=True, exist_ok=True)
@@ -138,6 +139,7 @@ def test_an_ingest_that_fails_removes_what_it_wrote_and_nothing_else(
 # --- scratch ------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_evaluation_needs_no_room_in_the_system_s_temporary_folder(
     disk: Path,  # noqa: F811
     tmp_path: Path,

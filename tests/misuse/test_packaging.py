@@ -22,6 +22,8 @@ from simulate.config import SimulateConfig
 from tests.misuse.built import DATA, PACKAGES, ROOT, Environment, build_wheel, install, source_tree
 from tests.test_imports import ALL, imports_when_loaded
 
+pytestmark = pytest.mark.thorough
+
 GATE = ROOT / "tests" / "data" / "gate"
 BASELINE = ROOT / "tests" / "data" / "gate-baseline"
 ALL_ASKED = "| sift | same-flight | 10 | "  # as a leaderboard says it

@@ -12,6 +12,8 @@ from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
 from simulate.calibrate import BOARD, board_points, board_pose, calibrate
 
+pytestmark = pytest.mark.thorough
+
 CAMERA = Camera("OPENCV", 400, 300, (346, 348, 198.5, 151.25, -0.15, 0.03, 1e-3, -2e-3))
 FISHEYE = Camera("OPENCV_FISHEYE", 320, 240, (165, 164, 162, 118, 0.03, -0.008, 2e-3, 0))
 

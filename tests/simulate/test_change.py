@@ -130,6 +130,7 @@ def two_sessions(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return Scene.open(path)
 
 
+@pytest.mark.thorough
 def test_pixels_differ_only_where_the_manifest_declares_it(two_sessions: Scene) -> None:
     """Every layer, bit for bit: whatever pixel differs shows an object of the change record."""
     scene = two_sessions

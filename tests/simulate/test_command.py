@@ -104,6 +104,7 @@ def digests_without_map(scene: Scene) -> dict[str, str]:
     return {k: v for k, v in scene.manifest.sha256.items() if not k.startswith("map/")}
 
 
+@pytest.mark.thorough
 def test_killed_and_resumed_is_the_same_scene(rendered: Scene, tmp_path: Path) -> None:
     """kill -9 in the middle loses no finished frame, and the scene ends bit for bit the same."""
     out = tmp_path / "hamlet"

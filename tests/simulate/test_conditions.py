@@ -115,6 +115,7 @@ def same_geometry(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
     return all(np.array_equal(a[layer], b[layer]) for layer in a.keys() - {"rgb"})
 
 
+@pytest.mark.thorough
 def test_season_light_and_weather_move_nothing(tmp_path: Path) -> None:
     """Every season, every light and every weather once, bit for bit."""
     seasons = [name for name, season in SEASONS.items() if not season.bare]

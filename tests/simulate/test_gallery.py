@@ -158,6 +158,7 @@ def test_a_mistake_is_one_line(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.thorough
 def test_a_rendered_gallery(few: None, tmp_path: Path) -> None:
     town, light, weather = linked(gallery(SMALL, tmp_path))
     assert all(picture.std() > 30 for picture in (town, light, weather))

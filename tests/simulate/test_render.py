@@ -95,6 +95,7 @@ def test_depth_is_what_rays_meet(summer, tmp_path):
     check_rays(job("summer-noon"), frames, tmp_path)
 
 
+@pytest.mark.thorough
 def test_ground_points_lie_on_the_terrain(summer):
     town, poses = build_town(SEED, AREA), job("summer-noon").poses
     for frame in poses:
@@ -171,6 +172,7 @@ def test_labels_are_consistent(summer):
         assert (arrays["normal"][inside][:, 2] > 115).all()
 
 
+@pytest.mark.thorough
 def test_conditions_share_their_geometry(summer, tmp_path):
     winter_job = job("winter-dusk")
     winter_job.poses = {i: winter_job.poses[i] for i in (0, 2)}
@@ -199,6 +201,7 @@ def test_only_missing_frames_are_rendered_again_and_come_out_the_same(summer):
         assert np.array_equal(array, after[name]), name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "limit", [("FRAMES_PER_PROCESS", 1), ("_MAY_GROW_BYTES", 0)], ids=["frames", "memory"]
 )

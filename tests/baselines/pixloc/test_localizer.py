@@ -114,6 +114,7 @@ def test_many_starts_reach_further(weights: Path, made: tuple[SparseMap, Path]) 
     assert found[True] < 0.2
 
 
+@pytest.mark.thorough
 def test_an_altitude_nobody_knows_is_that_of_the_flight(
     weights: Path, made: tuple[SparseMap, Path]
 ) -> None:

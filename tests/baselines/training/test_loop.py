@@ -98,6 +98,7 @@ class _Bereaved(PixlocTraining):
         return super().loss(batch, progress)
 
 
+@pytest.mark.thorough
 def test_a_killed_maker_of_pairs_is_one_line(rendered: Scene, tmp_path: Path) -> None:
     """At step 4, when pairs of the next two are made or on their way: those of the last are not."""
     config = TINY.model_copy(update={"steps": 8, "workers": 1, "warm_up": 0.0})

@@ -388,6 +388,7 @@ def four_by_five_hundred(out: Path, target: Path) -> Results:
     return results
 
 
+@pytest.mark.thorough
 def test_four_methods_and_five_hundred_queries(out: Path, tmp_path: Path, browser: Browser) -> None:
     last = four_by_five_hundred(out, tmp_path / "out")
     leaderboard([tmp_path / "out"], tmp_path)

@@ -112,6 +112,7 @@ def test_nerfstudio_projects_a_known_point(rendered: Scene, tmp_path: Path) -> N
         assert np.abs(np.linalg.inv(flipped) - poses[name]).max() < EXACT
 
 
+@pytest.mark.thorough
 def test_nerfstudio_of_several_cameras(rendered_copy: Path, tmp_path: Path) -> None:
     session = "summer-noon-nadir-query"
     pinhole = Scene.open(rendered_copy).frames(session).cameras[0]

@@ -14,6 +14,8 @@ from scene.errors import InputError, WriteError
 from scene.runtime.cluster import shares, worker_pool
 from tests.two_nodes import TwoNodes
 
+pytestmark = pytest.mark.thorough
+
 
 def slowly(unit: int) -> Iterator[tuple[int, int]]:
     for k in range(5):
