@@ -356,7 +356,7 @@ COMMANDS: dict[str, Row] = {
             "cluster": CLUSTER,
             "as_json": FLAG,
         },
-        work=("scene.colmap._triangulate",),
+        work=("scene.colmap.triangulation._triangulate",),
         writes=("hamlet/.objconnect-mapping*",),
     ),
     "diagnose": Row(

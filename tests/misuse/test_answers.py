@@ -440,7 +440,7 @@ def poses(flight: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def score_query(flight: Path, poses: Path, tmp_path: Path) -> Path:
+def scored(flight: Path, poses: Path, tmp_path: Path) -> Path:
     """Results of score."""
     answer = invoke("score", poses, "--reference", flight, "--out", tmp_path / "results")
     assert answer.exit_code == 0, answer.stderr
