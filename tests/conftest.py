@@ -8,6 +8,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,21 @@ def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
+def _skip(*_: object) -> None:
+    pytest.skip("bpy is not installed: pip install 'objconnect[simulate]' (Python 3.11)")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _rendering_is_an_extra() -> Iterator[None]:
+    """Where Blender's module is not installed, tests that render are skipped when they begin to."""
+    if find_spec("bpy") is not None:
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("simulate.render.pool._Child.__init__", _skip)
+        yield
+
+
 @pytest.fixture(scope="session")
 def flights() -> Path:
     """The folder of real flights; tests that need it say so when they skip."""
@@ -122,6 +138,8 @@ RENDERED = SimulateConfig.model_validate(
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """A rendered scene with its map. Tests that change it take ``rendered_copy``."""
+    if find_spec("bpy") is None:
+        _skip()
     require_libraries()
 
     def make(folder: Path) -> None:
