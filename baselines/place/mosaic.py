@@ -1,0 +1,102 @@
+"""The mosaic of a map: what every cell of the ground looks like to a network, from above."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from baselines.featuremetric.maps import FeatureMap
+from baselines.place.grid import GroundGrid
+from baselines.views import View, looks_down
+from scene.geometry.pose import Pose
+from scene.maps.sparse_map import MapImage, SparseMap
+
+Look = Callable[[MapImage], tuple[View, FeatureMap]]
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """Coarse features on the ground, less what all of the ground has in common.
+
+    Attributes:
+        grid: of the cells.
+        features: (K, H, W) float32 of unit length, 0 where nothing is known.
+        known: (H, W) float32, 1 where a photograph shows the cell, else 0.
+        mean: (C,) the mean feature of all cells.
+        components: (C, K) orthonormal principal components.
+    """
+
+    grid: GroundGrid
+    features: Tensor
+    known: Tensor
+    mean: Tensor
+    components: Tensor
+
+    def reduced(self, features: Tensor) -> Tensor:
+        """Return features (..., C) of unit length as the mosaic holds its own, (..., K)."""
+        return torch.nn.functional.normalize((features - self.mean) @ self.components, dim=-1)
+
+
+@torch.inference_mode()
+def make_mosaic(
+    sparse_map: SparseMap, grid: GroundGrid, channels: int, look: Look, advance: Callable[[int], None]
+) -> Mosaic:
+    """Average the coarse features of all photographs that look down, cell by cell.
+
+    Args:
+        sparse_map: whose photographs.
+        grid: of the cells.
+        channels: K, principal components to keep.
+        look: gives a photograph's view, north up and at the map's resolution, with the features of
+            the coarsest level.
+        advance: called with the number of photographs done.
+
+    Raises:
+        InputError: a photograph is missing or broken.
+    """
+    cells = torch.from_numpy(grid.centres().reshape(-1, 3))
+    total: Tensor | None = None
+    weight = torch.zeros(len(cells))
+    for done, name in enumerate(sparse_map.names, 1):
+        image = sparse_map.images[name]
+        if looks_down(image.cam_from_world[:3, :3]):
+            view, level = look(image)
+            rows, features, confidence = _shown(view, level, image.pose, cells)
+            if total is None:
+                total = torch.zeros(len(cells), features.shape[1])
+            total[rows] += confidence[:, None] * features
+            weight[rows] += confidence
+        advance(done)
+    known = weight > 0
+    if total is None or not bool(known.any()):
+        raise ValueError("no photograph of the map looks down")
+    mean = total.sum(0) / weight.sum()
+    centred = torch.nn.functional.normalize(total[known] / weight[known, None] - mean, dim=1)
+    _, vectors = torch.linalg.eigh(centred.T @ centred)
+    components = vectors.flip(1)[:, :channels].contiguous()
+    features = torch.zeros(len(cells), components.shape[1])
+    features[known] = torch.nn.functional.normalize(centred @ components, dim=1)
+    shape = grid.shape
+    return Mosaic(
+        grid, features.T.reshape(-1, *shape).contiguous(), known.float().reshape(shape), mean, components
+    )
+
+
+def _shown(
+    view: View, level: FeatureMap, pose: Pose, cells: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return rows of the cells (M, 3) that a photograph shows, their unit features (N, C) and
+    confidences (N,)."""
+    projected = view.camera.project(view.pose(pose).transform(cells))
+    inside = projected.valid & view.camera.contains(projected.xy)
+    rows = torch.nonzero(inside)[:, 0]
+    xy = projected.xy[rows]
+    shown = torch.from_numpy(view.shows(xy.numpy()))
+    rows, xy = rows[shown], xy[shown]
+    features, confidence = level.sample(xy.float())
+    return rows, features, confidence
