@@ -24,6 +24,7 @@ _MADE_OF: Final = {
     "d2net": ("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
     "pixloc": ("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
     "objconnect": ("objconnect.localizer", "ObjConnectConfig", "ObjConnectLocalizer"),
+    "place": ("objconnect.place", "PlaceConfig", "PlaceLocalizer"),
     "prior": ("baselines.prior", "PriorConfig", "PriorLocalizer"),
 }
 METHODS: Final = tuple(_MADE_OF)

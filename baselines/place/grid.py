@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,8 +80,11 @@ def _medians(
 
 
 def _filled(heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return heights (H, W) with every NaN replaced by the nearest cell's height."""
-    from scipy.ndimage import distance_transform_edt
-
-    nearest = distance_transform_edt(np.isnan(heights), return_distances=False, return_indices=True)
-    return np.asarray(heights[tuple(nearest)])
+    """Return heights (H, W) with every NaN replaced by the height of the nearest cell with one."""
+    empty = np.isnan(heights)
+    _, labels = cv2.distanceTransformWithLabels(
+        empty.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    height_of = np.zeros(int(labels.max()) + 1)
+    height_of[labels[~empty]] = heights[~empty]
+    return np.asarray(height_of[labels])

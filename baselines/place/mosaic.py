@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
 
-import numpy as np
+import h5py
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from baselines.featuremetric.maps import FeatureMap
 from baselines.place.grid import GroundGrid
 from baselines.views import View, looks_down
+from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import MapImage, SparseMap
+from scene.storage.files import written_whole
+from scene.storage.hdf5 import array, attribute
 
 Look = Callable[[MapImage], tuple[View, FeatureMap]]
+
+_ARRAYS: Final = ("origin", "heights", "features", "known", "mean", "components")
 
 
 @dataclass(frozen=True)
@@ -41,10 +47,60 @@ class Mosaic:
         """Return features (..., C) of unit length as the mosaic holds its own, (..., K)."""
         return torch.nn.functional.normalize((features - self.mean) @ self.components, dim=-1)
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no photograph of the map looks down."""
+        return not bool(self.known.any())
+
+    def write(self, path: Path) -> None:
+        """Write the mosaic as HDF5; features take half precision.
+
+        Raises:
+            WriteError: the folder cannot be written, or the disk is full.
+        """
+        arrays = {
+            "origin": self.grid.origin,
+            "heights": self.grid.heights,
+            "features": self.features.half().numpy(),
+            "known": self.known.numpy(),
+            "mean": self.mean.numpy(),
+            "components": self.components.numpy(),
+        }
+        with written_whole(path) as partial, h5py.File(partial, "w") as file:
+            for name, values in arrays.items():
+                file[name] = values
+            file.attrs["cell"] = self.grid.cell
+
+    @staticmethod
+    def read(path: Path) -> Mosaic:
+        """Read what ``write`` wrote.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        try:
+            with h5py.File(path) as file:
+                origin, heights, *rest = (array(file, name) for name in _ARRAYS)
+                cell = float(attribute(file, "cell"))
+        except HDF5_DAMAGE as error:
+            raise InputError(f"{path} is damaged ({error}): delete it") from None
+        features, known, mean, components = (torch.from_numpy(each).float() for each in rest)
+        return Mosaic(GroundGrid(origin, cell, heights), features, known, mean, components)
+
+
+def empty_mosaic(grid: GroundGrid) -> Mosaic:
+    """Return the mosaic of ground that no photograph shows from above."""
+    nothing = torch.zeros(grid.shape)
+    return Mosaic(grid, nothing[None], nothing, torch.zeros(1), torch.ones(1, 1))
+
 
 @torch.inference_mode()
 def make_mosaic(
-    sparse_map: SparseMap, grid: GroundGrid, channels: int, look: Look, advance: Callable[[int], None]
+    sparse_map: SparseMap,
+    grid: GroundGrid,
+    channels: int,
+    look: Look,
+    advance: Callable[[int], None],
 ) -> Mosaic:
     """Average the coarse features of all photographs that look down, cell by cell.
 
@@ -73,18 +129,17 @@ def make_mosaic(
             weight[rows] += confidence
         advance(done)
     known = weight > 0
+    shape = grid.shape
     if total is None or not bool(known.any()):
-        raise ValueError("no photograph of the map looks down")
+        return empty_mosaic(grid)
     mean = total.sum(0) / weight.sum()
     centred = torch.nn.functional.normalize(total[known] / weight[known, None] - mean, dim=1)
     _, vectors = torch.linalg.eigh(centred.T @ centred)
     components = vectors.flip(1)[:, :channels].contiguous()
     features = torch.zeros(len(cells), components.shape[1])
     features[known] = torch.nn.functional.normalize(centred @ components, dim=1)
-    shape = grid.shape
-    return Mosaic(
-        grid, features.T.reshape(-1, *shape).contiguous(), known.float().reshape(shape), mean, components
-    )
+    placed = features.T.reshape(-1, *shape).contiguous()
+    return Mosaic(grid, placed, known.float().reshape(shape), mean, components)
 
 
 def _shown(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +17,9 @@ from baselines.place.mosaic import Mosaic
 from baselines.views import View
 from scene.geometry.pose import Pose, so3_exp
 
-_UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+_UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+# Places kept of each hypothesis.
+_PEAKS: Final = 3
 
 
 @dataclass(frozen=True)
@@ -40,11 +43,27 @@ class Hypotheses:
         passes: rotations ``cam_from_world`` (3, 3) at which the network looks at the query.
         turns: radians about the vertical, tried with each pass.
         altitudes: heights above ground, metres, tried with each pass.
+        within: east and north of a place and metres around it to look in; None for everywhere.
     """
 
     passes: Sequence[Tensor]
     turns: Sequence[float]
     altitudes: Sequence[float]
+    within: tuple[float, float, float] | None = None
+
+
+class _LaidOut(NamedTuple):
+    """A query on the ground.
+
+    Attributes:
+        features: (K, h, w) of cells, of unit length or 0.
+        confidence: (h, w).
+        first: (2,) metres from the camera to the south-western cell, to the east and north.
+    """
+
+    features: Tensor
+    confidence: Tensor
+    first: NDArray[np.float64]
 
 
 Look = Callable[[Pose], tuple[View, FeatureMap]]
@@ -91,7 +110,10 @@ class PlaceSearch:
             for turn in hypotheses.turns:
                 turned = rotation @ so3_exp(turn * _UP)
                 for altitude in hypotheses.altitudes:
-                    for score, x, y in self._correlate(view, level, turned, altitude):
+                    laid = self._laid_out(view, level, turned, altitude)
+                    if laid is None:
+                        continue
+                    for score, x, y in self._correlate(laid, hypotheses.within):
                         peaks.append((score, x, y, altitude, turned))
         peaks.sort(key=lambda peak: -peak[0])
         return self._distinct(peaks, count)
@@ -112,41 +134,37 @@ class PlaceSearch:
         return kept
 
     def _correlate(
-        self, view: View, level: FeatureMap, rotation: Tensor, altitude: float, most: int = 3
+        self, laid: _LaidOut, within: tuple[float, float, float] | None
     ) -> Iterator[tuple[float, float, float]]:
         """Yield score, east and north of the best positions under one hypothesis."""
-        laid = self._laid_out(view, level, rotation, altitude)
-        if laid is None:
-            return
-        patch, weight, offset = laid
-        rows, columns = self._mosaic.grid.shape
-        size = (_fast(rows + patch.shape[1]), _fast(columns + patch.shape[2]))
+        grid, weight = self._mosaic.grid, laid.confidence
+        rows, columns = grid.shape
+        size = (_fast(rows + weight.shape[0]), _fast(columns + weight.shape[1]))
         features, known = self._spectrum(size)
-        spectrum = torch.fft.rfft2(torch.cat([patch * weight, weight[None]]), s=size)
-        product = torch.stack(
-            [(features * spectrum[:-1].conj()).sum(0), known * spectrum[-1].conj()]
-        )
+        layers = torch.cat([laid.features * weight, weight[None]])
+        spectrum = torch.fft.rfft2(layers, s=size).conj()
+        product = torch.stack([(features * spectrum[:-1]).sum(0), known * spectrum[-1]])
         correlation, overlap = torch.fft.irfft2(product, s=size)
         total = float(weight.sum())
         score = correlation / (overlap.clamp_min(1e-6) * total).sqrt()
         score[overlap < self._overlap * total] = -1.0
-        for _ in range(most):
-            best = int(score.argmax())
-            row, column = divmod(best, size[1])
+        # Shifts beyond the grid are those to the south and west.
+        north = torch.arange(size[0])
+        east = torch.arange(size[1])
+        y = grid.origin[1] + (north - size[0] * (north >= rows) + 0.5) * grid.cell - laid.first[1]
+        x = grid.origin[0] + (east - size[1] * (east >= columns) + 0.5) * grid.cell - laid.first[0]
+        if within is not None:
+            away = torch.hypot(x[None] - within[0], y[:, None] - within[1])
+            score[away > within[2]] = -1.0
+        near = max(1, round(self._separation / grid.cell))
+        for _ in range(_PEAKS):
+            row, column = divmod(int(score.argmax()), size[1])
             value = float(score[row, column])
             if value <= 0:
                 return
-            # Shifts beyond the grid are those to the south and west.
-            north = row - size[0] if row >= rows else row
-            east = column - size[1] if column >= columns else column
-            grid = self._mosaic.grid
-            x = float(grid.origin[0]) + (east + 0.5) * grid.cell - offset[0]
-            y = float(grid.origin[1]) + (north + 0.5) * grid.cell - offset[1]
-            yield value, x, y
-            reach = max(1, round(self._separation / grid.cell))
-            rows_near = torch.arange(row - reach, row + reach + 1) % size[0]
-            columns_near = torch.arange(column - reach, column + reach + 1) % size[1]
-            score[rows_near[:, None], columns_near[None]] = -1.0
+            yield value, float(x[column]), float(y[row])
+            around = torch.arange(-near, near + 1)
+            score[(row + around)[:, None] % size[0], (column + around)[None] % size[1]] = -1.0
 
     def _spectrum(self, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
         if size not in self._spectra:
@@ -159,18 +177,15 @@ class PlaceSearch:
 
     def _laid_out(
         self, view: View, level: FeatureMap, rotation: Tensor, altitude: float
-    ) -> tuple[Tensor, Tensor, NDArray[np.float64]] | None:
-        """Return the query's features (K, h, w) on the ground, their confidences (h, w), and the
-        east and north (m) of its first cell from the camera; None where it shows no ground."""
+    ) -> _LaidOut | None:
+        """Lay the query's features out on level ground; None where it shows none."""
         cell = self._mosaic.grid.cell
         low, high = self._footprint(view, rotation, altitude)
         if not (np.isfinite(low).all() and (high > low).all()):
             return None
         first = np.floor(low / cell) * cell + cell / 2
         columns, rows = np.maximum(np.ceil((high - first) / cell), 1).astype(int).tolist()
-        x, y = np.meshgrid(
-            first[0] + np.arange(columns) * cell, first[1] + np.arange(rows) * cell
-        )
+        x, y = np.meshgrid(first[0] + np.arange(columns) * cell, first[1] + np.arange(rows) * cell)
         ground = np.stack([x, y, np.full_like(x, -altitude)], -1).reshape(-1, 3)
         from_world = view.pose(Pose(rotation, torch.zeros(3, dtype=torch.float64)))
         projected = view.camera.project(from_world.transform(torch.from_numpy(ground)))
@@ -185,7 +200,7 @@ class PlaceSearch:
         weight = torch.zeros(rows * columns)
         patch[seen] = self._mosaic.reduced(features)
         weight[seen] = confidence
-        return patch.T.reshape(-1, rows, columns), weight.reshape(rows, columns), first
+        return _LaidOut(patch.T.reshape(-1, rows, columns), weight.reshape(rows, columns), first)
 
     def _footprint(
         self, view: View, rotation: Tensor, altitude: float

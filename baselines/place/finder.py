@@ -1,0 +1,172 @@
+"""Where a query may be: what is known of its pose is kept, and what is not is searched."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from baselines.featuremetric.maps import FeatureMap, MapExtractor
+from baselines.place.grid import ground_grid
+from baselines.place.mosaic import Mosaic, empty_mosaic, make_mosaic
+from baselines.place.search import Candidate, Hypotheses, PlaceSearch
+from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
+from baselines.views import View, north
+from scene.config import Config
+from scene.geometry.pose import Pose, so3_exp
+from scene.localizer import Prior, Query
+from scene.maps.sparse_map import MapImage, SparseMap
+from scene.runtime.progress import progress_bar
+from scene.storage.digests import digests, require_unchanged
+from scene.storage.images import check_photographs, read_rgb
+
+_FORMAT: Final = 1
+_DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+_UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+# Beyond this tilt (cosine) the middle of the picture says nothing of the ground's resolution.
+_FLATTEST: Final = 0.3
+# An altitude of a smaller sigma, in parts of the height above ground, is known.
+_KNOWN_ALTITUDE: Final = 0.1
+
+
+class PlaceOptions(Config):
+    """Options of the search for a place.
+
+    Attributes:
+        candidates: places to return at most.
+        headings: at which the network looks at the query, spread over the full turn.
+        turns: headings tried with each look of the network, between one look and the next.
+        altitudes: heights above ground tried where none is known, in parts of the height from
+            which the map's photographs were taken.
+        cell_px: side of a cell of the mosaic, pixels of a photograph.
+        channels: principal components of the features that the mosaic keeps.
+        longest: photographs are looked at with a longer side of about so many pixels.
+        least_overlap: share of the query, by confidence, that must lie on known ground.
+        farthest: ground farther away than so many heights above it is left out.
+    """
+
+    candidates: int = Field(5, ge=1)
+    headings: int = Field(24, ge=1)
+    turns: int = Field(1, ge=1)
+    altitudes: tuple[float, ...] = (0.8, 1.0, 1.2)
+    cell_px: int = Field(16, ge=4)
+    channels: int = Field(32, ge=1)
+    longest: int = Field(512, ge=64)
+    least_overlap: float = Field(0.3, gt=0, le=1)
+    farthest: float = Field(3.0, gt=0)
+
+
+class PlaceFinder:
+    """Finds places in a map with the coarsest features of a network.
+
+    Args:
+        extract: of feature maps.
+        options: of the search.
+    """
+
+    def __init__(self, extract: MapExtractor, options: PlaceOptions) -> None:
+        self._extract = extract
+        self._options = options
+
+    def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
+        """Make the mosaic of a map, or read it from the cache.
+
+        Args:
+            sparse_map: the map.
+            images: folder that the names of its photographs are relative to.
+            key: of the network.
+            cache: folder of files named by a digest of all that the mosaic depends on.
+
+        Raises:
+            InputError: a photograph is missing, broken or changed meanwhile.
+        """
+        options = self._options
+        posed = [sparse_map.images[name] for name in sparse_map.names]
+        check_photographs(images, {image.name: image.camera for image in posed})
+        sharpest = of_map(sparse_map, lambda camera: min(1.0, self._extract.largest_scale(camera)))
+        sides = [
+            max(image.camera.width, image.camera.height)
+            * min(1.0, self._extract.largest_scale(image.camera))
+            for image in posed
+        ]
+        self._resolution = sharpest * max(1.0, float(np.median(sides)) / options.longest)
+        heights = [sparse_map.height_above(image.pose.centre().numpy()) for image in posed]
+        self._height = float(np.median(heights))
+        files = [images / name for name in sparse_map.names]
+        photographs = digests(files)
+        parts = (_FORMAT, sparse_map.sha256, photographs, key, options.cell_px, options.channels)
+        words = " ".join(map(str, (*parts, options.longest)))
+        path = cache / f"mosaic-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+        if not path.is_file():
+            self._make(sparse_map, images).write(path)
+            require_unchanged(files, photographs)
+        self._mosaic = Mosaic.read(path)
+        self._search = PlaceSearch(self._mosaic, options.least_overlap, options.farthest)
+
+    def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:
+        def look(image: MapImage) -> tuple[View, FeatureMap]:
+            own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+            largest = self._extract.largest_scale(image.camera)
+            scale = scale_to(self._resolution, own, largest)
+            angle = north(image.cam_from_world[:3, :3])
+            rgb = read_rgb(images / image.name, image.camera)
+            view, levels = self._extract(rgb, image.camera, angle, scale, 1)
+            return view, levels[0]
+
+        if not math.isfinite(self._resolution):
+            return empty_mosaic(ground_grid(sparse_map.xyz[:1], 1.0))
+        grid = ground_grid(sparse_map.xyz, self._options.cell_px * self._resolution)
+        with progress_bar("mosaic of the map", len(sparse_map.names)) as advance:
+            return make_mosaic(sparse_map, grid, self._options.channels, look, advance)
+
+    def find(self, query: Query) -> list[Candidate]:
+        """Return places where the query may be, best first; none where the map was not seen from
+        above."""
+        if self._mosaic.is_empty:
+            return []
+
+        def look(pose: Pose) -> tuple[View, FeatureMap]:
+            down = max(_FLATTEST, -float(pose.rotation[2, 2]))
+            own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))
+            scale = scale_to(self._resolution, own, self._extract.largest_scale(query.camera))
+            angle = north(pose.rotation.numpy())
+            view, levels = self._extract(query.image, query.camera, angle, scale, 1)
+            return view, levels[0]
+
+        return self._search(look, self._hypotheses(query.prior), self._options.candidates)
+
+    def _hypotheses(self, prior: Prior | None) -> Hypotheses:
+        """What may be, given what is known: the attitude, but not which way it is turned, unless
+        its sigma says so; the place as far as its sigma says."""
+        options = self._options
+        step = math.tau / options.headings
+        turns = [(k - (options.turns - 1) / 2) * step / options.turns for k in range(options.turns)]
+        base, headings = _DOWN, [k * step for k in range(options.headings)]
+        if prior is not None and prior.cam_from_world_rotation is not None:
+            base = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
+            if prior.attitude_sigma_deg is not None:
+                spread = 2 * math.radians(prior.attitude_sigma_deg)
+                headings = [k * step for k in range(-_most(spread, step), _most(spread, step) + 1)]
+        passes: list[Tensor] = [base @ so3_exp(heading * _UP) for heading in headings]
+        altitudes = [part * self._height for part in options.altitudes]
+        within = None
+        if prior is not None and prior.position_sigma is not None:
+            east, north_, up = (float(each) for each in prior.position)
+            sigma = prior.position_sigma
+            if np.isfinite(sigma[:2]).all():
+                within = (east, north_, 3 * float(sigma[:2].max()) + 2 * self._mosaic.grid.cell)
+            height = up - self._mosaic.grid.height_at(east, north_)
+            if sigma[2] < _KNOWN_ALTITUDE * height:
+                altitudes = [height]
+        return Hypotheses(passes, turns, altitudes, within)
+
+
+def _most(spread: float, step: float) -> int:
+    """Return how many headings to either side cover a spread, at most half a turn."""
+    return min(math.ceil(spread / step), math.floor(math.pi / step))
