@@ -69,7 +69,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return iter((*self.built_in, *sorted(added)))
 
     def __len__(self) -> int:
-        return len(tuple(self))
+        return sum(1 for _ in self)  # tuple(self) would ask for the length
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and (
