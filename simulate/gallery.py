@@ -24,7 +24,7 @@ from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
 from simulate.flight.config import NadirFlight, ObliqueFlight, StreetFlight
 from simulate.look.conditions import LIGHTS, SEASONS, WEATHER, condition
-from simulate.place.presets import PRESETS
+from simulate.place.presets import PRESETS, preset
 from simulate.place.world import World
 from simulate.planner import plan_session
 from simulate.render.job import RenderJob, frame_path
@@ -75,12 +75,11 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     shown_in = condition(shown_in, config.origin).name
     _claim(out)
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
-    plans = dict(PRESETS)
     configs = {
         name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
-        for name, plan in plans.items()
+        for name, plan in PRESETS.items()
     }
-    places = {name: plans[name].build(config.seed, own.area) for name, own in configs.items()}
+    places = {name: preset(name)(config.seed, own.area) for name, own in configs.items()}
     kinds = [_of_place(configs[name], world, shown_in) for name, world in places.items()]
     light, weather = _of_conditions(configs[config.preset], places[config.preset])
     pictures = [*kinds, light, weather]
