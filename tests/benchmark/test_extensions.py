@@ -134,7 +134,8 @@ def test_an_export(rendered: Scene, tmp_path: Path) -> None:
     [
         ("faulty", "format 'faulty' (resting_package:fails) cannot be written: RuntimeError: no"),
         ("missing", "format 'missing' (resting_package:nothing) cannot be loaded: AttributeError"),
-        ("other", "'other' is not one of 'colmap', 'nerfstudio', 'tum', 'hloc', 'cmu', 'faulty',"),
+        ("other", "'other' is not one of 'colmap', 'nerfstudio', 'tum', 'hloc', 'cmu',"),
+        ("other", ", 'faulty', 'missing', 'names'."),
     ],
 )
 def test_a_faulty_export_leaves_nothing(
@@ -166,4 +167,6 @@ def test_a_preset_and_a_season(tmp_path: Path) -> None:
     hamlet, town = (preset(name)(1, 120.0) for name in ("hamlet", "town"))
     assert [thing.shape for thing in hamlet.objects] == [thing.shape for thing in town.objects]
     result = invoke("simulate", "--preset", "other", "--out", tmp_path / "out")
-    assert "farmland, industrial, street, hamlet" in error_line(result.stderr)
+    message = error_line(result.stderr)
+    assert "choose one of town, suburb, park, farmland, industrial, street, " in message
+    assert ", hamlet (got 'other')" in message
