@@ -16,7 +16,11 @@ import typer
 import yaml
 
 from benchmark.boundary import INPUT_AT_FAULT, REGRESSION, Boundary, PrintedFormatter
+from benchmark.choices import described, listed, one_of
+from benchmark.registry import TRAINABLES
 from scene.errors import InputError
+from scene.exports.formats import FORMATS
+from simulate.place.presets import PRESETS
 
 if TYPE_CHECKING:
     from benchmark.datasets.dataset import Dataset
@@ -137,7 +141,7 @@ def evaluate(
     again, an interrupted evaluation goes on where it was. Older results of the same name are
     replaced, but none that score wrote, and no other file.
     """
-    from benchmark.datasets.dataset import open_datasets
+    from benchmark.datasets.open import open_datasets
     from benchmark.evaluate import claim_evaluation, results_path
     from benchmark.evaluate import evaluate as run
     from benchmark.registry import create
@@ -218,7 +222,7 @@ def score(
 
     Older results of the same name are replaced if score wrote them; those of evaluate never are.
     """
-    from benchmark.datasets.dataset import open_datasets
+    from benchmark.datasets.open import open_datasets
     from benchmark.external_poses import score as run
     from benchmark.report.markdown import markdown
     from benchmark.report.tables import tables
@@ -292,7 +296,7 @@ def basin(
     """
     from benchmark.basin import DEFAULT_SIZES, basin_path, parse_sizes
     from benchmark.basin import basin as run
-    from benchmark.datasets.dataset import open_datasets
+    from benchmark.datasets.open import open_datasets
     from benchmark.registry import create
 
     sizes = DEFAULT_SIZES if errors is None else parse_sizes(errors)
@@ -380,7 +384,8 @@ def localize(
 @app.command()
 def train(
     method: Annotated[
-        str, typer.Argument(metavar="METHOD", help="What learns: d2net, pixloc, objconnect.")
+        str,
+        typer.Argument(metavar="METHOD", help=f"What learns: {', '.join(TRAINABLES.built_in)}."),
     ],
     data: Annotated[
         list[Path],
@@ -450,7 +455,7 @@ def ablate(
     """Train variants of object-connect alike, ask them the same queries, and print one table."""
     from benchmark.ablation import TABLE, Plan
     from benchmark.ablation import ablate as run
-    from benchmark.datasets.dataset import open_datasets
+    from benchmark.datasets.open import open_datasets
     from benchmark.starts import parse_start
     from scene.config import load_config
 
@@ -500,20 +505,12 @@ def regress(
         raise typer.Exit(REGRESSION)
 
 
-class ExportFormat(StrEnum):
-    """Programs that scenes are exported to."""
-
-    COLMAP = "colmap"
-    NERFSTUDIO = "nerfstudio"
-    TUM = "tum"
-    HLOC = "hloc"
-    CMU = "cmu"
-
-
 @app.command()
 def simulate(
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
-    preset: Annotated[str | None, typer.Option(help="Kind of place.")] = None,
+    preset: Annotated[
+        str | None, typer.Option(metavar=listed(PRESETS), help="Kind of place.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="The same seed makes the same world.")] = None,
     config: Annotated[
         Path | None,
@@ -541,9 +538,11 @@ def simulate(
     jobs: Annotated[int, typer.Option(help="Rendering processes.", min=1)] = 1,
     cluster: ClusterAddress = None,
     file_format: Annotated[
-        ExportFormat | None,
+        str | None,
         typer.Option(
             "--export",
+            metavar=listed(FORMATS),
+            callback=one_of(FORMATS),
             help="Also build the map and export the scene to the folder SCENE-FORMAT beside it.",
         ),
     ] = None,
@@ -569,15 +568,16 @@ def simulate(
         "spp": spp,
     }
     wanted = SimulateConfig.load(config, settings)
-    target = None if file_format is None else out.with_name(f"{out.name}-{file_format.value}")
-    if target is not None:
+    target = None if file_format is None else out.with_name(f"{out.name}-{file_format}")
+    if target is not None and file_format is not None:
+        FORMATS.load(file_format)
         require_empty(target)
     scene = run(wanted, out, jobs, cluster)
     summary: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
     if target is not None and file_format is not None:
         if not scene.map_path.is_dir():
             build(out)
-        summary["export"] = write(out, file_format.value, target)["out"]
+        summary["export"] = write(out, file_format, target)["out"]
     if as_json:
         _print_json(summary)
     else:
@@ -592,7 +592,8 @@ def gallery(
         Path, typer.Option(metavar="DIR", help="Folder for gallery.md and gallery/, its pictures.")
     ],
     preset: Annotated[
-        str | None, typer.Option(help="Kind of place to show under every condition.")
+        str | None,
+        typer.Option(metavar=listed(PRESETS), help="Kind of place to show under every condition."),
     ] = None,
     condition: Annotated[
         str, typer.Option(metavar="SEASON-LIGHT[-WEATHER]", help="To show every kind of place in.")
@@ -873,13 +874,12 @@ def make_dense(
 def export(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to export.")],
     file_format: Annotated[
-        ExportFormat,
+        str,
         typer.Option(
             "--format",
-            help="colmap: a model of all poses, with the map's points. nerfstudio: "
-            "transforms.json. tum: a trajectory per session. hloc: query list with intrinsics, "
-            "and pair lists from the covisibility. cmu: the tree of Extended CMU Seasons, with the "
-            "photographs; a slice each for the urban, suburban and park part of --preset street.",
+            metavar=listed(FORMATS),
+            callback=one_of(FORMATS),
+            help=described(FORMATS),
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder.")],
@@ -895,7 +895,7 @@ def export(
     """
     from scene.exports.export import export as run
 
-    summary = run(scene, file_format.value, out, session or ())
+    summary = run(scene, file_format, out, session or ())
     if as_json:
         _print_json(summary)
     else:

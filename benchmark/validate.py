@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from benchmark.datasets.simulated import is_scene
 from benchmark.registry import create
 from scene.checks.conventions import OURS, POSE_READINGS, Reading

@@ -24,7 +24,7 @@ from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
 from simulate.flight.config import NadirFlight, ObliqueFlight, StreetFlight
 from simulate.look.conditions import LIGHTS, SEASONS, WEATHER, condition
-from simulate.place.presets import PLANS, preset
+from simulate.place.presets import PRESETS, preset
 from simulate.place.world import World
 from simulate.planner import plan_session
 from simulate.render.job import RenderJob, frame_path
@@ -77,7 +77,7 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     configs = {
         name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
-        for name, plan in PLANS.items()
+        for name, plan in PRESETS.items()
     }
     places = {name: preset(name)(config.seed, own.area) for name, own in configs.items()}
     kinds = [_of_place(configs[name], world, shown_in) for name, world in places.items()]
@@ -108,7 +108,7 @@ def _claim(out: Path) -> None:
     page = Output(out / PAGE, _MARK)
     # Beside a page of ours its pictures are ours.
     mark = b"" if page.path.is_file() else JPEG_MARK
-    names = (*PLANS, _LIGHT, _WEATHER)
+    names = (*PRESETS, _LIGHT, _WEATHER)
     claim([page, *(Output(out / PICTURES / f"{name}.jpg", mark) for name in names)], within=out)
 
 

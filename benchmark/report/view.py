@@ -18,17 +18,16 @@ from numpy.typing import NDArray
 
 from benchmark.report.album import webp
 from benchmark.report.self_contained import fill
+from benchmark.report.view_content import Cloud, Found, Method, Thing
 from benchmark.report.view_picture import draw
 from benchmark.results import Results, load, results_files
 from dense.command import DENSE
 from dense.workspace import Workspace
-from scene.bundle.manifest import SceneObject
 from scene.bundle.object_points import objects_of_points
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
-from scene.geometry.rectangle import rectangle
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.printed import printed
 from scene.runtime.progress import progress_bar
@@ -67,64 +66,6 @@ class SceneView:
     page: Path
     picture: Path
     points: dict[str, int]
-
-
-@dataclass(frozen=True)
-class Cloud:
-    """Points of one kind: "sparse", "added" or "dense"; xyz (M, 3) world metres, rgb (M, 3)."""
-
-    layer: str
-    xyz: NDArray[np.float64]
-    rgb: NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class Thing:
-    """An object in the map's photographs, and whether a point of the map lies on it.
-
-    Attributes:
-        item: of ``objects.json``.
-        before: has a point that was not added.
-        after: has any point.
-    """
-
-    item: SceneObject
-    before: bool
-    after: bool
-
-    @property
-    def corners(self) -> NDArray[np.float64]:
-        """Of its box seen from above, (4, 2)."""
-        return rectangle(self.item.centre[:2], self.item.size[:2], np.radians(self.item.yaw_deg))
-
-
-@dataclass(frozen=True)
-class Found:
-    """A query as a method found it.
-
-    Attributes:
-        name: of the photograph.
-        truth: (3,) true camera centre.
-        centre: (3,) the estimate, or None.
-        error: its distance from the truth, metres, or None.
-        angle: of the rotation, degrees, or None.
-        status: of ``scene.localizer.Status``.
-    """
-
-    name: str
-    truth: NDArray[np.float64]
-    centre: NDArray[np.float64] | None
-    error: float | None
-    angle: float | None
-    status: str
-
-
-@dataclass(frozen=True)
-class Method:
-    """Queries of one results file."""
-
-    name: str
-    queries: tuple[Found, ...]
 
 
 def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> SceneView:

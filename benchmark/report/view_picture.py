@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,12 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
+from benchmark.report.view_content import Cloud, Method, Thing
 from scene.runtime.printed import drawn
 from scene.storage.files import written_whole
 from scene.storage.marks import PNG_METADATA
-
-if TYPE_CHECKING:
-    from benchmark.report.view import Cloud, Method, Thing
 
 _DPI = 110
 _SIDE = 8.0

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic
+from scene.registry import Registry
 from simulate.look.sun import sun_position
 from simulate.place.world import Rgb
 
@@ -72,7 +73,7 @@ _BROWN_TIP: Rgb = (0.130, 0.105, 0.068)
 SUMMER_LEAF: tuple[Rgb, Rgb] = (0.028, 0.046, 0.016), (0.120, 0.150, 0.050)
 """Inner and outer foliage in summer; of conifers all year."""
 
-SEASONS: dict[str, Season] = {
+_SEASONS: dict[str, Season] = {
     "spring": Season(
         date(2026, 4, 28),
         _SPRING_GROUND,
@@ -90,6 +91,7 @@ SEASONS: dict[str, Season] = {
     "winter": Season(date(2026, 1, 20), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, snow=0.62),
     "snow": Season(date(2026, 2, 6), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, snow=0.95),
 }
+SEASONS = Registry("season", "objconnect.seasons", _SEASONS, lambda e: isinstance(e, Season))
 
 
 @dataclass(frozen=True)
@@ -100,12 +102,13 @@ class Light:
     rising: bool = False
 
 
-LIGHTS: dict[str, Light] = {
+_LIGHTS: dict[str, Light] = {
     "morning": Light(25.0, rising=True),
     "noon": Light(None),
     "afternoon": Light(35.0),
     "dusk": Light(10.0),
 }
+LIGHTS = Registry("light", "objconnect.lights", _LIGHTS, lambda e: isinstance(e, Light))
 # Where the sun never gets as high as a light wants it, it stands this share of its highest.
 _SHARE_OF_HIGHEST = 0.6
 _LOWEST_NOON = 3.0
@@ -125,12 +128,13 @@ class Weather:
     wet: float = 0.0
 
 
-WEATHER: dict[str, Weather] = {
+_WEATHER: dict[str, Weather] = {
     "clear": Weather(),
     "overcast": Weather(cloud=1.0),
     "fog": Weather(cloud=1.0, visibility_m=800.0),
     "wet": Weather(wet=1.0),
 }
+WEATHER = Registry("weather", "objconnect.weather", _WEATHER, lambda e: isinstance(e, Weather))
 
 
 @dataclass(frozen=True)
@@ -211,7 +215,7 @@ def condition(name: str, place: Geodetic = PLACE) -> Condition:
 T = TypeVar("T")
 
 
-def _part(known: dict[str, T], word: str, kind: str, name: str) -> T:
+def _part(known: Registry[T], word: str, kind: str, name: str) -> T:
     if word not in known:
         raise InputError(
             f"unknown condition {name!r}: no {kind} {word!r}, choose one of {', '.join(known)}"

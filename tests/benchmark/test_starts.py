@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.starts import moved_prior, parse_start
 from scene.errors import InputError

@@ -18,7 +18,7 @@ from skimage.segmentation import find_boundaries
 from baselines.align.aligner import align
 from baselines.align.hypotheses import SearchRadius, align_from_many
 from baselines.starts import starts
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.starts import moved_prior
 from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network import read_network

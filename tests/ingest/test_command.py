@@ -17,8 +17,8 @@ import ingest.command
 import scene.bundle.manifest
 import scene.storage.images
 from benchmark.cli import app
-from benchmark.datasets.dataset import open_datasets
 from benchmark.datasets.flight import TRACK
+from benchmark.datasets.open import open_datasets
 from benchmark.datasets.textfiles import read_poses
 from benchmark.registry import create
 from ingest.attitude import gimbal_pose

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from benchmark.datasets.cmu import open_cmu
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from scene.bundle.frames import Frames, read_frames, write_frames
 from scene.bundle.manifest import (
     Manifest,

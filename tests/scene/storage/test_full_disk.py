@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.journal import Journal
 from benchmark.results import QueryResult
 from scene.bundle.frames import read_frames, write_frames
