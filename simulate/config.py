@@ -146,15 +146,15 @@ class SimulateConfig(Config):
     The place called street has its own usual area, frames and sessions: drives with two cameras.
 
     Attributes:
-        preset: kind of place.
-        seed: of the place and of every noise; the same seed gives the same scene.
-        area: side of the place, metres.
-        size: long side of the photographs, pixels, unless ``camera`` has its own.
+        preset: kind of place, such as town or farmland.
+        seed: random seed of the place and of every noise; the same seed gives the same scene.
+        area: side of the square place, metres.
+        size: long side of the photographs, pixels, unless the camera has its own size.
         fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
         camera: of every photograph of sessions without their own; None is a square pinhole of
             ``size`` and ``fov_deg``.
-        spp: paths per pixel, denoised.
-        frames: photographs of a session that does not say.
+        spp: rendering samples per pixel; the result is denoised.
+        frames: photographs of each session that gives no number of its own.
         sessions: flights; on the command line "condition:flight[:role][:change]", where the first
             is the map's and the others are queries unless they say.
         map_plan: how map flights are flown.

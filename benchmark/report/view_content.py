@@ -13,12 +13,12 @@ from scene.geometry.rectangle import rectangle
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points of one kind.
+    """The points of one kind.
 
     Attributes:
         layer: "sparse", "added" or "dense".
-        xyz: (M, 3) world metres.
-        rgb: (M, 3).
+        xyz: (M, 3) world coordinates, metres.
+        rgb: (M, 3) colours.
     """
 
     layer: str
@@ -27,13 +27,13 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class Thing:
-    """An object in the map's photographs, and whether a point of the map lies on it.
+class MapObject:
+    """An object in the map's photographs, and whether the map has a point on it.
 
     Attributes:
-        item: the object as ``objects.json`` describes it.
-        before: whether a point lies on it that was not added.
-        after: whether any point lies on it.
+        item: entry of ``objects.json``.
+        before: whether it has a point that was not added by ``supplement``.
+        after: whether it has any point.
     """
 
     item: SceneObject
@@ -42,21 +42,21 @@ class Thing:
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """Corners of the object's box seen from above, (4, 2) world metres."""
+        """The (4, 2) corners of the object's box seen from above, metres."""
         return rectangle(self.item.centre[:2], self.item.size[:2], np.radians(self.item.yaw_deg))
 
 
 @dataclass(frozen=True)
-class Found:
-    """A query as a method found it.
+class QueryEstimate:
+    """The estimate of a method for one query.
 
     Attributes:
-        name: of the photograph.
-        truth: (3,) true camera centre, world metres.
-        centre: (3,) estimated camera centre, or None.
-        error: distance of the estimate from the truth in metres, or None.
-        angle: error of the rotation in degrees, or None.
-        status: a value of ``scene.localizer.Status``.
+        name: name of the photograph.
+        truth: (3,) true camera centre, metres.
+        centre: (3,) estimated camera centre, metres; None without a pose.
+        error: distance between the two, metres; None without a pose.
+        angle: rotation error, degrees; None without a pose.
+        status: value of ``scene.localizer.Status``.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Method:
-    """The queries of one results file."""
+    """The estimates of one results file."""
 
     name: str
-    queries: tuple[Found, ...]
+    queries: tuple[QueryEstimate, ...]
