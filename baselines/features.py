@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from baselines.views import north, view
+from baselines.views import north_angle, warp_image
 from scene.geometry.camera import Camera
 from scene.maps.features import FeatureFile, Features, unit_descriptors, written_features
 from scene.maps.matching import match
@@ -57,7 +57,7 @@ class Extractor(ABC):
 
         The corners that come in are black, and nothing at or beyond the photograph's edge is kept.
         """
-        looked = view(rgb, camera, angle, scale)
+        looked = warp_image(rgb, camera, angle, scale)
         found = self(looked.picture)
         xy = found.xy.astype(np.float64)
         kept = looked.shows(xy)
@@ -119,7 +119,7 @@ def map_features(
     names, posed = sparse_map.names, sparse_map.images
     angles, cameras = {}, []
     if not extractor.turned:
-        angles = {name: north(posed[name].cam_from_world[:3, :3]) for name in names}
+        angles = {name: north_angle(posed[name].cam_from_world[:3, :3]) for name in names}
         cameras = [str(posed[name].camera) for name in names]
     files = [images / name for name in names]
     photographs = digests(files)

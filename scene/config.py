@@ -50,7 +50,8 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         model: the configuration's class.
         path: YAML file, or the name of a configuration that comes with the project, as ``demo`` or
             ``train/pixloc``; a file of that name wins. None for defaults.
-        overrides: values that win over the file; None values are ignored.
+        overrides: values that win over the file, by key; ``outer.inner`` names a value of a nested
+            configuration. None values are ignored.
 
     Raises:
         InputError: unreadable file, bad YAML, unknown key or bad value; the message names the key.
@@ -69,11 +70,24 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         if loaded is not None and not isinstance(loaded, dict):
             raise InputError(f"{path} must hold 'key: value' lines, not a {type(loaded).__name__}")
         values = loaded or {}
-    values |= {key: value for key, value in overrides.items() if value is not None}
+    for key, value in overrides.items():
+        if value is not None:
+            _set_nested(values, key, value)
     try:
         return model.model_validate(values)
     except ValidationError as error:
         raise InputError(describe(error, model, where)) from None
+
+
+def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set a value by its dotted key, and leave the other values of nested configurations."""
+    *outer, last = key.split(".")
+    for part in outer:
+        inner = values.get(part)
+        # Copied, so that dictionaries of the caller stay as they are.
+        values[part] = dict(inner) if isinstance(inner, Mapping) else {}
+        values = values[part]
+    values[last] = value
 
 
 def shipped() -> dict[str, Path]:
