@@ -44,13 +44,12 @@ from scene.storage.files import (
     folder_written_whole,
     link_or_copy,
     read_text,
-    remove_partial,
     replace_folder,
     require_room,
     sole_writer,
-    write_text,
 )
 from scene.storage.images import read_rgb
+from scene.storage.resumable import ResumableFolder
 
 DENSE = "dense"
 UNFINISHED = f"{MARK}dense"
@@ -191,23 +190,30 @@ def _choose_all(sparse_map: SparseMap, count: int) -> dict[str, list[str]]:
 
 
 def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
-    """The unfinished folder: what an earlier run with the same key left, or an empty one."""
-    unfinished, whole = scene.path / UNFINISHED, scene.path / DENSE
-    wanted = json.dumps(key, indent=1) + "\n"
+    """Return the unfinished folder: what an earlier run with the same key left, or an empty one.
 
-    def holds(folder: Path) -> bool:
-        return (folder / KEY).is_file() and read_text(folder / KEY, "dense key") == wanted
-
+    The record stays in the folder when it is finished: the next run with the same key begins with
+    what is whole, under second names.
+    """
+    unfinished, whole = (_resumable(scene.path / name, key) for name in (UNFINISHED, DENSE))
     try:
-        if not holds(unfinished):
-            shutil.rmtree(unfinished, ignore_errors=True)
-            if holds(whole):
-                _link_finished(whole, unfinished)
-        remove_partial(unfinished)
+        if not unfinished.is_same():
+            shutil.rmtree(unfinished.path, ignore_errors=True)
+            if whole.is_same():
+                _link_finished(whole.path, unfinished.path)
     except OSError as error:
         raise InputError(f"cannot write {scene.path}: {error.strerror or error}") from None
-    write_text(unfinished / KEY, wanted)
-    return Workspace(unfinished)
+    unfinished.begin()
+    return Workspace(unfinished.path)
+
+
+def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
+    request = json.dumps(key, indent=1) + "\n"
+
+    def difference(record: Path) -> str | None:
+        return None if read_text(record, "dense key") == request else "key"
+
+    return ResumableFolder(folder, folder / KEY, request, difference)
 
 
 def owned(workspace: Workspace) -> set[str]:

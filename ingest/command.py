@@ -40,13 +40,12 @@ from scene.runtime.progress import progress_bar
 from scene.storage.files import (
     MARK,
     folder_written_whole,
-    is_ours,
     remove_owned,
-    remove_partial,
     sha256_of,
     sole_writer,
 )
 from scene.storage.images import read_rgb, write_resized
+from scene.storage.resumable import ResumableFolder
 
 _WORK = f"{MARK}ingest"
 _PLAN = "plan.json"
@@ -134,8 +133,8 @@ def _ingest(
     taken = photographs_of(roll.shots, plan.size, camera)
     if _finished(out, plan):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
-    write_json(out / _WORK / _PLAN, plan)
-    remove_partial(out)
+    unfinished = _resumable(out, plan)
+    unfinished.begin()
     try:
         report = _build(out, photographs, roll, taken, fixes, queries, plan)
     except WriteError:
@@ -145,7 +144,7 @@ def _ingest(
         remove_owned(out, _owned(roll))
         raise
     finish(out, _manifest(plan, origin))
-    shutil.rmtree(out / _WORK)
+    unfinished.end()
     return report
 
 
@@ -246,30 +245,35 @@ def _require(roll: Roll, folder: Path) -> None:
         )
 
 
+def _resumable(out: Path, plan: _Plan) -> ResumableFolder:
+    """Return the folder of a scene, whose record is the plan while the scene is unfinished."""
+
+    def difference(record: Path) -> str | None:
+        recorded = read_json(record, _Plan, "plan of the unfinished scene")
+        return None if recorded == plan else "photographs or options"
+
+    request = plan.model_dump_json(indent=1, by_alias=True) + "\n"
+    return ResumableFolder(out, out / _WORK / _PLAN, request, difference)
+
+
 def _finished(out: Path, plan: _Plan) -> bool:
-    """Whether the folder holds this very flight already; refuse one that holds something else."""
+    """Return whether the folder holds this very flight already; refuse any other content."""
+    unfinished = _resumable(out, plan)
     if (out / MANIFEST).is_file():
         if Scene.open(out).manifest.config != plan.model_dump(mode="json"):
             raise InputError(
                 f"{out} holds a scene of other photographs or options: choose another folder or "
                 "remove it"
             )
-        shutil.rmtree(out / _WORK, ignore_errors=True)  # left by a run killed at its very end
+        unfinished.end()  # a run killed at its very end left its folder of intermediate results
         return True
-    if (out / _WORK / _PLAN).is_file():
-        if read_json(out / _WORK / _PLAN, _Plan, "plan of the unfinished scene") != plan:
-            raise InputError(
-                f"{out} holds an unfinished scene of other photographs or options: choose another "
-                "folder or remove it"
-            )
-        return False
-    try:
-        # A run killed while it claimed the folder left nothing but its own folder.
-        occupied = out.exists() and any(not is_ours(item.name) for item in out.iterdir())
-    except OSError as error:
-        raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
-    if occupied:
-        raise InputError(f"{out} is not empty and not a scene: choose another folder")
+    if not unfinished.resume(
+        lambda difference: (
+            f"{out} holds an unfinished scene of other {difference}: choose another folder or "
+            "remove it"
+        )
+    ):
+        unfinished.require_empty("scene")
     return False
 
 

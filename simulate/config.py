@@ -14,8 +14,15 @@ from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
 from simulate.camera.lens import CameraConfig, rendered_through
 from simulate.camera.sensor import SensorConfig
-from simulate.flight.config import Flight, NadirFlight, StreetFlight
-from simulate.flight.flights import MAX_PHOTOGRAPHS
+from simulate.flight.config import (
+    MAP_PLAN,
+    QUERY_PLAN,
+    Flight,
+    FlightPlan,
+    NadirFlight,
+    StreetFlight,
+)
+from simulate.flight.site import MAX_PHOTOGRAPHS
 from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import preset
@@ -64,44 +71,6 @@ class SessionConfig(Config):
         if self.frames is not None and self.flight.counts_photographs:
             raise ValueError(f"the {self.flight.kind} flight says its own number: leave frames out")
         return self
-
-
-class FlightPlan(Config):
-    """How flights of one role are flown that say no better. Map and query flights differ in every
-    number.
-
-    Attributes:
-        nadir_altitude_m: of surveys, above the ground.
-        nadir_heading_deg: of the first line, clockwise from north.
-        orbit_altitude_m: above the ground at the centre.
-        orbit_radius_share: radius over the side of the area.
-        orbit_start_deg: bearing of the first exposure.
-        backwards: whether corridors and streets are followed from their end.
-    """
-
-    nadir_altitude_m: float = Field(gt=0)
-    nadir_heading_deg: float
-    orbit_altitude_m: float = Field(gt=0)
-    orbit_radius_share: float = Field(gt=0)
-    orbit_start_deg: float
-    backwards: bool = False
-
-
-MAP_PLAN = FlightPlan(
-    nadir_altitude_m=80,
-    nadir_heading_deg=0,
-    orbit_altitude_m=55,
-    orbit_radius_share=0.4,
-    orbit_start_deg=0,
-)
-QUERY_PLAN = FlightPlan(
-    nadir_altitude_m=70,
-    nadir_heading_deg=35,
-    orbit_altitude_m=48,
-    orbit_radius_share=0.36,
-    orbit_start_deg=20,
-    backwards=True,
-)
 
 
 def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionConfig, ...]:

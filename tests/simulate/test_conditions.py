@@ -12,7 +12,9 @@ from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
+from simulate.flight.config import ObliqueFlight
 from simulate.flight.flights import plan_oblique
+from simulate.flight.site import FlightSite
 from simulate.look import ground
 from simulate.look.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
 from simulate.look.sun import sun_position
@@ -20,6 +22,7 @@ from simulate.place.change import Change
 from simulate.place.town import build_town
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
+from tests.simulate.test_flights import pinhole
 
 
 def test_every_combination_is_a_condition() -> None:
@@ -100,8 +103,9 @@ CAMERA = PinholeCamera(width=96, height=72, f=80.0, cx=48.0, cy=36.0)
 
 def shoot(name: str, folder: Path, bare: bool = False) -> dict[str, np.ndarray]:
     height = build_town(SEED, AREA).terrain.height
-    rng = np.random.default_rng(0)
-    pose = plan_oblique(height, radius_m=50.0, altitude_m=45.0, frames=1, rng=rng)[0]
+    site = FlightSite(AREA, height, pinhole(96, 72, 80.0))
+    flight = ObliqueFlight(radius_m=50.0, altitude_m=45.0)
+    pose = plan_oblique(flight, site, 1, np.random.default_rng(0))[0]
     job = RenderJob(
         seed=SEED, area_m=AREA, condition=name, change=Change(bare_trees=bare),
         camera=CAMERA, samples=1, poses={0: pose.tolist()},

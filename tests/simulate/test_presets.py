@@ -11,7 +11,9 @@ from scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
 from scene.errors import InputError
 from scene.geometry.rectangle import overlap
 from simulate.camera.pinhole import PinholeCamera
+from simulate.flight.config import ObliqueFlight
 from simulate.flight.flights import plan_oblique
+from simulate.flight.site import FlightSite
 from simulate.look.buildings import building_mesh
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
@@ -23,6 +25,7 @@ from simulate.place.presets import PRESETS, preset
 from simulate.place.world import MAX_OBJECT_ID, World
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
+from tests.simulate.test_flights import pinhole
 from tests.simulate.test_town import flat
 
 AREA = 180.0
@@ -172,10 +175,9 @@ def test_an_impossible_area_is_refused(name, area):
 def test_a_place_renders(name, tmp_path: Path):
     area = max(120.0, PRESETS[name].least_m)
     world = preset(name)(1, area)
-    poses = plan_oblique(
-        world.terrain.height, radius_m=40.0, altitude_m=45.0, frames=1,
-        rng=np.random.default_rng(0),
-    )  # fmt: skip
+    site = FlightSite(area, world.terrain.height, pinhole(96, 96, 80.0))
+    flight = ObliqueFlight(radius_m=40.0, altitude_m=45.0)
+    poses = plan_oblique(flight, site, 1, np.random.default_rng(0))
     camera = PinholeCamera(width=96, height=96, f=80.0, cx=48.0, cy=48.0)
     job = RenderJob(
         preset=name, seed=1, area_m=area, condition="summer-noon", camera=camera, samples=1,
