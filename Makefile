@@ -6,6 +6,7 @@ TORCH ?= torch==2.13.0
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
+DOCS := runs/docs-venv
 
 .PHONY: demo test lint bench install clean weights
 .DELETE_ON_ERROR:
@@ -41,6 +42,17 @@ browser: install
 
 test: libraries browser lint
 	$(BIN)/python -m pytest
+
+# The site of the documents, runs/site, in an environment of its own: it needs neither torch nor Blender.
+.PHONY: docs
+docs: $(DOCS)/.installed
+	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs build --strict
+
+$(DOCS)/.installed: pyproject.toml
+	@test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install -q --disable-pip-version-check $$($(DOCS)/bin/python -c \
+	  "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['docs'])")
+	@touch $@
 
 lint: install
 	$(BIN)/ruff check .
