@@ -1,4 +1,4 @@
-"""Make CONTRIBUTING.md of the repository a page of the site."""
+"""Make CONTRIBUTING.md of the repository a page of the site, and read docstrings as plain text."""
 
 import logging
 from pathlib import Path
@@ -6,10 +6,15 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 
-# Docstrings are plain text: two brackets side by side in them are not a link that leads nowhere.
-logging.getLogger("mkdocs.plugins.mkdocs_autorefs").addFilter(
-    lambda record: ".py:" not in record.getMessage()
-)
+
+def on_pre_build(**_: Any) -> None:
+    """Let brackets side by side in a docstring be text, not a link that leads nowhere."""
+    for handler in logging.getLogger("mkdocs").handlers:
+        handler.addFilter(
+            lambda record: (
+                not (".py:" in record.getMessage() and "cross-ref" in record.getMessage())
+            )
+        )
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:

@@ -15,7 +15,7 @@ RENDERED = Path("runs/examples/scene/sessions/summer-noon-nadir-map/images")
 
 
 def main(photographs: Path = RENDERED, out: Path = Path("runs/examples/own")) -> None:
-    # Structure from motion of all photographs, placed on earth by their GPS. Every sixth is a query.
+    # Structure from motion of all photographs, placed on earth by GPS. Every sixth is a query.
     report = ingest(photographs, out, size=1600, mapper="incremental", split="photo", every=6)
     print(report.text())
 
