@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmark.cli.choices import described, listed
 
+from benchmark.cli.choices import described, listed
 from benchmark.datasets.open import READERS, Reader
 from benchmark.registry import LOCALIZERS, TRAINABLES
 from scene.exports.formats import FORMATS
