@@ -1,4 +1,4 @@
-"""What commands do with their arguments before their work begins: read and check them."""
+"""Reading and checking of the arguments of commands before their work begins."""
 
 from __future__ import annotations
 

@@ -155,6 +155,6 @@ def field_descriptions(config: type[Any]) -> dict[str, str]:
     """Return the sentences that describe the fields of a class in its docstring, by field name."""
     _, _, section = (inspect.getdoc(config) or "").partition("\nAttributes:\n")
     section = re.split(r"\n(?=\S)", section)[0]
-    found = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
-    sentences = {name: " ".join(text.replace("``", "").split()) for name, text in found}
+    entries = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    sentences = {name: " ".join(text.replace("``", "").split()) for name, text in entries}
     return {name: text[0].upper() + text[1:] for name, text in sentences.items()}

@@ -1,4 +1,4 @@
-"""How every command prints its result: as text, or as JSON where ``--json`` is given."""
+"""Printing of the result of a command as text, or as JSON where ``--json`` is given."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 
 class Report(Protocol):
-    """What a command can print."""
+    """A result that a command can print."""
 
     def text(self) -> str:
         """Return the result for a person."""
