@@ -203,7 +203,7 @@ def require_same_case(path: Path, listed: Collection[str], photographs: Collecti
 
 
 def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
-    """Yield the place of each line as ``file:line``, and the line; skip comments and blank lines."""
+    """Yield each line with its place ``file:line``; skip comments and blank lines."""
     for number, line in enumerate(read_text(path, what).split("\n"), 1):
         stripped = line.strip()
         if stripped and not stripped.startswith("#"):
