@@ -62,7 +62,7 @@ class SessionConfig(Config):
     @property
     def world_change(self) -> Change:
         """The change asked for, and bare trees where the season has them."""
-        if not condition(self.condition).bare:
+        if not condition(self.condition).season.bare:
             return self.change
         return self.change.model_copy(update={"bare_trees": True})
 

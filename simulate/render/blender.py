@@ -216,8 +216,8 @@ def _add(name: str, data: Any) -> Any:
 def _add_light(light: Condition) -> None:
     """The sun, and a sky that brightens towards the horizon."""
     sun = bpy.data.lights.new("sun", "SUN")
-    sun.energy, sun.color, sun.angle = light.sun_watts, light.sun_rgb, np.radians(light.sun_angle)
-    elevation, azimuth = np.radians([light.sun_elevation, light.sun_azimuth])
+    sun.energy, sun.color, sun.angle = light.sun.watts, light.sun.rgb, np.radians(light.sun.angle)
+    elevation, azimuth = np.radians([light.sun.elevation, light.sun.azimuth])
     _add("sun", sun).rotation_euler = (0.5 * np.pi - elevation, 0.0, np.pi - azimuth)
 
     sky = bpy.data.worlds.new("sky")
@@ -230,10 +230,10 @@ def _add_light(light: Condition) -> None:
     ramp = tree.nodes.new("ShaderNodeValToRGB")
     background = tree.nodes.new("ShaderNodeBackground")
     output = tree.nodes.new("ShaderNodeOutputWorld")
-    ramp.color_ramp.elements[0].color = (*light.sky_horizon, 1.0)
-    ramp.color_ramp.elements[1].color = (*light.sky_zenith, 1.0)
+    ramp.color_ramp.elements[0].color = (*light.sky.horizon, 1.0)
+    ramp.color_ramp.elements[1].color = (*light.sky.zenith, 1.0)
     ramp.color_ramp.elements[1].position = 0.6
-    background.inputs["Strength"].default_value = light.sky_strength
+    background.inputs["Strength"].default_value = light.sky.strength
     tree.links.new(direction, split.inputs[0])
     tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])

@@ -273,14 +273,14 @@ def test_killed_while_pictures_are_turned_back(
     def write_json(path: Path, value: BaseModel) -> None:
         if path.name == "turned.json":
             raise KeyboardInterrupt
-        scene.manifest.write_json(path, value)
+        scene.bundle.manifest.write_json(path, value)
 
     def write_resized(source: Path, target: Path, longest: int, *, over: bool) -> None:
         nonlocal turned
         turned += over
         if turned == 2:
             raise KeyboardInterrupt
-        scene.images.write_resized(source, target, longest, over=over)
+        scene.storage.images.write_resized(source, target, longest, over=over)
 
     for patched in (write_json, write_resized):
         with monkeypatch.context() as patch:
@@ -293,7 +293,7 @@ def test_killed_while_pictures_are_turned_back(
     assert report.turned == tuple(over)
     # A picture turned twice or not at all would contradict its gimbal, or not be registered.
     assert (report.registered, report.wrong_attitudes) == (10, {})
-    scene.images.write_resized(folder / over[1], tmp_path / "turned.jpg", 1600, over=True)
+    scene.storage.images.write_resized(folder / over[1], tmp_path / "turned.jpg", 1600, over=True)
     assert (pictures / over[1]).read_bytes() == (tmp_path / "turned.jpg").read_bytes()
     assert not list(out.glob(".*"))
 
