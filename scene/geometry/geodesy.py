@@ -61,8 +61,9 @@ def enu_from_geodetic(place: Geodetic, origin: Geodetic) -> NDArray[np.float64]:
 
     Example:
         >>> origin = Geodetic(47.0, 8.0, 400.0)
-        >>> enu_from_geodetic(Geodetic(47.0, 8.0, 450.0), origin).round(3).tolist()
-        [0.0, 0.0, 50.0]
+        >>> east, north, up = enu_from_geodetic(Geodetic(47.001, 8.0, 450.0), origin)
+        >>> f"{north:.2f} m north, {up:.2f} m up"
+        '111.18 m north, 50.00 m up'
     """
     return np.asarray(_enu_axes(origin) @ (_ecef(place) - _ecef(origin)))
 
