@@ -161,13 +161,7 @@ def fill_database(
                     item.descriptors.nbytes + 24 * len(item.xy) for item in features.values()
                 )
                 require_room(database, ROOM + 2 * size)
-                with pycolmap.DatabaseTransaction(db):
-                    for name, item in features.items():
-                        sift = pycolmap.FeatureExtractorType.SIFT
-                        native = pycolmap.FeatureDescriptors(sift, item.descriptors)
-                        db.write_descriptors(ids[name], native)
-                        shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
-                        db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
+                _write_features(db, ids, features)
                 done += len(features)
                 report(done)
     descriptors = {
@@ -195,6 +189,19 @@ def fill_database(
             pycolmap.verify_matches(database, pair_list, verification)
         report(len(ids) + start + len(chunk_of_pairs))
     pair_list.unlink(missing_ok=True)
+
+
+def _write_features(
+    db: pycolmap.Database, ids: Mapping[str, int], features: Mapping[str, Features]
+) -> None:
+    """Write the features of images in one transaction; COLMAP stores a scale as a 2x2 matrix."""
+    with pycolmap.DatabaseTransaction(db):
+        for name, item in features.items():
+            sift = pycolmap.FeatureExtractorType.SIFT
+            native = pycolmap.FeatureDescriptors(sift, item.descriptors)
+            db.write_descriptors(ids[name], native)
+            shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
+            db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
 
 
 def _find_features(

@@ -114,8 +114,8 @@ def inside(name: str) -> bool:
     Lists of files say with such paths where each file lies in their folder.
 
     Example:
-        >>> inside("session/images/000001.jpg"), inside("../elsewhere.jpg"), inside("/etc/passwd")
-        (True, False, False)
+        >>> [inside(name) for name in ("grid/images/1.jpg", "../1.jpg", "/etc/passwd")]
+        [True, False, False]
     """
     parts = name.split("/")
     short = all(len(part.encode("utf-8", "surrogatepass")) <= _MAX_NAME_BYTES for part in parts)
