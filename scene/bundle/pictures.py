@@ -1,14 +1,11 @@
-"""Pictures of a scene for people: contact sheet and flight plan."""
+"""Figures of a scene for people: a contact sheet and a flight plan."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from scene.bundle.scene import Scene
@@ -17,7 +14,10 @@ from scene.runtime.printed import drawn
 from scene.storage.files import written_whole
 from scene.storage.images import read_rgb
 
-# Frames shown of each session on the contact sheet, each with depth and instances beside it.
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Number of frames of each session on the contact sheet, each with its depth and instances.
 _FRAMES = 2
 _MARKERS = {"map": "o", "query": "^"}
 _FOOTPRINTS = {"building": "0.45", "tree": "#9fbf8f", "hedge": "#9fbf8f", "car": "#c05050"}
@@ -39,7 +39,9 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def _contact_sheet(scene: Scene) -> Figure:
-    """A row per session: photographs, each with its depth and its instances."""
+    """Draw one row per session: photographs, each with its depth and its instances."""
+    from matplotlib.figure import Figure
+
     rows, columns = len(scene.sessions), 3 * _FRAMES
     figure = Figure(figsize=(2.2 * columns + 1, 2.45 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
@@ -66,19 +68,25 @@ def _contact_sheet(scene: Scene) -> Figure:
 
 
 def _coloured(instance: NDArray[Any]) -> NDArray[Any]:
-    """Identifiers as colours: neighbouring numbers far apart in hue, the ground black."""
+    """Return colours of instance ids, (H, W, 3): consecutive ids differ in hue, the ground is
+    black."""
+    import matplotlib as mpl
+
     hues = mpl.colormaps["hsv"]((instance.astype(np.int64) * 0.6180339887) % 1.0)[..., :3]
     return np.where(instance[..., None] > 0, hues, 0.0)
 
 
 def _flight_plan(scene: Scene) -> Figure:
-    """Camera positions and headings from above, over the map's points when there is a map."""
+    """Draw camera positions and headings from above, over the map's points or the objects."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon
+
     figure = Figure(figsize=(8, 8), layout="constrained")
     ax = figure.subplots()
     if scene.map_path.is_dir():
         sparse_map = scene.sparse_map()
         xyz, rgb = sparse_map.xyz, sparse_map.rgb / 255
-        # Many points need small dots, few points large ones, to read as a picture.
+        # The size of the dots is chosen so that they cover about the same area in every map.
         size = float(np.clip(2e4 / len(xyz), 0.5, 8))
         ax.scatter(xyz[:, 0], xyz[:, 1], s=size, c=rgb, linewidths=0)
         ax.set_title(f"{drawn(scene.name)}: flights over the map's {len(xyz)} points")
@@ -103,7 +111,7 @@ def _flight_plan(scene: Scene) -> Figure:
             zorder=3,
             label=drawn(name),
         )
-        # The top of the picture, -y of the camera, shows the heading also when looking down.
+        # The top of the image (-y of the camera) gives a heading also when looking straight down.
         top = -rotation[:, 1, :2]
         ax.quiver(*centres[:, :2].T, *top.T, color=colour, width=0.003, scale=30, zorder=3)
     side = 0.62 * float(scene.manifest.config["area"])

@@ -1,19 +1,23 @@
-"""Names from outside, as they may be printed."""
+"""File names and messages escaped for a terminal or a figure."""
 
 from __future__ import annotations
 
 import unicodedata
 
-# Categories of Unicode that a terminal obeys, or that cannot be encoded: controls, formats that
-# turn the direction of a line, halves of surrogates, ends of lines and paragraphs.
+# Unicode categories that control a terminal or cannot be encoded: control characters, format
+# characters such as those for text direction, surrogates, line and paragraph separators.
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def printed(text: object) -> str:
-    """A name or a message on one line, with what a terminal would obey spelled out.
+    r"""Return a name or message on one line, with everything that controls a terminal escaped.
 
-    Control characters, marks of direction and bytes of a file name that are not UTF-8 become
-    Python's escapes: ``a\\x1b[31m.jpg``. A backslash stays as it is.
+    Control characters, marks of text direction and bytes of a file name that are not UTF-8 become
+    Python's escapes. A backslash is not changed.
+
+    Example:
+        >>> print(printed("a" + chr(27) + "[31m.jpg"))
+        a\x1b[31m.jpg
     """
     return "".join(
         character.encode("unicode_escape", "surrogatepass").decode("ascii")
@@ -24,5 +28,6 @@ def printed(text: object) -> str:
 
 
 def drawn(text: object) -> str:
-    """The same for Matplotlib, which takes what stands between two dollars for a formula."""
+    """Return a name or message escaped for Matplotlib, which reads text between dollars as a
+    formula."""
     return printed(text).replace("$", r"\$")

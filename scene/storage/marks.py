@@ -1,5 +1,7 @@
-"""How pictures say that this program drew them, so that none of somebody else's is replaced: the
-marks of ``scene.storage.outputs.Output``."""
+"""How a figure says that this program drew it, so that nobody else's file is replaced.
+
+These are the marks of ``scene.storage.outputs.Output``.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +9,10 @@ from typing import Final
 
 SOFTWARE: Final = "ObjConnect"
 PNG_METADATA: Final = {"Software": SOFTWARE}
-"""What Matplotlib writes into a PNG of ours."""
+"""The metadata that Matplotlib writes into a PNG."""
 
 PNG_MARK: Final = b"Software\0ObjConnect"
-"""What stands near the beginning of such a PNG."""
+"""The bytes near the beginning of a PNG with this metadata."""
 
 JPEG_MARK: Final = b"drawn by ObjConnect"
-"""The comment of a JPEG of ours."""
+"""The comment of a JPEG drawn by this program."""

@@ -1,4 +1,4 @@
-"""A folder for files that nobody needs afterwards."""
+"""Temporary folders beside the cache or the output of a run."""
 
 from __future__ import annotations
 
@@ -14,19 +14,25 @@ from scene.storage.files import MARK, PARTIAL, require_room
 
 @contextmanager
 def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
-    """A new folder, removed when the block ends, however that ends.
+    """Make a temporary folder and remove it when the block ends, however that ends.
 
-    It lies where there is room for results: a small folder for temporary files must not end a run
-    whose cache and output lie elsewhere. What a killed process left goes with the next
-    ``scene.storage.files.remove_partial`` of the folder above.
+    It lies beside the results, where there is space for them: the system's folder for temporary
+    files may be small. A folder left by a killed process is removed by the next
+    ``remove_partial`` of the folder above.
 
     Args:
-        beside: folder of the cache or the output to work for; made when it is not there, and gone
-            again when it stays empty. None takes the system's folder for temporary files.
+        beside: folder of the cache or output; it is made if necessary, and removed again if it
+            stays empty. None uses the system's folder for temporary files.
         needed: bytes that will be written.
 
     Raises:
-        WriteError: there is less room, or the folder cannot be written.
+        WriteError: the disk has less space, or the folder cannot be written.
+
+    Example:
+        >>> with scratch() as folder:
+        ...     _ = (folder / "part.txt").write_text("temporary")
+        >>> folder.exists()
+        False
     """
     root = Path(tempfile.gettempdir()) if beside is None else beside
     made = [path for path in (root, *root.parents) if not path.exists()]
@@ -43,13 +49,13 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
         for path in made:
             try:
                 path.rmdir()
-            except OSError:  # it holds something
+            except OSError:  # the folder is not empty
                 break
 
 
 @contextmanager
 def kept_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
-    """The folder of a cache; where there is none, a scratch folder beside what a run writes."""
+    """Yield the cache's folder, or a temporary one beside the output if there is no cache."""
     if cache is not None:
         yield cache
         return

@@ -18,7 +18,7 @@ SESSION = "summer-noon-nadir"
 
 @pytest.fixture
 def unfinished(tmp_path: Path) -> tuple[Path, Manifest]:
-    """A scene but for its manifest, in a folder with a space in its name."""
+    """Write a scene without its manifest, in a folder with a space in its name."""
     path = tmp_path / "my scene"
     images = path / "sessions" / SESSION / "images"
     images.mkdir(parents=True)

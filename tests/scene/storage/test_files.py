@@ -97,7 +97,7 @@ def test_a_failed_folder_keeps_the_old_one_and_leaves_nothing(tmp_path: Path) ->
 
 
 def test_an_unwritable_place_is_one_clear_error(tmp_path: Path) -> None:
-    """A file where a folder should be: nobody can write there, not even root."""
+    """With a file in the place of a folder nobody can write there, not even root."""
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
     with (
@@ -146,7 +146,7 @@ def test_unreadable_text_is_one_clear_error(tmp_path: Path) -> None:
 
 
 def test_one_process_writes_a_folder_at_a_time(tmp_path: Path) -> None:
-    """Another process is told so; one that was killed is in nobody's way."""
+    """A second process gets an error; the lock of a killed process does not remain."""
     folder = tmp_path / "new" / "scene"
     hold = (
         "import pathlib, sys\n"

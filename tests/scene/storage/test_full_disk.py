@@ -1,4 +1,4 @@
-"""A disk that is really full: a small file system in memory, mounted for the test."""
+"""Behaviour on a full disk: a small file system in memory is mounted for the tests."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ GATE = Path(__file__).parents[2] / "data" / "gate"
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 2 MB."""
+    """Mount a file system of 2 MB."""
     path = tmp_path / "disk"
     path.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(path)]
@@ -51,7 +51,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def fill(disk: Path, left: int = 0) -> Path:
-    """Leave so many bytes."""
+    """Fill the disk until the given number of bytes is left."""
     path = disk / "filling"
     path.write_bytes(bytes(max(shutil.disk_usage(disk).free - left, 0)))
     return path
@@ -73,7 +73,7 @@ def test_a_folder(disk: Path) -> None:
 
 
 def test_a_session(disk: Path) -> None:
-    """HDF5 says it in its own words, and may say it when the file is closed."""
+    """HDF5 reports a full disk by exceptions of its own, possibly when the file is closed."""
     path = disk / "frames.h5"
     write_frames(path, made_frames(3), ALL, (made_layers(k) for k in range(3)))
     filling = fill(disk, 3000)
@@ -87,7 +87,7 @@ def test_a_session(disk: Path) -> None:
 
 
 def test_a_checkpoint(disk: Path) -> None:
-    """Torch writes by itself."""
+    """Torch writes files without Python, and reports a full disk by a RuntimeError."""
     path = disk / "checkpoint.pt"
     torch.save({"done": 1}, path)
     with pytest.raises(WriteError, match="cannot write"), written_whole(path) as partial:
@@ -102,7 +102,7 @@ def test_an_error_that_is_not_the_disk_s_is_not_taken_for_it(tmp_path: Path) -> 
 
 
 def test_a_journal(disk: Path) -> None:
-    """Queries that were noted are there when there is room again."""
+    """Queries written to the journal are kept until there is space again."""
     filling = fill(disk, 4096)
     noted = []
     opened = Journal(disk / "j", "key", QueryResult)
@@ -124,7 +124,7 @@ def test_a_damaged_journal_keeps_what_is_whole(tmp_path: Path) -> None:
             journal.add(scored_query(name, 0.1))
         raise KeyboardInterrupt
     data = path.read_bytes()
-    path.write_bytes(data[:-30] + b"\xb3" + data[-29:])  # no UTF-8
+    path.write_bytes(data[:-30] + b"\xb3" + data[-29:])  # not UTF-8
     with Journal(path, "key", QueryResult) as journal:
         assert list(journal.done) == ["a"]
 
@@ -148,7 +148,7 @@ def matching(disk: Path) -> Callable[[], object]:
 
 
 def test_colmap_is_not_let_near_a_full_disk(disk: Path) -> None:
-    """It would end the process: 'terminate called', signal 6."""
+    """COLMAP would end the process: 'terminate called', signal 6."""
     fill(disk, 900_000)
     with pytest.raises(WriteError, match=r"has 1 MB left and \d+ MB are needed"):
         matching(disk)()
@@ -157,7 +157,7 @@ def test_colmap_is_not_let_near_a_full_disk(disk: Path) -> None:
 def test_what_is_matched_outlives_a_full_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The disk is said to be full after the third pair; the next run does not match them again."""
+    """The disk is reported full after the third pair; the next run does not repeat those pairs."""
     import scene.colmap.database as adapter
 
     run = matching(tmp_path / "disk")
@@ -197,7 +197,7 @@ def test_room(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_cannot_be_written(disk: Path) -> None:
-    """Nor by root: no permission stands in the way, the file system does."""
+    """The file system forbids it to root as well; permissions alone would not."""
     (disk / "scene").mkdir()
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
     with pytest.raises(WriteError, match="Read-only"), sole_writer(disk / "scene"):
@@ -216,7 +216,7 @@ def test_a_disk_that_cannot_be_written(disk: Path) -> None:
 
 
 def test_a_killed_evaluation_has_noted_every_query(tmp_path: Path) -> None:
-    """kill -9: nothing waits in a buffer."""
+    """After kill -9 all finished queries are on disk: none waits in a buffer."""
     code = (
         "import os, pathlib, signal, sys\n"
         "from benchmark.journal import Journal\n"
