@@ -14,7 +14,7 @@ from torch import Tensor
 
 from baselines.views import north_angle, warp_image
 from scene.geometry.camera import Camera
-from scene.maps.features import FeatureFile, Features, unit_descriptors, written_features
+from scene.maps.features import FeatureFile, Features, feature_writer, unit_descriptors
 from scene.maps.matching import match
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
@@ -130,7 +130,7 @@ def map_features(
     if path.is_file():
         return FeatureFile(path)
     bar = progress_bar(f"{extractor.name} map features", len(names))
-    with bar as advance, written_features(path) as add:
+    with bar as advance, feature_writer(path) as add:
         for first in range(0, len(names), _TOGETHER):
             some = names[first : first + _TOGETHER]
             if extractor.turned:

@@ -29,8 +29,8 @@ from benchmark.starts import Start
 from objconnect.config import ObjConnectNetConfig
 from objconnect.localizer import ObjConnectConfig
 from scene.config import Config
-from scene.storage.files import write_text
-from scene.storage.outputs import Output, claim, claim_folder
+from scene.storage.atomic import write_text
+from scene.storage.outputs import OutputFile, check_output_folder, check_outputs
 
 METHOD: Final = "objconnect"
 TABLE: Final = "ablation.md"
@@ -112,8 +112,8 @@ def ablate(
     Raises:
         InputError: for the reasons of ``train`` and ``evaluate``.
     """
-    claim_folder(out, [*data, *validation])
-    claim([Output(out / TABLE, _MARK)], within=out)
+    check_output_folder(out, [*data, *validation])
+    check_outputs([OutputFile(out / TABLE, _MARK)], within=out)
     rows: list[_Row] = []
     trained: list[tuple[ObjConnectNetConfig, Path]] = []
     for variant in plan.variants:

@@ -37,12 +37,12 @@ from benchmark.score import THRESHOLDS, is_correct, wilson
 from benchmark.starts import moved_prior
 from scene.bundle.manifest import read_json
 from scene.errors import InputError
-from scene.geometry.pose import FARTHEST_M
+from scene.geometry.geodesy import FARTHEST_M
 from scene.localizer import Localizer, Status
 from scene.runtime.progress import progress_bar
-from scene.storage.files import write_text
-from scene.storage.outputs import claim
-from scene.storage.scratch import kept_or_scratch
+from scene.storage.atomic import write_text
+from scene.storage.outputs import check_outputs
+from scene.storage.scratch import cache_or_scratch
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
 
@@ -181,10 +181,10 @@ def basin(
     """
     require_folder(out)
     target = basin_path(out, dataset, localizer)
-    claim([target], within=out)
+    check_outputs([target], within=out)
     method_in(target)
     sparse_map = dataset.load_map()
-    with kept_or_scratch(cache, out) as folder:
+    with cache_or_scratch(cache, out) as folder:
         localizer.prepare(sparse_map, dataset.images, folder)
     answers: list[list[QueryResult]] = [[] for _ in sizes]
     steps = len(dataset.queries) * len(sizes)

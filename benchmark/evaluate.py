@@ -35,15 +35,16 @@ from benchmark.results import (
 from benchmark.starts import NONE, PRIOR, LoadQuery, Start
 from benchmark.uncertainty import normalised_error
 from scene.errors import InputError
-from scene.geometry.pose import FARTHEST_M, Pose
+from scene.geometry.geodesy import FARTHEST_M
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Localizer, Query, Status
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.cluster import WorkerPool, shares, worker_pool
+from scene.runtime.cluster import WorkerPool, split_work, worker_pool
 from scene.runtime.memory import peak_megabytes, reset_peak
 from scene.runtime.progress import progress_bar
-from scene.storage.marks import PNG_MARK
-from scene.storage.outputs import Output, claim
-from scene.storage.scratch import kept_or_scratch
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.provenance import PNG_MARK
+from scene.storage.scratch import cache_or_scratch
 
 log = logging.getLogger(__name__)
 
@@ -174,7 +175,7 @@ class _Run:
         reset_peak()
         sparse_map = self.sparse_map
         # Files that the method opened in the folder stay open after the folder is gone.
-        with kept_or_scratch(self._cache, self._scratch) as cache:
+        with cache_or_scratch(self._cache, self._scratch) as cache:
             began = perf_counter()
             self._localizer.prepare(sparse_map, self._dataset.images, cache)
             took = perf_counter() - began
@@ -216,7 +217,9 @@ def _prepared(run: _Run, jobs: int, cluster: str | None) -> Iterator[tuple[float
         seconds = _prepare_one_worker(workers)
         yield (
             seconds,
-            lambda queries: workers.map(shares(queries, workers.cores, 1, _MOST_QUERIES_AT_ONCE)),
+            lambda queries: workers.map(
+                split_work(queries, workers.cores, 1, _MOST_QUERIES_AT_ONCE)
+            ),
         )
 
 
@@ -297,8 +300,8 @@ def claim_evaluation(dataset: Dataset, localizer: Localizer, out: Path) -> None:
     """
     target = results_path(out, dataset, localizer)
     claim_results(target, method_of(localizer), out)
-    picture = Output(_picture_path(target), b"" if target.is_file() else PNG_MARK)
-    claim([picture, Output(target.with_name(ALBUM), ALBUM_MARK)], within=out)
+    picture = OutputFile(_picture_path(target), b"" if target.is_file() else PNG_MARK)
+    check_outputs([picture, OutputFile(target.with_name(ALBUM), ALBUM_MARK)], within=out)
 
 
 def method_of(localizer: Localizer) -> Method:

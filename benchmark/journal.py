@@ -16,14 +16,16 @@ from pydantic import ValidationError
 
 from benchmark.results import Named
 from scene.errors import WriteError
-from scene.storage.files import MARK, locked, parse_json
+from scene.storage.atomic import TEMPORARY_PREFIX
+from scene.storage.files import parse_json
+from scene.storage.locks import hold_lock
 
 Entry = TypeVar("Entry", bound=Named)
 
 
 def journal_path(results: Path) -> Path:
     """Return the path of the journal of a results file."""
-    return results.with_name(f"{MARK}{results.stem}.journal")
+    return results.with_name(f"{TEMPORARY_PREFIX}{results.stem}.journal")
 
 
 class Journal(Generic[Entry]):
@@ -66,8 +68,8 @@ class Journal(Generic[Entry]):
         except OSError as error:
             raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
         with ExitStack() as opened:
-            lock = self.path.with_name(f"{MARK}lock-{self.path.name}")
-            opened.enter_context(locked(lock, self.path))
+            lock = self.path.with_name(f"{TEMPORARY_PREFIX}lock-{self.path.name}")
+            opened.enter_context(hold_lock(lock, self.path))
             try:
                 # A damaged byte makes its line invalid, and lines after it are dropped.
                 self._file = opened.enter_context(

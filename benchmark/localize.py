@@ -31,15 +31,16 @@ from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
 from scene.maps.colmap_files import read_model
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
+from scene.storage.atomic import write_text
 from scene.storage.digests import digests
-from scene.storage.files import parse_json, read_text, sha256_of, write_text
+from scene.storage.files import parse_json, read_text, sha256_of
 from scene.storage.images import read_exif, read_rgb
-from scene.storage.listing import PHOTOGRAPHS, files_in
-from scene.storage.names import written, written_cell
-from scene.storage.outputs import Output, claim
-from scene.storage.scratch import kept_or_scratch
+from scene.storage.listing import PHOTOGRAPHS, list_files
+from scene.storage.names import quote_cell, quote_name
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.scratch import cache_or_scratch
 
 log = logging.getLogger(__name__)
 
@@ -135,7 +136,7 @@ def localize(
     with (
         Journal(journal_path(out), _key(place, localizer), Answer) as journal,
         # The disk of the output has room for what the method keeps per map.
-        kept_or_scratch(cache, out.parent) as kept,
+        cache_or_scratch(cache, out.parent) as kept,
     ):
         localizer.prepare(place.sparse_map, place.images, kept)
         with progress_bar(f"localize with {localizer.name}", len(paths)) as advance:
@@ -152,7 +153,7 @@ class Answer(Named):
     """The journal's entry of a photograph.
 
     Attributes:
-        name: file name, escaped by ``scene.storage.names.written`` because JSON cannot hold every
+        name: file name, escaped by ``quote_name`` because JSON cannot hold every
             file name.
         asked: digest of the photograph, its camera and its prior.
         status: status of the estimate.
@@ -175,10 +176,10 @@ class Answer(Named):
         pose, covariance = estimate.cam_from_world, estimate.covariance
         known = covariance is not None and np.isfinite(covariance).all()
         return Answer(
-            name=written(name),
+            name=quote_name(name),
             asked=asked,
             status=estimate.status,
-            reason=printed(estimate.reason),
+            reason=for_terminal(estimate.reason),
             cam_from_world=None
             if pose is None
             else (*pose.quaternion().tolist(), *pose.translation.tolist()),
@@ -262,7 +263,7 @@ class _QueryReader:
 def _photographs(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
-    paths = files_in(folder, PHOTOGRAPHS)
+    paths = list_files(folder, PHOTOGRAPHS)
     if not paths:
         raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)})")
     return paths
@@ -275,7 +276,9 @@ def _outputs(out: Path, inputs: Sequence[Path]) -> Path:
             f"{out} cannot name the poses, for a table lies beside: let it end in .txt"
         )
     table = out.with_suffix(_TABLE)
-    claim([Output(out, _HEADER.encode()), Output(table, ",".join(_COLUMNS).encode())], inputs)
+    check_outputs(
+        [OutputFile(out, _HEADER.encode()), OutputFile(table, ",".join(_COLUMNS).encode())], inputs
+    )
     return table
 
 
@@ -325,7 +328,7 @@ def _localize_one(
         return Estimate(Status.FAILED, reason=str(error))
     except OSError as error:
         return Estimate(Status.FAILED, reason=f"cannot read {path}: {error.strerror}")
-    before = journal.done.get(written(name))
+    before = journal.done.get(quote_name(name))
     if before is not None and before.asked == asked:
         return before.estimate()
     estimate = localize_safely(localizer, query)
@@ -391,8 +394,8 @@ def _rows(located: Sequence[Located]) -> Iterator[Mapping[str, Any]]:
     """Yield the rows of the CSV file; columns that are unknown are missing."""
     for item in located:
         estimate = item.estimate
-        row = {"name": written_cell(item.name), "status": estimate.status.value}
-        row |= {"inliers": str(estimate.inliers), "reason": printed(estimate.reason)}
+        row = {"name": quote_cell(item.name), "status": estimate.status.value}
+        row |= {"inliers": str(estimate.inliers), "reason": for_terminal(estimate.reason)}
         if estimate.cam_from_world is not None:
             row |= {k: f"{x:.4f}" for k, x in zip("enu", _centre(estimate), strict=True)}
             sigma = estimate.sigma_position()

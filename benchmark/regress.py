@@ -13,9 +13,9 @@ from benchmark.report.tables import ALL
 from benchmark.results import Results, load, method_in, results_files
 from benchmark.score import THRESHOLDS, is_correct
 from scene.errors import InputError
-from scene.runtime.printed import printed
-from scene.storage.files import written_whole
-from scene.storage.outputs import claim, claim_folder
+from scene.runtime.escaping import for_terminal
+from scene.storage.atomic import atomic_write
+from scene.storage.outputs import check_output_folder, check_outputs
 
 # Probability of a false alarm per baseline file, divided among its comparisons (Bonferroni).
 _ALPHA: Final = 0.05
@@ -49,7 +49,7 @@ class Comparison:
         """Return the comparison as one line for a person."""
         c = self.change
         verdict = "DROP" if self.dropped else "ok  "
-        return printed(
+        return for_terminal(
             f"{verdict} {self.method} on {self.dataset} ({self.track}), {self.condition}, "
             f"{self.threshold}: {c.change:+.1f} points [{c.low:+.1f}, {c.high:+.1f}], "
             f"{c.lost} lost and {c.won} won of {c.queries}, p = {c.p_drop:.2g}"
@@ -92,13 +92,13 @@ def update(results: Path, baseline: Path) -> list[Path]:
         InputError: there are no results, or one of them is damaged or cannot be written.
     """
     names = _files(results)
-    claim_folder(baseline, [results])
-    claim([baseline / name for name in names], [results / name for name in names])
+    check_output_folder(baseline, [results])
+    check_outputs([baseline / name for name in names], [results / name for name in names])
     for name in names:
         method_in(baseline / name)
         load(results / name)  # a damaged file must not become the baseline
     for name in names:
-        with written_whole(baseline / name) as partial:
+        with atomic_write(baseline / name) as partial:
             shutil.copyfile(results / name, partial)
     return [baseline / name for name in names]
 

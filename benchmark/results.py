@@ -16,11 +16,12 @@ from benchmark.score import THRESHOLDS, median_errors, recall
 from benchmark.uncertainty import consistency
 from scene.bundle.manifest import Condition, read_json
 from scene.errors import InputError
-from scene.geometry.pose import FARTHEST_M
+from scene.geometry.geodesy import FARTHEST_M
 from scene.localizer import Status
-from scene.storage.files import parse_json, write_text
-from scene.storage.listing import files_in
-from scene.storage.outputs import another_file, claim
+from scene.storage.atomic import write_text
+from scene.storage.files import parse_json
+from scene.storage.listing import list_files
+from scene.storage.outputs import check_outputs, foreign_file_error
 
 # Larger numbers in a file are damage; sums of them could overflow.
 _MOST: Final = 10**12
@@ -291,7 +292,7 @@ def method_in(path: Path) -> Method | None:
         return Method.model_validate(parse_json(content.decode())["method"])
     except (ValueError, KeyError, TypeError):
         if content and not content.startswith(_HEAD):
-            raise another_file(path) from None
+            raise foreign_file_error(path) from None
     return None
 
 
@@ -306,10 +307,10 @@ def claim_results(path: Path, method: Method, out: Path) -> None:
         out: folder of all results.
 
     Raises:
-        InputError: another command wrote the file there, or ``scene.storage.outputs.claim`` refuses
+        InputError: another command wrote the file there, or ``check_outputs`` refuses
             the path.
     """
-    claim([path], within=out)
+    check_outputs([path], within=out)
     before = method_in(path)
     if before is None:
         return
@@ -427,7 +428,9 @@ def results_files(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise InputError(f"results {path} do not exist")
-    files = [file for file in files_in(path, (".json",), depth=2) if not file.name.endswith(BASIN)]
+    files = [
+        file for file in list_files(path, (".json",), depth=2) if not file.name.endswith(BASIN)
+    ]
     if not files:
         raise InputError(f"{path} holds no results file (<dataset>/<method>.json)")
     return files

@@ -22,7 +22,8 @@ from baselines.sift import Sift, SiftConfig
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.textfiles import read_pairs
 from scene.errors import InputError
-from scene.geometry.pose import FARTHEST_M, Pose, so3_exp
+from scene.geometry.geodesy import FARTHEST_M
+from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior, Query
 from scene.maps.sparse_map import SparseMap
 from scene.storage.files import read_text

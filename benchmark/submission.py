@@ -13,11 +13,12 @@ from scene.errors import InputError, WriteError
 from scene.localizer import Localizer, Query, Status
 from scene.maps.colmap_files import read_model
 from scene.runtime.progress import progress_bar
+from scene.storage.atomic import write_text
 from scene.storage.digests import digests
-from scene.storage.files import read_text, write_text
+from scene.storage.files import read_text
 from scene.storage.images import read_rgb
-from scene.storage.outputs import Output, claim, claim_folder
-from scene.storage.scratch import kept_or_scratch
+from scene.storage.outputs import OutputFile, check_output_folder, check_outputs
+from scene.storage.scratch import cache_or_scratch
 
 SUBMISSION: Final = "submission.txt"
 _DECIMALS: Final = 6
@@ -49,9 +50,9 @@ def submit(
             ``out`` cannot be written.
     """
     chosen = open_slices(path)
-    claim_folder(out, [path, *(part.folder for part in chosen)])
+    check_output_folder(out, [path, *(part.folder for part in chosen)])
     finished = [out / "slices" / f"{part.folder.name}.txt" for part in chosen]
-    claim([*(Output(file, _HEAD) for file in finished), out / SUBMISSION], within=out)
+    check_outputs([*(OutputFile(file, _HEAD) for file in finished), out / SUBMISSION], within=out)
     if (out / SUBMISSION).exists() and not any(file.is_file() for file in finished):
         # A submission can hold nothing but poses, so no mark in it tells who wrote it.
         raise WriteError(
@@ -86,7 +87,7 @@ def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) ->
         first, *lines = read_text(path, "finished slice").splitlines() or [""]
         if first == header:
             return lines
-    with kept_or_scratch(cache, path.parent) as kept:
+    with cache_or_scratch(cache, path.parent) as kept:
         localizer.prepare(sparse_map, part.folder / "database", kept)
     lines = []
     with progress_bar(f"{part.folder.name} {localizer.name}", len(part.queries)) as advance:

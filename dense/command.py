@@ -28,7 +28,7 @@ from dense.sources import choose_sources, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
 from dense.warp import StereoView
 from dense.workspace import KINDS, Stage, Workspace
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.colmap.models import write_posed
 from scene.colmap.stereo import fuse_depth_maps, patch_match_stereo
 from scene.errors import InputError
@@ -38,21 +38,15 @@ from scene.maps.photographs import PosedImage
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.cluster import worker_pool
 from scene.runtime.progress import progress_bar
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder, link_or_copy, replace_folder
 from scene.storage.digests import digests, require_unchanged
-from scene.storage.files import (
-    MARK,
-    folder_written_whole,
-    link_or_copy,
-    read_text,
-    replace_folder,
-    require_room,
-    sole_writer,
-)
+from scene.storage.files import read_text, require_disk_space
 from scene.storage.images import read_rgb
+from scene.storage.locks import write_lock
 from scene.storage.resumable import ResumableFolder
 
 DENSE = "dense"
-UNFINISHED = f"{MARK}dense"
+UNFINISHED = f"{TEMPORARY_PREFIX}dense"
 KEY = "dense.json"
 Stereo = Literal["own", "colmap"]
 
@@ -107,7 +101,7 @@ def dense(
             written.
     """
     scene = Scene.open(path)
-    with sole_writer(path):
+    with write_lock(path):
         return _make(scene, size, sources, stereo, seed, cluster)
 
 
@@ -155,7 +149,7 @@ def _make(
         known += np.count_nonzero(workspace.depth(name, "geometric"))
         workspace.normals(name, "geometric")
     # Nor does it say that the disk is full. A point is of _FUSED pixels or more, each listed once.
-    require_room(workspace.cloud, known // _FUSED * _POINT_BYTES + known * _LISTED_BYTES)
+    require_disk_space(workspace.cloud, known // _FUSED * _POINT_BYTES + known * _LISTED_BYTES)
     xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, _FUSED)
     truth = read_truth(scene, pinhole_map)
     shown = [tuple(pairs)[k] for k in np.linspace(0, len(pairs) - 1, _SHOWN + 2).astype(int)[1:-1]]
@@ -217,7 +211,7 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
 
 
 def owned(workspace: Workspace) -> set[str]:
-    """What we wrote into a folder, for ``folder_written_whole``: photographs
+    """What we wrote into a folder, for ``atomic_folder``: photographs
     and maps of every photograph that has a depth map."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
     found = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
@@ -245,7 +239,7 @@ def _finish(scene: Scene, workspace: Workspace) -> None:
         replace_folder(whole, workspace.path, owned(Workspace(whole)))
     except OSError as error:
         raise InputError(f"cannot write {whole}: {error.strerror or error}") from None
-    finish(scene.path, scene.manifest)
+    finish_scene(scene.path, scene.manifest)
 
 
 def _write_photographs(
@@ -265,7 +259,7 @@ def _write_photographs(
 def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
     images = [sparse_map.images[name] for name in sparse_map.names]
     posed = [PosedImage(image.name, image.camera, image.cam_from_world) for image in images]
-    with folder_written_whole(workspace.sparse, (*MODEL_FILES, *RIG_FILES)) as folder:
+    with atomic_folder(workspace.sparse, (*MODEL_FILES, *RIG_FILES)) as folder:
         write_posed(posed, sparse_map, folder)
 
 

@@ -15,7 +15,7 @@ from scene.colmap.structure_from_motion import adjust_to_positions
 from scene.maps.colmap_files import read_model
 from scene.maps.photographs import Photograph
 from scene.maps.sparse_map import SparseMap
-from scene.storage.files import folder_written_whole
+from scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ def adjust(
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
 
     def adjusted(principal_point: bool) -> SparseMap:
-        with folder_written_whole(work / "adjusted") as folder:
+        with atomic_folder(work / "adjusted") as folder:
             return adjust_to_positions(
                 model_path,
                 taken,

@@ -23,7 +23,7 @@ from ingest.split import Split, queries_of
 from scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
 from scene.bundle.frames import Frames, write_frames
 from scene.bundle.manifest import Manifest, Objects, Session, Splits, read_json, write_json
-from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish
+from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish_scene
 from scene.colmap.database import match_photographs
 from scene.colmap.sift import SiftOptions
 from scene.colmap.structure_from_motion import Mapper, map_photographs
@@ -35,19 +35,15 @@ from scene.maps.colmap_files import read_model
 from scene.maps.features import write_features
 from scene.maps.photographs import Photograph, PosedImage
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.files import (
-    MARK,
-    folder_written_whole,
-    remove_owned,
-    sha256_of,
-    sole_writer,
-)
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder, remove_owned
+from scene.storage.files import sha256_of
 from scene.storage.images import read_rgb, write_resized
+from scene.storage.locks import write_lock
 from scene.storage.resumable import ResumableFolder
 
-_WORK = f"{MARK}ingest"
+_WORK = f"{TEMPORARY_PREFIX}ingest"
 _PLAN = "plan.json"
 _TURNED = "turned.json"
 _DATABASE = Path("database.db")
@@ -121,7 +117,7 @@ def ingest(
         gps=None if gps is None else sha256_of(gps),
         photographs={shot.file: shot.sha256 for shot in roll.shots},
     )
-    with sole_writer(out):
+    with write_lock(out):
         return _ingest(photographs, out, roll, camera, plan)
 
 
@@ -143,7 +139,7 @@ def _ingest(
         # These photographs make no scene: nothing of ours is left to go on with.
         remove_owned(out, _owned(roll))
         raise
-    finish(out, _manifest(plan, origin))
+    finish_scene(out, _manifest(plan, origin))
     unfinished.end()
     return report
 
@@ -187,7 +183,8 @@ def _build(
     write_json(out / REPORT, report)
     draw(
         out / "pictures" / "ingest.png",
-        f"{printed(out.resolve().name)}: {report.registered} photographs, {report.points} points",
+        f"{for_terminal(out.resolve().name)}: {report.registered} photographs, "
+        f"{report.points} points",
         model,
         [shot.name for shot in shots],
         queries,
@@ -307,7 +304,7 @@ def _match(
 def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, dict[str, str]]:
     """The model of most photographs, and why the photographs that are not in it are not."""
     models = out / _WORK / "models"
-    with progress_bar("map", len(taken)) as advance, folder_written_whole(models) as folder:
+    with progress_bar("map", len(taken)) as advance, atomic_folder(models) as folder:
         found = map_photographs(
             out / "sessions", taken, out / _WORK / _DATABASE, folder, mapper, advance
         )
@@ -364,7 +361,7 @@ def _triangulate(out: Path, model: SparseMap, queries: set[str]) -> SparseMap:
         for name in model.names
         if name not in queries
     ]
-    with folder_written_whole(out / "map", MAP_FILES) as folder:
+    with atomic_folder(out / "map", MAP_FILES) as folder:
         sparse_map, features = triangulate_matched(
             out / "sessions", images, out / _WORK / _DATABASE, folder
         )

@@ -9,11 +9,11 @@ from pathlib import Path
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.maps.photographs import Photograph
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
 from scene.storage.files import sha256_of
 from scene.storage.images import Exif, image_size, read_exif
-from scene.storage.listing import files_in
+from scene.storage.listing import list_files
 
 SESSION = "flight"
 _ENDINGS = (".jpg", ".jpeg")
@@ -71,7 +71,7 @@ def read_roll(folder: Path) -> Roll:
     """
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
-    found = files_in(folder, _ENDINGS, depth=None)
+    found = list_files(folder, _ENDINGS, depth=None)
     files = sorted(path.relative_to(folder).as_posix() for path in found)
     if not files:
         raise InputError(f"{folder} holds no photograph ({', '.join(_ENDINGS)})")
@@ -88,7 +88,7 @@ def read_roll(folder: Path) -> Roll:
                     shots[digest] = _look_at(folder, file, digest)
             except UnicodeEncodeError:
                 # Neither COLMAP nor JSON can hold it.
-                left_out[printed(file)] = "its name is not UTF-8: rename it"
+                left_out[for_terminal(file)] = "its name is not UTF-8: rename it"
             except InputError as error:
                 left_out[file] = str(error)
             except OSError as error:

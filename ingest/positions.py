@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ingest.photographs import Roll, Shot
 from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, amid, enu_from_geodetic
+from scene.geometry.geodesy import Geodetic, enu_from_geodetic, median_place
 from scene.storage.files import read_text
 
 FEWEST = 3
@@ -135,5 +135,5 @@ def local(shots: Sequence[Shot]) -> tuple[Geodetic, dict[str, NDArray[np.float64
             "for a scene has metres and a place on earth: give --gps CSV with columns "
             f"{','.join(_COLUMNS)}"
         )
-    origin = amid(list(known.values()))
+    origin = median_place(list(known.values()))
     return origin, {name: enu_from_geodetic(place, origin) for name, place in known.items()}

@@ -31,15 +31,16 @@ from scene.bundle.manifest import (
     write_json,
 )
 from scene.bundle.pictures import draw_pictures
-from scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish
+from scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish_scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import geodetic_from_enu
 from scene.geometry.pose import Pose
 from scene.runtime.cluster import worker_pool
 from scene.runtime.progress import progress_bar
-from scene.storage.files import MARK, sole_writer
+from scene.storage.atomic import TEMPORARY_PREFIX
 from scene.storage.images import Exif, write_jpeg
+from scene.storage.locks import write_lock
 from scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.camera.lens import rendered_through
@@ -57,8 +58,8 @@ from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from simulate.render.remote import frame_files, render_remotely
 
-_CONFIG = f"{MARK}config.json"
-_RENDERED = f"{MARK}rendered"
+_CONFIG = f"{TEMPORARY_PREFIX}config.json"
+_RENDERED = f"{TEMPORARY_PREFIX}rendered"
 
 _Renderer = Callable[[RenderJob, Path, Callable[[int], None]], None]
 
@@ -79,7 +80,7 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
         InputError: ``out`` holds something else, cannot be written or is written by another run,
             rendering failed, or there is no such cluster.
     """
-    with sole_writer(out):
+    with write_lock(out):
         return _simulate(config, out, jobs, cluster)
 
 
@@ -109,7 +110,7 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
     draw_pictures(scene)
     pixels = {"pixels_sha256": pixel_digests(scene)}
-    scene = finish(out, scene.manifest.model_copy(update=pixels))
+    scene = finish_scene(out, scene.manifest.model_copy(update=pixels))
     unfinished.end()
     return scene
 

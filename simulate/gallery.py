@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.files import MARK, remove_partial, write_text, written_whole
-from scene.storage.marks import JPEG_MARK
-from scene.storage.outputs import Output, claim
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_write, remove_partial, write_text
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.provenance import JPEG_MARK
 from simulate.command import render_job
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
@@ -32,7 +32,7 @@ from simulate.render.pool import RenderError, render
 
 PAGE, PICTURES = "gallery.md", "gallery"
 _LIGHT, _WEATHER = "light", "weather"
-_RENDERED = f"{MARK}gallery"
+_RENDERED = f"{TEMPORARY_PREFIX}gallery"
 # Stands near the beginning of every page.
 _MARK = b"Every kind of place and every condition, as the simulator renders them."
 # From an orbit, from above and from the street, each with the exposures one is chosen from.
@@ -105,11 +105,13 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
 
 def _claim(out: Path) -> None:
     """Refuse a folder where the page or a picture of somebody else would be replaced."""
-    page = Output(out / PAGE, _MARK)
+    page = OutputFile(out / PAGE, _MARK)
     # Beside a page of ours its pictures are ours.
     mark = b"" if page.path.is_file() else JPEG_MARK
     names = (*PRESETS, _LIGHT, _WEATHER)
-    claim([page, *(Output(out / PICTURES / f"{name}.jpg", mark) for name in names)], within=out)
+    check_outputs(
+        [page, *(OutputFile(out / PICTURES / f"{name}.jpg", mark) for name in names)], within=out
+    )
 
 
 def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
@@ -170,7 +172,7 @@ def _draw(picture: _Picture, config: SimulateConfig, rendered: Path, path: Path)
         if column == 0 and rows > 1:
             ax.text(-0.02, 0.5, picture.rows[row], fontsize=9, rotation=90, ha="right",
                     va="center", transform=ax.transAxes)  # fmt: skip
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="jpeg", dpi=_INCH,
                        pil_kwargs={"quality": _JPEG_QUALITY, "comment": JPEG_MARK})  # fmt: skip
 
@@ -196,7 +198,7 @@ def _page(config: SimulateConfig, out: Path, shown_in: str, places: Mapping[str,
 Every kind of place and every condition, as the simulator renders them. Made by
 
 ```sh
-objconnect gallery --out {printed(out)} --preset {config.preset} --condition {shown_in} \\
+objconnect gallery --out {for_terminal(out)} --preset {config.preset} --condition {shown_in} \\
   --seed {config.seed} --area {config.area:g} --size {config.size} --spp {config.spp}
 ```
 

@@ -23,7 +23,7 @@ from scene.config import Config
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array
 
 
@@ -118,7 +118,7 @@ def all_corners(
                 places.append(find(name).xyz)
                 advance(done)
         check()
-        with written_whole(path) as partial, h5py.File(partial, "w") as file:
+        with atomic_write(path) as partial, h5py.File(partial, "w") as file:
             file["xyz"] = np.concatenate([np.empty((0, 3)), *places])
             file["ends"] = np.cumsum([len(xyz) for xyz in places])
     try:

@@ -24,7 +24,8 @@ from baselines.training.curves import draw_curves
 from baselines.training.pairs import Pair, PairBatch, PairSource, collate
 from scene.errors import InputError, WriteError
 from scene.runtime.progress import progress_bar
-from scene.storage.files import parse_json, read_text, write_text, written_whole
+from scene.storage.atomic import atomic_write, write_text
+from scene.storage.files import parse_json, read_text
 from scene.storage.resumable import ResumableFolder
 
 WEIGHTS: Final = "weights.safetensors"
@@ -305,7 +306,7 @@ def _share_gradients(network: nn.Module, world: int) -> None:
 
 def _save(path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, done: int) -> None:
     state = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "done": done}
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         torch.save(state, partial)
 
 

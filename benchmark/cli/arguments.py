@@ -77,8 +77,8 @@ def claim_folders(inputs: Iterable[Path], *folders: Path | None) -> None:
     Raises:
         InputError: a folder lies inside an input, or cannot be written.
     """
-    from scene.storage.outputs import claim_folder
+    from scene.storage.outputs import check_output_folder
 
     for folder in folders:
         if folder is not None:
-            claim_folder(folder, inputs)
+            check_output_folder(folder, inputs)

@@ -20,7 +20,7 @@ from typing import Any, Final
 from typer.core import TyperGroup
 
 from scene.errors import InputError
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 
 REGRESSION: Final = 1
 INPUT_AT_FAULT: Final = 2
@@ -116,7 +116,7 @@ def _say(message: str, code: int) -> int:
 
 def _one_line(message: str) -> str:
     """Return a message as one printable line; a long one is cut in the middle."""
-    line = printed(" ".join(message.split()))
+    line = for_terminal(" ".join(message.split()))
     half = _LONGEST // 2
     return line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}"
 
@@ -215,4 +215,4 @@ class PrintedFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """See ``logging.Formatter``."""
-        return printed(f"{record.levelname}: {record.getMessage()}")
+        return for_terminal(f"{record.levelname}: {record.getMessage()}")

@@ -23,7 +23,7 @@ from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.colmap_files import read_model
 from scene.storage.files import read_text
-from scene.storage.listing import files_in
+from scene.storage.listing import list_files
 
 TRACK: Final = "cmu"
 SIMULATED_TRACK: Final = "cmu-sim"
@@ -119,7 +119,7 @@ def open_slices(path: Path) -> list[Slice]:
     found = []
     for folder in folders:
         photographs = folder / "query"
-        images = files_in(photographs, (".jpg",)) if photographs.is_dir() else []
+        images = list_files(photographs, (".jpg",)) if photographs.is_dir() else []
         names = tuple(image.name for image in images)
         for name in names:
             ImageName.parse(name)
@@ -166,7 +166,7 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
     """Open one slice, or return None when none of its query poses is public."""
     references: dict[str, Pose] = {}
     listed = folder / "camera-poses"
-    for file in files_in(listed, (".txt",)) if listed.is_dir() else []:
+    for file in list_files(listed, (".txt",)) if listed.is_dir() else []:
         for name, pose in read_poses(file, centres=True).items():
             if name in references:
                 raise InputError(f"{file}: {name} has a pose in another file already")

@@ -17,7 +17,7 @@ from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.localizer import Prior, Query
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.storage.images import read_rgb
 from scene.storage.names import is_utf8
 
@@ -93,7 +93,7 @@ class Dataset:
         """
         for name in (self.name, *(query.name for query in self.queries)):
             if not is_utf8(name):
-                raise InputError(f"{printed(name)!r}: this name is not UTF-8: rename it")
+                raise InputError(f"{for_terminal(name)!r}: this name is not UTF-8: rename it")
 
     @cached_property
     def sha256(self) -> str:

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
-from scene.geometry.pose import FARTHEST_M, Pose
+from scene.geometry.geodesy import FARTHEST_M
+from scene.geometry.pose import Pose
 from scene.localizer import Prior
 from scene.maps.colmap_files import check_pose
-from scene.storage.files import inside, read_text
-from scene.storage.names import from_cell, leading_name, words, written
+from scene.storage.files import is_safe_path, read_text
+from scene.storage.names import quote_name, split_name, split_words, unquote_cell
 from scene.storage.tables import read_table
 
 _POSE: Final = ("name", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
@@ -37,7 +38,7 @@ T = TypeVar("T")
 def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
     """Read poses from lines ``name qw qx qy qz tx ty tz``, world to camera, in metres.
 
-    Names are written as by ``scene.storage.names.written``; a name without quotes may hold spaces.
+    Names are written as by ``quote_name``; a name without quotes may hold spaces.
 
     Args:
         path: text file.
@@ -55,7 +56,7 @@ def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
     poses: dict[str, Pose] = {}
     for where, line in _lines(path, "pose file"):
         try:
-            name, numbers = leading_name(line, len(_POSE) - 1)
+            name, numbers = split_name(line, len(_POSE) - 1)
         except ValueError as error:
             raise InputError(
                 f"{where}: expected {len(_POSE)} columns ({' '.join(_POSE)}), {error}"
@@ -72,7 +73,7 @@ def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
 def pose_line(name: str, cam_from_world: Pose, decimals: int) -> str:
     """Return a line that ``read_poses`` reads, without the line break."""
     numbers = [*cam_from_world.quaternion().tolist(), *cam_from_world.translation.tolist()]
-    return " ".join([written(name), *(f"{number:.{decimals}f}" for number in numbers)])
+    return " ".join([quote_name(name), *(f"{number:.{decimals}f}" for number in numbers)])
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
@@ -98,7 +99,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 def _camera_of(line: str) -> tuple[str, Camera]:
     """Split a line into name and camera; the name may hold spaces before a camera's model."""
     if line.startswith('"'):
-        name, *rest = words(line)
+        name, *rest = split_words(line)
         return name, Camera.parse(rest)
     model = _MODEL.search(line) or _SPACE.search(line)
     if model is None:
@@ -118,7 +119,7 @@ def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
     pairs: dict[str, list[str]] = {}
     for where, line in _lines(path, "pair list"):
         try:
-            query, reference = words(line)
+            query, reference = split_words(line)
         except ValueError:
             raise InputError(
                 f"{where}: expected 'query reference', got {line!r}; names with spaces stand in "
@@ -213,7 +214,7 @@ def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
 def _name(where: str, row: Mapping[str, str]) -> str:
     """Return the photograph that a row of a table is about; ``where`` is the row's place."""
     try:
-        return from_cell(row["name"])
+        return unquote_cell(row["name"])
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
 
@@ -233,7 +234,7 @@ def _numbers(where: str, words: Sequence[str]) -> NDArray[np.float64]:
 
 def _add(table: dict[str, T], name: str, value: T, where: str) -> None:
     """Add an entry to a table that must not hold its name yet; ``where`` is its place."""
-    if not inside(name):
+    if not is_safe_path(name):
         raise InputError(f"{where}: {name!r} does not lie in the folder of photographs")
     if name in table:
         raise InputError(f"{where}: {name} is listed twice")

@@ -9,7 +9,7 @@ from benchmark.report.paper import TITLE, Cell, Line, columns
 from benchmark.report.tables import Table
 from benchmark.results import TOTAL
 from benchmark.score import THRESHOLDS
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 
 _ESCAPED: Final = str.maketrans(
     {
@@ -40,7 +40,7 @@ def latex(boards: Sequence[Table], lines: Sequence[Line], note: str) -> str:
 
 def escape(text: str) -> str:
     """Escape text so that LaTeX prints it literally."""
-    return printed(text.replace("\n", " ")).translate(_ESCAPED)
+    return for_terminal(text.replace("\n", " ")).translate(_ESCAPED)
 
 
 def _caption(board: Table) -> str:

@@ -11,8 +11,8 @@ from benchmark.report.markdown import markdown, paper_markdown
 from benchmark.report.page import page
 from benchmark.report.paper import note, side_by_side
 from benchmark.report.tables import groups, table
-from scene.storage.files import write_text
-from scene.storage.outputs import Output, claim
+from scene.storage.atomic import write_text
+from scene.storage.outputs import OutputFile, check_outputs
 
 # These bytes stand near the beginning of each file that this command wrote.
 _MARKS: Final = {
@@ -39,7 +39,9 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
             or ``out`` cannot be written.
     """
     if out is not None:
-        claim((Output(out / name, mark) for name, mark in _MARKS.items()), results, within=out)
+        check_outputs(
+            (OutputFile(out / name, mark) for name, mark in _MARKS.items()), results, within=out
+        )
     runs = groups(results)
     boards = [table(group) for group in runs]
     lines = side_by_side(runs)

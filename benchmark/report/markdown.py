@@ -10,7 +10,7 @@ from benchmark.report.paper import TITLE, Line, columns
 from benchmark.report.tables import Table, saturation
 from benchmark.results import TOTAL, Recall
 from benchmark.score import THRESHOLDS
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 
 # Characters that Markdown takes for markup. An underscore within a word is not markup.
 _MARKUP: Final = re.compile(r"[\\`*\[\]|~$]|(?<![^\W_])_|_(?![^\W_])")
@@ -19,7 +19,7 @@ _HTML: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 def escaped(text: str) -> str:
     """Escape a name so that Markdown shows it literally on one line."""
-    return _MARKUP.sub(r"\\\g<0>", printed(text).translate(_HTML))
+    return _MARKUP.sub(r"\\\g<0>", for_terminal(text).translate(_HTML))
 
 
 def markdown(boards: Sequence[Table]) -> str:

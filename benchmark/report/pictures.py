@@ -17,10 +17,10 @@ from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.localizer import Status
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.printed import drawn
-from scene.storage.files import written_whole
+from scene.runtime.escaping import for_figure
+from scene.storage.atomic import atomic_write
 from scene.storage.images import read_rgb
-from scene.storage.marks import PNG_METADATA
+from scene.storage.provenance import PNG_METADATA
 
 # Side of the cells, pixels, in each of which one point is drawn, so that the ground stays visible.
 _CELL = 48
@@ -92,12 +92,12 @@ def query_overlay(
     axes.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
     metres, degrees = estimated.error_to(query.reference)
     axes.set_title(
-        drawn(f"{query.name}  ({query.condition}), {method}: ")
+        for_figure(f"{query.name}  ({query.condition}), {method}: ")
         + f"{float(metres):.3f} m, {float(degrees):.3f}° from the reference",
         fontsize=10,
     )
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", metadata=PNG_METADATA)
 
 

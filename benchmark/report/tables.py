@@ -13,7 +13,7 @@ from benchmark.results import Results, Summary, load, results_files
 from benchmark.score import THRESHOLDS
 from scene.bundle.manifest import ALL_CONDITIONS
 from scene.errors import InputError
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.storage.files import sha256_of
 
 log = logging.getLogger(__name__)
@@ -157,7 +157,7 @@ def saturation(board: Table) -> str | None:
 
 def _code(name: str) -> str:
     """Return a name that can stand between the backticks of Markdown."""
-    return printed(name).replace("`", "'")
+    return for_terminal(name).replace("`", "'")
 
 
 def _distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:

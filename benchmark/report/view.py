@@ -29,12 +29,12 @@ from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import MapImage, SparseMap
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.files import write_text
+from scene.storage.atomic import write_text
 from scene.storage.images import read_rgb
-from scene.storage.marks import PNG_MARK
-from scene.storage.outputs import Output, claim
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.provenance import PNG_MARK
 
 PAGE = Path("pictures", "view.html")
 PICTURE = Path("pictures", "view.png")
@@ -100,7 +100,7 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
             else:
                 others.append(read.dataset.name)
     if others:
-        named = ", ".join(printed(name) for name in dict.fromkeys(others))
+        named = ", ".join(for_terminal(name) for name in dict.fromkeys(others))
         if not methods:
             raise InputError(f"the results are of {named}, none of the scene {scene.name}")
         log.warning("not shown are %d results of %s", len(others), named)
@@ -120,12 +120,12 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
 def _outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Path, Path]:
     """Return the paths of the page and the picture, after checking that they may be written."""
     if out is None:
-        claim([path / PAGE, path / PICTURE], within=path)
+        check_outputs([path / PAGE, path / PICTURE], within=path)
         return path / PAGE, path / PICTURE
     if out.suffix.lower() not in _ENDINGS:
         raise InputError(f"{out} is no name for a page: let it end in .html")
     picture = out.with_suffix(".png")
-    claim([Output(out, _MARK), Output(picture, PNG_MARK)], [path, *results])
+    check_outputs([OutputFile(out, _MARK), OutputFile(picture, PNG_MARK)], [path, *results])
     return out, picture
 
 

@@ -12,9 +12,9 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from benchmark.report.view_content import Cloud, MapObject, Method
-from scene.runtime.printed import drawn
-from scene.storage.files import written_whole
-from scene.storage.marks import PNG_METADATA
+from scene.runtime.escaping import for_figure
+from scene.storage.atomic import atomic_write
+from scene.storage.provenance import PNG_METADATA
 
 _DPI = 110
 _SIDE = 8.0
@@ -66,19 +66,19 @@ def draw(
             ax.plot(*centres_of_queries[:, :2].T, "-", color="0.3", linewidth=0.8)
         for number, method in enumerate(methods):
             _draw_method(ax, method, f"C{number + 1}")
-        words = [drawn(name), *([state] if state else [])]
+        words = [for_figure(name), *([state] if state else [])]
         words += [f"{having} of {len(small)} small objects have a point"] if small else []
         ax.set_title(", ".join(words), fontsize=10)
         ax.set(aspect="equal", xlabel="east (m)", ylabel="north (m)")
         ax.legend(loc="upper left", fontsize=8)
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=_DPI, metadata=PNG_METADATA)
 
 
 def _draw_method(ax: Axes, method: Method, colour: str) -> None:
     """Draw the estimates of a method, each joined with its true camera centre."""
     # Matplotlib ignores labels that begin with an underscore.
-    label = drawn(method.name).lstrip("_") or "a method"
+    label = for_figure(method.name).lstrip("_") or "a method"
     for query in method.queries:
         if query.centre is None:
             continue

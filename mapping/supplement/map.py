@@ -11,7 +11,7 @@ import numpy as np
 from mapping.supplement.association import Detections
 from mapping.supplement.triangulation import Lifted
 from scene.bundle.manifest import write_json
-from scene.bundle.scene import MAP_FILES, Scene, finish
+from scene.bundle.scene import MAP_FILES, Scene, finish_scene
 from scene.bundle.supplement import (
     ADDED_FEATURES,
     SUPPLEMENT,
@@ -23,8 +23,9 @@ from scene.colmap.models import NewPoint, add_points, remove_points
 from scene.errors import InputError
 from scene.maps.colmap_files import read_model
 from scene.maps.features import Features, write_features
-from scene.storage.files import folder_written_whole, remove_partial, sole_writer
+from scene.storage.atomic import atomic_folder, remove_partial
 from scene.storage.images import read_rgb
+from scene.storage.locks import write_lock
 
 
 def add_to_map(
@@ -45,11 +46,11 @@ def add_to_map(
         InputError: not a finished scene, one that another run is writing, no map, or a damaged one.
     """
     scene = Scene.open(path)
-    with sole_writer(path):
+    with write_lock(path):
         remove_partial(path)
         scene.sparse_map()  # says what is missing or damaged
         new = [_new_point(scene, point, detections) for point in points]
-        with folder_written_whole(scene.map_path, MAP_FILES) as folder:
+        with atomic_folder(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
             before = read_model(folder)
             ids = add_points(folder, new, folder)
@@ -60,7 +61,7 @@ def add_to_map(
             supplement = Supplement(points=tuple(added), map_sha256=before.sha256)
             write_json(folder / SUPPLEMENT, supplement)
             write_features(folder / ADDED_FEATURES, _features(points, detections))
-        finish(path, scene.manifest)
+        finish_scene(path, scene.manifest)
     return supplement
 
 
@@ -74,13 +75,13 @@ def remove_from_map(path: Path) -> int:
         InputError: as ``add_to_map``, nothing was added, or the map was changed since.
     """
     scene = Scene.open(path)
-    with sole_writer(path):
+    with write_lock(path):
         supplement = read_supplement(scene.map_path)
         if supplement is None:
             raise InputError(f"nothing was added to the map of {path}")
-        with folder_written_whole(scene.map_path, MAP_FILES) as folder:
+        with atomic_folder(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
-        finish(path, scene.manifest)
+        finish_scene(path, scene.manifest)
     return len(supplement.points)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.camera import Camera
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array
 
 COVISIBLE = 0.1
@@ -63,7 +63,7 @@ def write_covisibility(path: Path, covisibility: Covisibility) -> None:
     """
     mutual = covisibility.mutual
     pairs = np.argwhere(np.triu(mutual) >= COVISIBLE)
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
         file["names"] = np.array([name.encode() for name in covisibility.names], "S")
         file.create_dataset("overlap", data=covisibility.overlap, compression="gzip", shuffle=True)
         file["pairs"] = pairs.astype(np.uint32)

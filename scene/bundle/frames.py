@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import FARTHEST_M
-from scene.storage.files import inside, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import is_safe_path
 from scene.storage.hdf5 import array, dataset
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def write_frames(
         InputError: the file cannot be written.
     """
     cameras = list(dict.fromkeys(frames.cameras))
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
         # The HDF5 library can crash on damaged strings of variable length, so these are fixed.
         file["cameras"] = np.array([str(camera).encode() for camera in cameras], "S")
         file["names"] = np.array([name.encode() for name in frames.names], "S")
@@ -208,7 +209,7 @@ def read_frames(path: Path) -> Frames:
     for name, count in Counter(names).items():
         if count > 1:
             raise InputError(f"{path}: frame {name!r} is there twice")
-        if not inside(name):
+        if not is_safe_path(name):
             raise InputError(f"{path}: frame {name!r} does not lie in the scene")
     if len(cameras) != len(names):
         raise InputError(f"{path}: {len(names)} frames but {len(cameras)} cameras")

@@ -20,14 +20,15 @@ from pydantic import (
 from scene.config import describe
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, is_on_earth
-from scene.storage.files import inside, parse_json, read_text, write_text
+from scene.storage.atomic import write_text
+from scene.storage.files import is_safe_path, parse_json, read_text
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 SizeClass = Literal["small", "medium", "large"]
 
 
 def _name(value: str) -> str:
-    if not inside(value):
+    if not is_safe_path(value):
         raise ValueError("it does not lie in the scene")
     return value
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from scene.bundle.scene import Scene
 from scene.geometry.rectangle import rectangle
-from scene.runtime.printed import drawn
-from scene.storage.files import written_whole
+from scene.runtime.escaping import for_figure
+from scene.storage.atomic import atomic_write
 from scene.storage.images import read_rgb
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def draw_pictures(scene: Scene) -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=110)
 
 
@@ -55,7 +55,7 @@ def _contact_sheet(scene: Scene) -> Figure:
             instance = [dense.read("instance", k) for k in chosen]
         surface = np.concatenate([image[image > 0] for image in depth])
         low, high = np.percentile(surface, [1, 99]) if len(surface) else (0.0, 1.0)
-        row[0].set_title(drawn(session), fontsize=10, loc="left")
+        row[0].set_title(for_figure(session), fontsize=10, loc="left")
         for k, index in enumerate(chosen):
             photograph, planar, objects = row[3 * k : 3 * k + 3]
             photograph.imshow(read_rgb(scene.images_root / frames.names[index]))
@@ -89,13 +89,13 @@ def _flight_plan(scene: Scene) -> Figure:
         # The size of the dots is chosen so that they cover about the same area in every map.
         size = float(np.clip(2e4 / len(xyz), 0.5, 8))
         ax.scatter(xyz[:, 0], xyz[:, 1], s=size, c=rgb, linewidths=0)
-        ax.set_title(f"{drawn(scene.name)}: flights over the map's {len(xyz)} points")
+        ax.set_title(f"{for_figure(scene.name)}: flights over the map's {len(xyz)} points")
     else:
         for item in scene.objects.objects:
             colour = _FOOTPRINTS.get(item.class_name, "0.7")
             box = rectangle(item.centre[:2], item.size[:2], np.radians(item.yaw_deg))
             ax.add_patch(Polygon(box, facecolor=colour, edgecolor="none"))
-        ax.set_title(f"{drawn(scene.name)}: flights over the objects' footprints")
+        ax.set_title(f"{for_figure(scene.name)}: flights over the objects' footprints")
     for k, (name, session) in enumerate(scene.sessions.items()):
         poses = scene.frames(name).poses
         centres, rotation = poses.centre().numpy(), poses.rotation.numpy()
@@ -109,7 +109,7 @@ def _flight_plan(scene: Scene) -> Figure:
             color=colour,
             s=26,
             zorder=3,
-            label=drawn(name),
+            label=for_figure(name),
         )
         # The top of the image (-y of the camera) gives a heading also when looking straight down.
         top = -rotation[:, 1, :2]

@@ -28,7 +28,7 @@ MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
 FEATURES = "features.h5"
 MAP_FILES = (*MODEL_FILES, *RIG_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
-"""The files that this program writes into the folder of a map, for ``folder_written_whole``."""
+"""The files that this program writes into the folder of a map, for ``atomic_folder``."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class Scene:
         return [name for name in names if present.get(name) != recorded.get(name)]
 
 
-def finish(path: Path, manifest: Manifest) -> Scene:
+def finish_scene(path: Path, manifest: Manifest) -> Scene:
     """Write the manifest with the digest of every file, which marks the scene as finished.
 
     Raises:

@@ -19,7 +19,8 @@ from scene.maps.features import Features, unit_descriptors
 from scene.maps.matching import match
 from scene.maps.photographs import Photograph, PosedImage
 from scene.runtime.cluster import worker_pool
-from scene.storage.files import require_room, write_text, written_whole
+from scene.storage.atomic import atomic_write, write_text
+from scene.storage.files import require_disk_space
 from scene.storage.images import check_photographs
 
 # Number of images per unit of work of a cluster.
@@ -160,7 +161,7 @@ def fill_database(
                 size = sum(
                     item.descriptors.nbytes + 24 * len(item.xy) for item in features.values()
                 )
-                require_room(database, ROOM + 2 * size)
+                require_disk_space(database, ROOM + 2 * size)
                 _write_features(db, ids, features)
                 done += len(features)
                 report(done)
@@ -179,12 +180,12 @@ def fill_database(
                 (a, b) for a, b in chunk_of_pairs if not db.exists_two_view_geometry(ids[a], ids[b])
             ]
             for a, b in left_pairs:
-                require_room(database, ROOM)
+                require_disk_space(database, ROOM)
                 if not db.exists_matches(ids[a], ids[b]):
                     matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
                     db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
         if left_pairs:
-            require_room(database, ROOM)
+            require_disk_space(database, ROOM)
             write_text(pair_list, "".join(f"{a} {b}\n" for a, b in left_pairs))
             pycolmap.verify_matches(database, pair_list, verification)
         report(len(ids) + start + len(chunk_of_pairs))
@@ -230,7 +231,7 @@ def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
     if not _is_sound(database):
         for journal in ("-journal", "-wal", "-shm"):
             database.with_name(database.name + journal).unlink(missing_ok=True)
-        require_room(database, ROOM)
+        require_disk_space(database, ROOM)
         write_database(database, model)
 
 
@@ -251,7 +252,7 @@ def write_database(path: Path, model: pycolmap.Reconstruction) -> None:
     COLMAP's extractor numbers images in the order in which it finishes them, and the numbers decide
     the order of everything that follows.
     """
-    with written_whole(path) as partial, pycolmap.Database.open(partial) as db:
+    with atomic_write(path) as partial, pycolmap.Database.open(partial) as db:
         for camera in model.cameras.values():
             db.write_camera(camera, use_camera_id=True)
         for rig in model.rigs.values():

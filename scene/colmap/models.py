@@ -16,7 +16,7 @@ from scene.errors import InputError
 from scene.maps.colmap_files import read_model
 from scene.maps.photographs import Photograph, PosedImage
 from scene.maps.sparse_map import SparseMap
-from scene.storage.files import require_room
+from scene.storage.files import require_disk_space
 
 
 def posed_model(
@@ -53,7 +53,7 @@ def write_model(model: pycolmap.Reconstruction, out: Path) -> None:
     """Write a model's files, after checking the space on the disk: COLMAP does not report a full
     one."""
     keypoints = sum(image.num_points2D() for image in model.images.values())
-    require_room(out, (1 << 20) + 40 * keypoints + 100 * model.num_points3D())
+    require_disk_space(out, (1 << 20) + 40 * keypoints + 100 * model.num_points3D())
     model.write(out)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scene.colmap.native import ROOM, Progress
 from scene.errors import InputError
 from scene.maps.features import Features
-from scene.storage.files import require_room
+from scene.storage.files import require_disk_space
 from scene.storage.scratch import scratch
 
 CHUNK = 16
@@ -93,7 +93,7 @@ def extract_sift(
         for start in range(0, len(names), CHUNK):
             chunk = list(names[start : start + CHUNK])
             most = min(options.max_features, _MOST_KEYPOINTS)
-            require_room(database, ROOM + 2 * len(chunk) * most * KEYPOINT_BYTES)
+            require_disk_space(database, ROOM + 2 * len(chunk) * most * KEYPOINT_BYTES)
             pycolmap.extract_features(
                 database,
                 root,

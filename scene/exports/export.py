@@ -9,8 +9,8 @@ from typing import Any
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.exports.formats import FORMATS
-from scene.storage.files import folder_written_whole
-from scene.storage.outputs import claim_folder
+from scene.storage.atomic import atomic_folder
+from scene.storage.outputs import check_output_folder
 
 
 def export(path: Path, file_format: str, out: Path, sessions: Sequence[str] = ()) -> dict[str, Any]:
@@ -38,8 +38,8 @@ def export(path: Path, file_format: str, out: Path, sessions: Sequence[str] = ()
         raise InputError(f"{out} lies in the scene itself: choose a folder outside it")
     chosen = {name: scene.frames(name) for name in dict.fromkeys(sessions or scene.sessions)}
     require_empty(out)
-    claim_folder(out, [path])
-    with folder_written_whole(out) as folder, FORMATS.blame(file_format, "cannot be written"):
+    check_output_folder(out, [path])
+    with atomic_folder(out) as folder, FORMATS.blame(file_format, "cannot be written"):
         write(scene, chosen, folder, out)
     frames = sum(len(frames) for frames in chosen.values())
     return {"out": str(out), "format": file_format, "frames": frames, "sessions": list(chosen)}

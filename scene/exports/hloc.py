@@ -17,7 +17,7 @@ from scene.bundle.covisibility import COVISIBLE
 from scene.bundle.frames import Frames
 from scene.bundle.scene import Scene
 from scene.errors import InputError
-from scene.storage.names import written
+from scene.storage.names import quote_name
 
 PAIRS_PER_QUERY: Final = 20
 """Number of map frames that each query is paired with at most."""
@@ -42,7 +42,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     among = scene.covisibility.of([*references, *queries])
     mutual = among.mutual[: len(references), : len(references)]
     map_pairs = [
-        f"{written(references[i])} {written(references[j])}\n"
+        f"{quote_name(references[i])} {quote_name(references[j])}\n"
         for i, j in np.argwhere(np.triu(mutual) >= COVISIBLE)
     ]
     query_pairs = []
@@ -50,9 +50,11 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
         shares = among.overlap[k, : len(references)]
         best = np.argsort(-shares, kind="stable")[:PAIRS_PER_QUERY]
         seen = [references[j] for j in best if shares[j] >= COVISIBLE]
-        query_pairs += [f"{written(query)} {written(name)}\n" for name in seen]
+        query_pairs += [f"{quote_name(query)} {quote_name(name)}\n" for name in seen]
     lists = {
-        "queries_with_intrinsics.txt": [f"{written(name)} {cameras[name]}\n" for name in queries],
+        "queries_with_intrinsics.txt": [
+            f"{quote_name(name)} {cameras[name]}\n" for name in queries
+        ],
         "pairs-map.txt": map_pairs,
         "pairs-query.txt": query_pairs,
     }

@@ -90,7 +90,7 @@ def geodetic_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> Geodetic:
     return Geodetic(math.degrees(lat), math.degrees(math.atan2(y, x)), altitude)
 
 
-def amid(places: Sequence[Geodetic]) -> Geodetic:
+def median_place(places: Sequence[Geodetic]) -> Geodetic:
     """Return a place in the middle of others, also where they lie on both sides of longitude 180.
 
     Each coordinate is a median, so that a few wrong places have no effect. Longitudes are measured
@@ -98,13 +98,13 @@ def amid(places: Sequence[Geodetic]) -> Geodetic:
     """
     x, y, _ = np.median([_ecef(place) for place in places], axis=0).tolist()
     middle = math.degrees(math.atan2(y, x))
-    turned = [middle + turn_between(place.longitude, middle) for place in places]
+    turned = [middle + longitude_difference(place.longitude, middle) for place in places]
     latitude = float(np.median([place.latitude for place in places]))
     altitude = float(np.median([place.altitude for place in places]))
-    return Geodetic(latitude, turn_between(float(np.median(turned)), 0.0), altitude)
+    return Geodetic(latitude, longitude_difference(float(np.median(turned)), 0.0), altitude)
 
 
-def turn_between(longitude: float, origin: float) -> float:
+def longitude_difference(longitude: float, origin: float) -> float:
     """Return how far a longitude is east of another, degrees in [-180, 180)."""
     difference = longitude - origin
     # Only wrap where needed: the modulo would round a difference that is already exact.

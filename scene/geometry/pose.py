@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from scene.geometry.geodesy import FARTHEST_M as FARTHEST_M
-
 # Below this angle (rad) the closed forms lose digits and their Taylor series are exact in float64.
 _SMALL_ANGLE = 1e-4
 

@@ -21,7 +21,7 @@ from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
 from scene.geometry.geodesy import FARTHEST_M
 from scene.maps.sparse_map import MapImage, SparseMap
-from scene.storage.files import inside, require_readable
+from scene.storage.files import is_safe_path, require_readable
 
 MODEL_FILES: Final = ("cameras.bin", "images.bin", "points3D.bin")
 """The files that ``read_model`` reads."""
@@ -180,7 +180,7 @@ def _read_images(
         check_pose(quaternion, translation, f"{path}: image {name}")
         if record[8] not in cameras:
             raise InputError(f"{path}: image {name} has camera {record[8]:.0f}, which is not there")
-        if not inside(name):
+        if not is_safe_path(name):
             raise InputError(f"{path}: image {name!r} does not lie in the folder of images")
         if name in images:
             raise InputError(f"{path}: image {name} is listed twice")

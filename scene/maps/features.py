@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.storage.files import require_readable, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, group, groups, set_text
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def unit_bits(descriptors: NDArray[np.uint8]) -> Tensor:
 
 
 @contextmanager
-def written_features(path: Path) -> Iterator[Callable[[str, Features], None]]:
+def feature_writer(path: Path) -> Iterator[Callable[[str, Features], None]]:
     """Write a feature file atomically, one image at a time.
 
     Yields:
@@ -78,7 +79,7 @@ def written_features(path: Path) -> Iterator[Callable[[str, Features], None]]:
     Raises:
         InputError: the folder cannot be written.
     """
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
 
         def add(name: str, item: Features) -> None:
             # HDF5 would take the slashes of a name for nested groups.
@@ -103,7 +104,7 @@ def write_features(path: Path, features: Mapping[str, Features]) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    with written_features(path) as add:
+    with feature_writer(path) as add:
         for name, item in features.items():
             add(name, item)
 

@@ -4,5 +4,5 @@
 - ``progress``: progress bars on a terminal, lines in a log file.
 - ``memory``: resident memory now and at its peak.
 - ``debian``: system packages that no Python package brings.
-- ``printed``: file names and messages escaped for a terminal or a figure.
+- ``escaping``: file names and messages escaped for a terminal or a figure.
 """

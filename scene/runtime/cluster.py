@@ -225,7 +225,7 @@ def _require_answer(address: str) -> None:
         raise InputError(f"no Ray cluster answers at {address}: {error}") from None
 
 
-def shares(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
+def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
     """Divide items into units, large ones first, so that all workers finish at about the same time.
 
     Each round consists of one unit per core, all of the same size, which together hold half of the
@@ -238,7 +238,7 @@ def shares(items: Sequence[Item], cores: int, least: int, most: int) -> list[Seq
         most: largest number of items of a unit.
 
     Example:
-        >>> [len(unit) for unit in shares(range(20), cores=2, least=2, most=100)]
+        >>> [len(unit) for unit in split_work(range(20), cores=2, least=2, most=100)]
         [5, 5, 3, 3, 2, 2]
     """
     units: list[Sequence[Item]] = []

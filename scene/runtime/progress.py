@@ -10,7 +10,7 @@ from time import monotonic
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 
 # Without a terminal: seconds until the first line, seconds between lines, and the share of all
 # steps after which the next line is written sooner.
@@ -35,7 +35,7 @@ def progress_bar(
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _Lines(printed(what), total, clock)
+        yield _Lines(for_terminal(what), total, clock)
         return
     columns = (
         TextColumn("{task.description:<24}"),

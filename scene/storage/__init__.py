@@ -10,7 +10,7 @@
 - ``names``: quoting of image names in text files.
 - ``tables``: CSV files with errors that name file and line.
 - ``listing``: the files of a folder that belong to the user.
-- ``marks``: how a figure says that this program drew it.
+- ``provenance``: how a figure says that this program drew it.
 - ``scratch``: temporary folders.
 - ``lru_cache``: a cache bounded in bytes.
 """

@@ -18,22 +18,22 @@ from typing import Final
 
 from scene.errors import WriteError
 
-MARK: Final = ".objconnect-"
-"""The beginning of every temporary name; see ``is_ours``."""
-PARTIAL: Final = ".partial"
+TEMPORARY_PREFIX: Final = ".objconnect-"
+"""The beginning of every temporary name; see ``is_temporary``."""
+PARTIAL_SUFFIX: Final = ".partial"
 """The end of the name of a file or folder that is being written."""
 
 # The end of the name of a folder that holds the old version of one that is being replaced; after a
 # kill it is the only copy.
 _ASIDE = ".aside"
-_TEMPORARY = re.compile(rf"{re.escape(MARK)}[a-z0-9_]{{8}}({PARTIAL}|{_ASIDE})")
+_TEMPORARY = re.compile(rf"{re.escape(TEMPORARY_PREFIX)}[a-z0-9_]{{8}}({PARTIAL_SUFFIX}|{_ASIDE})")
 # A disk with fewer bytes left counts as full.
 _FULL_BYTES = 1 << 20
 
 
-def is_ours(name: str) -> bool:
+def is_temporary(name: str) -> bool:
     """Return whether a file or folder of this name is a temporary one of this program."""
-    return name.startswith(MARK)
+    return name.startswith(TEMPORARY_PREFIX)
 
 
 def require_regular(path: Path) -> None:
@@ -57,7 +57,7 @@ def require_regular(path: Path) -> None:
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Write a file atomically: yield a temporary path that becomes ``path`` if the block succeeds.
 
     Raises:
@@ -67,7 +67,7 @@ def written_whole(path: Path) -> Iterator[Path]:
     Example:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "result.txt"
-        ...     with written_whole(path) as partial:
+        ...     with atomic_write(path) as partial:
         ...         _ = partial.write_text("done")
         ...     path.read_text()
         'done'
@@ -76,7 +76,9 @@ def written_whole(path: Path) -> Iterator[Path]:
     try:
         require_regular(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=MARK, suffix=PARTIAL, dir=path.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=path.parent
+        )
         os.close(handle)
         partial = Path(name)
         # mkstemp makes files that only this user may read; results get the usual permissions.
@@ -101,14 +103,14 @@ def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 text file atomically.
 
     Raises:
-        InputError: the file cannot be written, as for ``written_whole``.
+        InputError: the file cannot be written, as for ``atomic_write``.
     """
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 
 @contextmanager
-def folder_written_whole(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
+def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
     """Write a folder atomically: yield a temporary folder that becomes ``path`` if the block
     succeeds.
 
@@ -126,7 +128,9 @@ def folder_written_whole(path: Path, owned: Collection[str] = ()) -> Iterator[Pa
     try:
         path = path.resolve()
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=MARK, suffix=PARTIAL, dir=path.parent))
+        partial = Path(
+            tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=path.parent)
+        )
         partial.chmod(0o777 & ~_umask())
         yield partial
         replace_folder(path, partial, owned)
@@ -144,7 +148,9 @@ def remove_partial(folder: Path) -> None:
 
     A folder that was being replaced when its process was killed is put back.
     """
-    for path in [item for item in folder.rglob(f"{MARK}*") if _TEMPORARY.fullmatch(item.name)]:
+    for path in [
+        item for item in folder.rglob(f"{TEMPORARY_PREFIX}*") if _TEMPORARY.fullmatch(item.name)
+    ]:
         if path.name.endswith(_ASIDE):
             for old in list(path.iterdir()):
                 if not os.path.lexists(path.parent / old.name):
@@ -163,14 +169,14 @@ def replace_folder(path: Path, new: Path, owned: Collection[str]) -> None:
     Args:
         path: folder to replace; it need not exist.
         new: folder with the new files, beside ``path``.
-        owned: relative paths of this program's files, as for ``folder_written_whole``.
+        owned: relative paths of this program's files, as for ``atomic_folder``.
 
     Raises:
         OSError: the folder cannot be written.
     """
     if path.exists():
         _keep_others(path, new, owned)
-        aside = Path(tempfile.mkdtemp(prefix=MARK, suffix=_ASIDE, dir=path.parent))
+        aside = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=_ASIDE, dir=path.parent))
         path.replace(aside / path.name)
         new.replace(path)
         shutil.rmtree(aside)
@@ -208,14 +214,14 @@ def link_or_copy(old: Path, new: Path) -> None:
 def remove_owned(folder: Path, owned: Collection[str]) -> None:
     """Remove the files of a folder that this program wrote, and the folders that become empty.
 
-    These are the files of ``owned`` (as for ``folder_written_whole``) and temporary ones.
+    These are the files of ``owned`` (as for ``atomic_folder``) and temporary ones.
     """
     if folder.is_symlink() or not folder.is_dir():
         return
     held = {str(parent) for name in owned for parent in PurePosixPath(name).parents}
     for path in sorted(folder.rglob("*"), reverse=True):
         name = path.relative_to(folder).as_posix()
-        ours = any(map(is_ours, name.split("/")))
+        ours = any(map(is_temporary, name.split("/")))
         if path.is_dir() and not path.is_symlink():
             if ours or name in held:
                 with suppress(OSError):  # the folder is not empty

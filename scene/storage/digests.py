@@ -26,7 +26,7 @@ from typing import Final
 
 from scene.errors import InputError
 from scene.runtime.progress import progress_bar
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 
 FOLDER_VARIABLE: Final = "OBJCONNECT_DIGESTS"
 """The environment variable that names the folder of the cache."""
@@ -141,7 +141,7 @@ class _Entries:
         }
         text = json.dumps(current)
         try:
-            with written_whole(self._path) as partial:
+            with atomic_write(self._path) as partial:
                 partial.write_text(f"{_header(text)}\n{text}", encoding="ascii")
         except InputError:
             return  # the cache cannot be written, which only costs time

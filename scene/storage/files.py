@@ -12,20 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from scene.errors import InputError, WriteError
-from scene.storage.atomic import MARK as MARK
-from scene.storage.atomic import PARTIAL as PARTIAL
-from scene.storage.atomic import folder_written_whole as folder_written_whole
-from scene.storage.atomic import is_ours as is_ours
-from scene.storage.atomic import link_or_copy as link_or_copy
-from scene.storage.atomic import remove_owned as remove_owned
-from scene.storage.atomic import remove_partial as remove_partial
-from scene.storage.atomic import replace_folder as replace_folder
-from scene.storage.atomic import require_regular as require_regular
-from scene.storage.atomic import write_text as write_text
-from scene.storage.atomic import written_whole as written_whole
-from scene.storage.locks import kept_while_working as kept_while_working
-from scene.storage.locks import locked as locked
-from scene.storage.locks import sole_writer as sole_writer
 
 # The longest file name that every usual file system allows (bytes).
 _MAX_NAME_BYTES = 255
@@ -108,13 +94,13 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def inside(name: str) -> bool:
+def is_safe_path(name: str) -> bool:
     """Return whether a relative path stays inside its folder and is a possible file name.
 
     Lists of files say with such paths where each file lies in their folder.
 
     Example:
-        >>> [inside(name) for name in ("grid/images/1.jpg", "../1.jpg", "/etc/passwd")]
+        >>> [is_safe_path(name) for name in ("grid/images/1.jpg", "../1.jpg", "/etc/passwd")]
         [True, False, False]
     """
     parts = name.split("/")
@@ -122,7 +108,7 @@ def inside(name: str) -> bool:
     return short and "\0" not in name and not name.startswith("/") and ".." not in parts
 
 
-def require_room(path: Path, needed: int) -> None:
+def require_disk_space(path: Path, needed: int) -> None:
     """Refuse to write more than the disk has space for.
 
     It is for writers that crash or write a damaged file on a full disk.

@@ -23,7 +23,8 @@ from PIL.TiffImagePlugin import IFDRational
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
-from scene.storage.files import require_readable, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import require_readable
 
 # The exceptions that libraries raise on a damaged image or EXIF.
 _DAMAGE: Final = (
@@ -172,7 +173,7 @@ def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95
     Raises:
         InputError: the folder cannot be written, or the disk is full.
     """
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         Image.fromarray(rgb).save(
             partial,
             "JPEG",
@@ -197,7 +198,7 @@ def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) 
     rgb = read_rgb(source)
     height, width = rgb.shape[:2]
     scale = min(1.0, longest / max(width, height))
-    with written_whole(out) as partial:
+    with atomic_write(out) as partial:
         if scale == 1 and not over:
             shutil.copyfile(source, partial)
             return

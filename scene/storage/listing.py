@@ -26,7 +26,7 @@ def is_stray(name: str) -> bool:
     return name.startswith(".") or name.lower() in _LEFT_BEHIND
 
 
-def files_in(folder: Path, endings: Collection[str], depth: int | None = 1) -> list[Path]:
+def list_files(folder: Path, endings: Collection[str], depth: int | None = 1) -> list[Path]:
     """Return the files below a folder with one of the given suffixes, sorted, without stray files.
 
     Pipes and devices are included: the reader of a file reports them.

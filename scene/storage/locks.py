@@ -10,13 +10,13 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from scene.errors import InputError, WriteError
-from scene.storage.atomic import MARK
+from scene.storage.atomic import TEMPORARY_PREFIX
 
-_LOCK = f"{MARK}lock"
+_LOCK = f"{TEMPORARY_PREFIX}lock"
 
 
 @contextmanager
-def sole_writer(folder: Path) -> Iterator[None]:
+def write_lock(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder during the block, so that no second run writes there.
 
     The operating system ends the lock with the process, however that ends. The lock file is removed
@@ -31,7 +31,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError(f"cannot write {folder}: {error.strerror or error}") from None
-        with locked(folder / _LOCK, folder):
+        with hold_lock(folder / _LOCK, folder):
             yield
     finally:
         with suppress(OSError):  # a folder that is not empty stays
@@ -40,7 +40,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def locked(lock: Path, what: Path) -> Iterator[None]:
+def hold_lock(lock: Path, what: Path) -> Iterator[None]:
     """Hold a lock file during the block, and remove it afterwards.
 
     Args:
@@ -69,7 +69,7 @@ def locked(lock: Path, what: Path) -> Iterator[None]:
 
 
 @contextmanager
-def kept_while_working(folder: Path, name: str) -> Iterator[Path]:
+def resumable_file(folder: Path, name: str) -> Iterator[Path]:
     """Yield the path of a file that a later run can resume from.
 
     The file survives an interruption of the block and a place that could not be written (a full

@@ -29,25 +29,25 @@ def is_utf8(name: str) -> bool:
     return True
 
 
-def written(name: str) -> str:
+def quote_name(name: str) -> str:
     """Return a name as one word of a line, quoted if necessary.
 
     Example:
-        >>> written("a.jpg"), written("my photo.jpg")
+        >>> quote_name("a.jpg"), quote_name("my photo.jpg")
         ('a.jpg', '"my photo.jpg"')
     """
     plain = name.isprintable() and " " not in name and not name.startswith(("#", '"'))
     return name if name and plain else json.dumps(name)
 
 
-def written_cell(name: str) -> str:
+def quote_cell(name: str) -> str:
     """Return a name as a cell of a table, quoted if necessary; spaces inside need no quotes."""
     plain = name.isprintable() and name == name.strip() and not name.startswith(('"', *_FORMULA))
     return name if name and plain else json.dumps(name)
 
 
-def from_cell(text: str) -> str:
-    """Return the name in a cell that ``written_cell`` or another program wrote.
+def unquote_cell(text: str) -> str:
+    """Return the name in a cell that ``quote_cell`` or another program wrote.
 
     Raises:
         ValueError: the quoting is not JSON's, or a line break is outside quotes.
@@ -62,14 +62,14 @@ def from_cell(text: str) -> str:
     return text
 
 
-def words(line: str) -> list[str]:
-    """Split a line into words; words in quotes are names that ``written`` wrote.
+def split_words(line: str) -> list[str]:
+    """Split a line into words; words in quotes are names that ``quote_name`` wrote.
 
     Raises:
         ValueError: the quoting is not JSON's.
 
     Example:
-        >>> words('"my photo.jpg" 1.5 2')
+        >>> split_words('"my photo.jpg" 1.5 2')
         ['my photo.jpg', '1.5', '2']
     """
     parts, at = [], 0
@@ -81,7 +81,7 @@ def words(line: str) -> list[str]:
     return parts
 
 
-def leading_name(line: str, columns: int) -> tuple[str, list[str]]:
+def split_name(line: str, columns: int) -> tuple[str, list[str]]:
     """Split a line into the name it begins with and the words after it.
 
     A name without quotes may contain spaces if exactly ``columns`` words follow it.

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scene.errors import InputError, WriteError
-from scene.storage.files import MARK, require_regular
+from scene.storage.atomic import TEMPORARY_PREFIX, require_regular
 
 # The mark of a file lies within this many bytes from its beginning.
 _HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True)
-class Output:
+class OutputFile:
     """A file that a run writes.
 
     Attributes:
@@ -30,8 +30,8 @@ class Output:
     mark: bytes = b""
 
 
-def claim(
-    outputs: Iterable[Output | Path], inputs: Iterable[Path] = (), within: Path | None = None
+def check_outputs(
+    outputs: Iterable[OutputFile | Path], inputs: Iterable[Path] = (), within: Path | None = None
 ) -> None:
     """Refuse, before any work, outputs that would destroy something or cannot be written.
 
@@ -48,7 +48,7 @@ def claim(
     sources = list(inputs)
     claimed: set[Path] = set()
     for output in outputs:
-        made = output if isinstance(output, Output) else Output(output)
+        made = output if isinstance(output, OutputFile) else OutputFile(output)
         place = _place(made.path)
         if within is not None and not place.is_relative_to(_place(within)):
             raise InputError(f"{made.path} lies outside {within}: choose a plain file name")
@@ -63,7 +63,7 @@ def claim(
         require_writable(place.parent)
 
 
-def claim_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
+def check_output_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
     """Refuse, before any work, an output folder that is an input or cannot be written.
 
     Raises:
@@ -89,7 +89,7 @@ def require_writable(folder: Path) -> None:
         if not stat.S_ISDIR(existing.stat().st_mode):
             raise WriteError(f"cannot write {folder}: {existing} is not a folder")
         # Permissions are not enough: the file system may be read-only.
-        trial = existing / f"{MARK}trial-{os.getpid()}"
+        trial = existing / f"{TEMPORARY_PREFIX}trial-{os.getpid()}"
         trial.mkdir(exist_ok=True)
         trial.rmdir()
     except WriteError:
@@ -132,7 +132,7 @@ def _same(place: Path, path: Path) -> bool:
         return False
 
 
-def _require_ours(output: Output) -> None:
+def _require_ours(output: OutputFile) -> None:
     if not output.mark or not output.path.exists():
         return
     try:
@@ -141,10 +141,10 @@ def _require_ours(output: Output) -> None:
     except OSError as error:
         raise WriteError(f"cannot write {output.path}: {error.strerror}") from None
     if head and output.mark not in head:
-        raise another_file(output.path)
+        raise foreign_file_error(output.path)
 
 
-def another_file(path: Path) -> WriteError:
+def foreign_file_error(path: Path) -> WriteError:
     """Return the error for an output where somebody else's file lies."""
     return WriteError(
         f"cannot write {path}: another file stands there: remove it or choose another output"

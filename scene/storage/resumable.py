@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scene.errors import InputError, WriteError
-from scene.storage.files import is_ours, remove_partial, write_text
+from scene.storage.atomic import is_temporary, remove_partial, write_text
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class ResumableFolder:
         """
         try:
             occupied = self.path.exists() and any(
-                not is_ours(item.name) for item in self.path.iterdir()
+                not is_temporary(item.name) for item in self.path.iterdir()
             )
         except OSError as error:
             raise InputError(f"cannot use {self.path} for a {what}: {error.strerror}") from None

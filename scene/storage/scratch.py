@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from scene.errors import WriteError
-from scene.storage.files import MARK, PARTIAL, require_room
+from scene.storage.atomic import PARTIAL_SUFFIX, TEMPORARY_PREFIX
+from scene.storage.files import require_disk_space
 
 
 @contextmanager
@@ -38,11 +39,11 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
     made = [path for path in (root, *root.parents) if not path.exists()]
     try:
         root.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=MARK, suffix=PARTIAL, dir=root))
+        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=root))
     except OSError as error:
         raise WriteError(f"cannot write {root}: {error.strerror or error}") from None
     try:
-        require_room(folder / "any", needed)
+        require_disk_space(folder / "any", needed)
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -54,7 +55,7 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
 
 
 @contextmanager
-def kept_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
+def cache_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
     """Yield the cache's folder, or a temporary one beside the output if there is no cache."""
     if cache is not None:
         yield cache

@@ -32,8 +32,8 @@ from scene.exports.export import export
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.localizer import Status
-from scene.storage.files import sole_writer
 from scene.storage.images import read_rgb
+from scene.storage.locks import write_lock
 
 Ingested = tuple[Scene, IngestReport]
 
@@ -372,7 +372,7 @@ def test_a_table_of_positions_does_as_well(photographs: Path, beach: Path, tmp_p
 
 def test_two_runs_do_not_write_one_scene(photographs: Path, tmp_path: Path) -> None:
     out = tmp_path / "scene"
-    with sole_writer(out), pytest.raises(InputError, match="another run is writing"):
+    with write_lock(out), pytest.raises(InputError, match="another run is writing"):
         run(photographs, out)
     assert not out.exists()
 

@@ -7,7 +7,7 @@ import pytest
 
 from scene.bundle.frames import write_frames
 from scene.bundle.manifest import Manifest, Objects, Session, Splits, write_json
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic
 from scene.storage.files import sha256_of
@@ -47,7 +47,7 @@ def unfinished(tmp_path: Path) -> tuple[Path, Manifest]:
 
 @pytest.fixture
 def scene(unfinished: tuple[Path, Manifest]) -> Path:
-    finish(*unfinished)
+    finish_scene(*unfinished)
     return unfinished[0]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scene.bundle.frames import LAYERS, Frames, Layer, write_frames
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.checks.conventions import shifted
 from scene.checks.validate import validate
 from scene.errors import InputError
@@ -40,7 +40,7 @@ def rewrite(
         target = scene.images_root / session / "frames.h5"
         write_frames(target, change(frames), tuple(LAYERS), images())
     # The digests are made to match again, so that only the conventions are wrong.
-    finish(path, scene.manifest)
+    finish_scene(path, scene.manifest)
 
 
 def faults(path: Path) -> str:

@@ -23,7 +23,7 @@ from scene.bundle.manifest import (
     read_json,
     write_json,
 )
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.colmap.models import write_posed
 from scene.errors import InputError
 from scene.exports.export import export
@@ -103,7 +103,7 @@ def street(tmp_path: Path) -> Path:
         },
         sha256={},
     )  # fmt: skip
-    finish(path, manifest)
+    finish_scene(path, manifest)
     return path
 
 

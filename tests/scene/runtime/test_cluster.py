@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from scene.errors import InputError, WriteError
-from scene.runtime.cluster import shares, worker_pool
+from scene.runtime.cluster import split_work, worker_pool
 from tests.two_nodes import TwoNodes
 
 pytestmark = pytest.mark.thorough
@@ -115,7 +115,7 @@ def test_another_error_is_tried_again(two_nodes: TwoNodes, tmp_path: Path) -> No
     ],
 )
 def test_shares_are_large_first_and_complete(count: int, cores: int, sizes: list[int]) -> None:
-    units = shares(range(count), cores, least=8, most=200)
+    units = split_work(range(count), cores, least=8, most=200)
     assert [len(unit) for unit in units] == sizes
     assert [item for unit in units for item in unit] == list(range(count))
 

@@ -21,14 +21,9 @@ from scene.colmap.sift import SiftOptions
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError, WriteError
 from scene.maps.photographs import PosedImage
-from scene.storage.files import (
-    folder_written_whole,
-    kept_while_working,
-    require_room,
-    sole_writer,
-    write_text,
-    written_whole,
-)
+from scene.storage.atomic import atomic_folder, atomic_write, write_text
+from scene.storage.files import require_disk_space
+from scene.storage.locks import resumable_file, write_lock
 from tests.benchmark.made_data import scored_query
 from tests.scene.bundle.test_frames import ALL, assert_equal, made_frames, made_layers
 
@@ -60,14 +55,14 @@ def fill(disk: Path, left: int = 0) -> Path:
 def test_a_file(disk: Path) -> None:
     path = disk / "result"
     path.write_text("old")
-    with pytest.raises(WriteError, match="No space left"), written_whole(path) as partial:
+    with pytest.raises(WriteError, match="No space left"), atomic_write(path) as partial:
         partial.write_bytes(bytes(3_000_000))
     assert path.read_text() == "old"
     assert [p.name for p in disk.iterdir()] == ["result"]
 
 
 def test_a_folder(disk: Path) -> None:
-    with pytest.raises(WriteError, match="No space left"), folder_written_whole(disk / "m") as out:
+    with pytest.raises(WriteError, match="No space left"), atomic_folder(disk / "m") as out:
         (out / "a").write_bytes(bytes(3_000_000))
     assert not list(disk.iterdir())
 
@@ -90,14 +85,14 @@ def test_a_checkpoint(disk: Path) -> None:
     """Torch writes files without Python, and reports a full disk by a RuntimeError."""
     path = disk / "checkpoint.pt"
     torch.save({"done": 1}, path)
-    with pytest.raises(WriteError, match="cannot write"), written_whole(path) as partial:
+    with pytest.raises(WriteError, match="cannot write"), atomic_write(path) as partial:
         torch.save({"w": torch.zeros(1_000_000)}, partial)
     assert torch.load(path, weights_only=True) == {"done": 1}
     assert [p.name for p in disk.iterdir()] == ["checkpoint.pt"]
 
 
 def test_an_error_that_is_not_the_disk_s_is_not_taken_for_it(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="mine"), written_whole(tmp_path / "a"):
+    with pytest.raises(RuntimeError, match="mine"), atomic_write(tmp_path / "a"):
         raise RuntimeError("mine")
 
 
@@ -176,39 +171,39 @@ def test_what_is_matched_outlives_a_full_disk(
 
     monkeypatch.setattr(adapter, "match", counted)
     with monkeypatch.context() as patch:
-        patch.setattr(adapter, "require_room", room)
+        patch.setattr(adapter, "require_disk_space", room)
         with (
             pytest.raises(WriteError),
-            kept_while_working(tmp_path / "disk", "kept.db"),
+            resumable_file(tmp_path / "disk", "kept.db"),
         ):
             run()
     assert (tmp_path / "disk" / "kept.db").is_file()
     run()
     assert compared == 6  # the pairs of four photographs
-    with pytest.raises(InputError), kept_while_working(tmp_path / "disk", "kept.db"):
+    with pytest.raises(InputError), resumable_file(tmp_path / "disk", "kept.db"):
         raise InputError("these photographs make no map")
     assert not (tmp_path / "disk").exists()
 
 
 def test_room(tmp_path: Path) -> None:
-    require_room(tmp_path / "new", 1000)
+    require_disk_space(tmp_path / "new", 1000)
     with pytest.raises(WriteError, match="are needed: free some"):
-        require_room(tmp_path / "new", 10**18)
+        require_disk_space(tmp_path / "new", 10**18)
 
 
 def test_a_disk_that_cannot_be_written(disk: Path) -> None:
     """The file system forbids it to root as well; permissions alone would not."""
     (disk / "scene").mkdir()
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-    with pytest.raises(WriteError, match="Read-only"), sole_writer(disk / "scene"):
+    with pytest.raises(WriteError, match="Read-only"), write_lock(disk / "scene"):
         pass
     with pytest.raises(WriteError, match="Read-only"):
         write_text(disk / "scene" / "a", "text")
-    with pytest.raises(InputError, match="Read-only"), sole_writer(disk / "new"):
+    with pytest.raises(InputError, match="Read-only"), write_lock(disk / "new"):
         pass
-    with pytest.raises(WriteError, match="Read-only"), folder_written_whole(disk / "map"):
+    with pytest.raises(WriteError, match="Read-only"), atomic_folder(disk / "map"):
         pass
-    with pytest.raises(WriteError, match="Read-only"), kept_while_working(disk / "kept", "a.db"):
+    with pytest.raises(WriteError, match="Read-only"), resumable_file(disk / "kept", "a.db"):
         pass
     journal = Journal(disk / "out" / "j", "key", QueryResult)
     with pytest.raises(InputError, match="Read-only"), journal:

@@ -9,14 +9,14 @@ import unicodedata
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
-def printed(text: object) -> str:
+def for_terminal(text: object) -> str:
     r"""Return a name or message on one line, with everything that controls a terminal escaped.
 
     Control characters, marks of text direction and bytes of a file name that are not UTF-8 become
     Python's escapes. A backslash is not changed.
 
     Example:
-        >>> print(printed("a" + chr(27) + "[31m.jpg"))
+        >>> print(for_terminal("a" + chr(27) + "[31m.jpg"))
         a\x1b[31m.jpg
     """
     return "".join(
@@ -27,7 +27,7 @@ def printed(text: object) -> str:
     )
 
 
-def drawn(text: object) -> str:
+def for_figure(text: object) -> str:
     """Return a name or message escaped for Matplotlib, which reads text between dollars as a
     formula."""
-    return printed(text).replace("$", r"\$")
+    return for_terminal(text).replace("$", r"\$")

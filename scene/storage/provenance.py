@@ -1,6 +1,6 @@
 """How a figure says that this program drew it, so that nobody else's file is replaced.
 
-These are the marks of ``scene.storage.outputs.Output``.
+These are the marks of ``scene.storage.outputs.OutputFile``.
 """
 
 from __future__ import annotations
