@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.simulated import open_scene as open_dataset
 from benchmark.evaluate import evaluate
 from scene.config import Config
 from scene.localizer import Estimate, Query, Status, Stopwatch
@@ -45,7 +45,7 @@ class Nearest:
 def main(
     path: Path = Path("runs/examples/scene"), out: Path = Path("runs/examples/results")
 ) -> None:
-    (dataset,) = open_datasets(path)
+    dataset = open_dataset(path)
     results = evaluate(dataset, Nearest(NearestConfig()), out)
     for threshold, recall in results.summary.recall.items():
         print(f"{threshold}: {100 * recall.value:.0f} % [{recall.low:.2f}, {recall.high:.2f}]")

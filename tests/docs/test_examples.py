@@ -86,7 +86,8 @@ def test_training(scene: Path, tmp_path: Path) -> None:
 
 
 def test_results_in_pandas(results: Path) -> None:
-    pytest.importorskip("pandas", reason="pandas is not installed (the extra [docs] brings it)")
+    why = "pandas is not installed, or needs another numpy (the extra [docs] brings it)"
+    pytest.importorskip("pandas", reason=why, exc_type=ImportError)
     table = load("07_results_in_pandas").main(results)
     assert set(table.method) == {"sift", "pixloc"}
     assert table.found[table.condition == "summer-noon"].any()
