@@ -11,18 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from ingest.adjustment import Adjusted, adjust
-from ingest.attitude import attitudes, turned_over
+from ingest.adjustment import adjust
+from ingest.attitude import turned_over
 from ingest.georegister import georegister
 from ingest.neighbours import choose_pairs
-from ingest.photographs import SESSION, Flight, FlightImage, photographs_of, read_flight
+from ingest.outputs import write_lists, write_measurements
+from ingest.photographs import SESSION, Flight, photographs_of, read_flight
 from ingest.picture import draw
 from ingest.positions import FEWEST, local, with_positions
-from ingest.report import REPORT, IngestReport, make_report, residuals
+from ingest.report import REPORT, IngestReport, make_report
 from ingest.split import Split, queries_of
-from scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
-from scene.bundle.frames import Frames, write_frames
-from scene.bundle.manifest import Manifest, Objects, Session, Splits, read_json, write_json
+from scene.bundle.manifest import Manifest, Session, read_json, write_json
 from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish
 from scene.colmap.database import match_photographs
 from scene.colmap.sift import SiftOptions
@@ -51,9 +50,6 @@ _WORK = f"{MARK}ingest"
 _PLAN = "plan.json"
 _TURNED = "turned.json"
 _DATABASE = Path("database.db")
-# Points of each photograph that tell what it shares with the others.
-_SAMPLED = 200
-_LEAST_SIGMA = 0.02
 
 
 class _Plan(BaseModel):
@@ -171,9 +167,9 @@ def _build(
     times = {image.name: image.exif.time.timestamp() for image in flight.images if image.exif.time}
     adjusted = adjust(model_path, taken, fixes, times, out / _WORK)
     model, images = adjusted.model, flight.images
-    wrong_attitudes = _write_frames(out, adjusted, images, fixes, queries)
+    wrong_attitudes = write_measurements(out, adjusted, images, fixes, queries)
     sparse_map = _triangulate(out, model, queries)
-    _write_lists(out, model, images, queries)
+    write_lists(out, model, images, queries)
     report = make_report(
         taken,
         files,
@@ -325,44 +321,6 @@ def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, 
     }
 
 
-def _write_frames(
-    out: Path,
-    adjusted: Adjusted,
-    images: Sequence[FlightImage],
-    fixes: Mapping[str, NDArray[np.float64]],
-    queries: set[str],
-) -> dict[str, float]:
-    """Write the poses of the model and the measurements of its photographs.
-
-    The sigmas are measured on the photographs of the map.
-
-    Returns:
-        By file, the error in degrees of each attitude that was not used.
-    """
-    model, placed = adjusted.model, adjusted.placed
-    names = tuple(image.name for image in images)
-    poses = np.stack([model.images[name].cam_from_world for name in names])
-    measured = [name for name in names if name in fixes and name not in placed.blunders]
-    mapped = [name for name in measured if name not in queries] or measured
-    off = residuals(model, fixes, mapped)
-    sigma = np.maximum(np.sqrt((off**2).mean(0)), _LEAST_SIGMA)
-    nothing = np.full(3, np.nan)
-    attitude, attitude_sigma, wrong = attitudes(images, poses, queries)
-    times = [image.exif.time.timestamp() if image.exif.time else np.nan for image in images]
-    frames = Frames(
-        names=names,
-        cameras=tuple(model.images[name].camera for name in names),
-        cam_from_world=poses,
-        time=np.array(times),
-        gps_prior=np.array([fixes[n] if n in measured else nothing for n in names]),
-        gps_sigma=np.array([sigma if n in measured else nothing for n in names]),
-        attitude_prior=attitude,
-        attitude_sigma_deg=attitude_sigma,
-    )
-    write_frames(out / "sessions" / SESSION / "frames.h5", frames, (), iter([{}] * len(names)))
-    return wrong
-
-
 def _triangulate(out: Path, model: SparseMap, queries: set[str]) -> SparseMap:
     images = [
         PosedImage(name, model.images[name].camera, model.images[name].cam_from_world)
@@ -375,33 +333,6 @@ def _triangulate(out: Path, model: SparseMap, queries: set[str]) -> SparseMap:
         )
         write_features(folder / FEATURES, features)
     return sparse_map
-
-
-def _write_lists(
-    out: Path, model: SparseMap, images: Sequence[FlightImage], queries: set[str]
-) -> None:
-    names = tuple(image.name for image in images)
-    asked = tuple(name for name in names if name in queries)
-    splits = Splits(
-        map=tuple(name for name in names if name not in queries),
-        queries={SESSION: asked} if asked else {},
-    )
-    write_json(out / "splits.json", splits)
-    write_json(out / "objects.json", Objects(classes={}, objects=()))
-    write_covisibility(out / COVISIBILITY, _covisibility(model, names))
-
-
-def _covisibility(model: SparseMap, names: tuple[str, ...]) -> Covisibility:
-    """Measure covisibility on points in view; without depth, hidden points count as seen."""
-    points = np.full((len(names), _SAMPLED, 3), np.nan)
-    for k, name in enumerate(names):
-        rows = model.images[name].point_rows
-        seen = model.xyz[rows[rows >= 0]]
-        chosen = seen[np.linspace(0, len(seen) - 1, min(_SAMPLED, len(seen))).astype(int)]
-        points[k, : len(chosen)] = chosen
-    images = [model.images[name] for name in names]
-    poses = np.stack([image.cam_from_world for image in images])
-    return Covisibility(names, visible_share([image.camera for image in images], poses, points))
 
 
 def _manifest(plan: _Plan, origin: Geodetic) -> Manifest:
