@@ -31,7 +31,7 @@ from benchmark.localize import open_place
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.markdown import escaped
 from benchmark.results import load
-from ingest.photographs import read_roll
+from ingest.photographs import read_flight
 from scene.errors import InputError
 from scene.exports.export import export
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
@@ -276,8 +276,8 @@ def test_photographs_whose_names_are_not_utf8_are_left_out(tmp_path: Path) -> No
     photograph = np.zeros((20, 30, 3), np.uint8)
     for name in (os.fsdecode(b"\xff.jpg"), "b.jpg"):
         write_jpeg(tmp_path / name, photograph, Exif(None, None))
-    roll = read_roll(tmp_path)
-    assert [shot.file for shot in roll.shots] == ["b.jpg"]
+    roll = read_flight(tmp_path)
+    assert [shot.file for shot in roll.images] == ["b.jpg"]
     assert roll.left_out == {r"\udcff.jpg": "its name is not UTF-8: rename it"}
 
 

@@ -34,7 +34,7 @@ from benchmark.cli import app
 from benchmark.datasets.textfiles import read_cameras, read_priors
 from benchmark.starts import parse_start
 from dense.command import DENSE, dense
-from ingest.photographs import Roll, Shot, read_roll
+from ingest.photographs import Flight, FlightImage, read_flight
 from ingest.positions import local, with_positions
 from mapping.build import build_map
 from mapping.supplement.map import add_to_map
@@ -248,8 +248,8 @@ def test_a_few_wrong_places_do_not_move_the_origin() -> None:
     assert origin.latitude == -17.0
 
 
-def shot(file: str, place: Geodetic | None = None) -> Shot:
-    return Shot(file, f"flight/images/{file}", file, Exif(place, None), (64, 48))
+def shot(file: str, place: Geodetic | None = None) -> FlightImage:
+    return FlightImage(file, f"flight/images/{file}", file, Exif(place, None), (64, 48))
 
 
 def test_photographs_on_both_sides_of_longitude_180() -> None:
@@ -263,14 +263,14 @@ def test_photographs_on_both_sides_of_longitude_180() -> None:
 # --- tables of positions ------------------------------------------------------------------------
 
 HEADER = "name,lat,lon,alt\n"
-CARDS = Roll((shot("card1/DJI_0000.jpg"), shot("card2/DJI_0000.jpg"), shot("c/Einzig.JPG")), {})
+CARDS = Flight((shot("card1/DJI_0000.jpg"), shot("card2/DJI_0000.jpg"), shot("c/Einzig.JPG")), {})
 
 
-def placed(tmp_path: Path, text: str, roll: Roll = CARDS) -> dict[str, float | None]:
+def placed(tmp_path: Path, text: str, roll: Flight = CARDS) -> dict[str, float | None]:
     """Latitude of each photograph."""
     table = tmp_path / "gps.csv"
     table.write_text(text)
-    found = with_positions(roll, table).shots
+    found = with_positions(roll, table).images
     return {s.file: s.exif.position.latitude if s.exif.position else None for s in found}
 
 
@@ -278,7 +278,7 @@ def test_a_bare_name_on_two_cards_is_refused(tmp_path: Path) -> None:
     said = refused(lambda: placed(tmp_path, HEADER + "DJI_0000.jpg,1,2,3\n"))
     assert "'DJI_0000.jpg' may be 'card1/DJI_0000.jpg' or 'card2/DJI_0000.jpg'" in said
     assert "folder" in said
-    root = Roll((shot("a.jpg"), shot("b/a.jpg")), {})
+    root = Flight((shot("a.jpg"), shot("b/a.jpg")), {})
     assert "may be" in refused(lambda: placed(tmp_path, HEADER + "a.jpg,1,2,3\n", root))
 
 
@@ -643,8 +643,8 @@ def test_a_folder_of_photographs_of_every_kind(tmp_path: Path) -> None:
     for kind in KINDS:
         if kind not in ("truncated", "large"):
             made(tmp_path / f"{kind}.jpg", kind)
-    roll = read_roll(tmp_path)
-    assert [shot.file for shot in roll.shots] == [
+    roll = read_flight(tmp_path)
+    assert [shot.file for shot in roll.images] == [
         "a.jpg",
         "back\\slash.JPG",
         "sub/a.jpg",

@@ -34,7 +34,7 @@ def test_every_combination_is_a_condition() -> None:
     for c in all_of_them:
         assert sun_position(c.time, PLACE) == (c.sun.azimuth, c.sun.elevation)
         assert c.sun.elevation > 5
-        assert set(c.ground) == set(condition("summer-noon").ground)
+        assert set(c.season.ground) == set(condition("summer-noon").season.ground)
 
 
 def test_clear_goes_without_saying() -> None:
