@@ -29,6 +29,11 @@ class StereoView:
     camera: Camera
     cam_from_world: NDArray[np.float64]
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its values."""
+        return self.grey.nbytes
+
 
 class Warped(NamedTuple):
     """Pixels ``u``, ``v`` of another view, ``z``: depth there over depth here (at least a
