@@ -1,4 +1,4 @@
-"""From a pixel and its inverse depth in one view to the pixel in another, and back again."""
+"""Warps from a pixel and its inverse depth in one view to the pixel in another, and back."""
 
 from __future__ import annotations
 
