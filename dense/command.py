@@ -10,7 +10,6 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +22,7 @@ from dense.consistency import agreeing
 from dense.patchmatch import consistent_estimate, first_estimate
 from dense.pictures import draw_cloud, draw_maps
 from dense.planes import normals_of, planes_of
-from dense.report import DenseReport, read_truth, report
+from dense.report import DenseReport, Fused, read_truth, report
 from dense.sources import choose_sources, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
 from dense.warp import StereoView
@@ -44,6 +43,7 @@ from scene.storage.files import read_text, require_disk_space
 from scene.storage.images import read_rgb
 from scene.storage.locks import write_lock
 from scene.storage.resumable import ResumableFolder
+from scene.storage.lru_cache import LruCache
 
 DENSE = "dense"
 UNFINISHED = f"{TEMPORARY_PREFIX}dense"
@@ -62,7 +62,7 @@ _POINT_BYTES, _LISTED_BYTES = 31, 4
 _SHOWN = 3
 # Seconds are told for a map of so many pixels.
 _UNIT = 512 * 512
-# Photographs and maps in memory at once.
+# Photographs, and maps, of the largest size for which there is room in a cache.
 _CACHED = 64
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32) / 255
 
@@ -156,7 +156,8 @@ def _make(
     confirmations = {name: maps.confirmations(name) for name in shown}
     draw_maps(workspace, shown, confirmations, truth, path / "pictures" / "dense-maps.png")
     draw_cloud(xyz, rgb, path / "pictures" / "dense-cloud.png")
-    result = report(scene, pinhole_map, workspace, tuple(pairs), len(xyz), seconds, truth)
+    fused = Fused(workspace, tuple(pairs), len(xyz), seconds)
+    result = report(scene, len(pinhole_map.names), fused, truth)
     _finish(scene, workspace)
     return result
 
@@ -292,19 +293,23 @@ class _Maps:
         self._pairs = pairs
         self._seed = seed
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self.view = lru_cache(_CACHED)(self._read_view)
-        self.first = lru_cache(_CACHED)(self._read_first)
+        images = sparse_map.images.values()
+        pixels = max(image.camera.width * image.camera.height for image in images)
+        floats = _CACHED * pixels * np.dtype(np.float32).itemsize
+        self.view = LruCache(self._read_view, floats)
+        # Inverse depth and two slopes.
+        self.first = LruCache(self._read_first, 3 * floats)
 
     def __reduce__(self) -> tuple[type[_Maps], tuple[object, ...]]:
-        """To a worker of a cluster, without what was read."""
+        """Pickle for a worker of a cluster, without the caches."""
         return _Maps, (self._map, self._workspace, self._pairs, self._seed)
 
     def missing(self, stage: Stage) -> list[tuple[Stage, str]]:
-        """What is to be made at a stage; the second needs everything of the first."""
+        """List the maps to make at a stage; the second stage needs all maps of the first."""
         return [(stage, name) for name in self._pairs if not self._workspace.has(name, stage)]
 
     def __len__(self) -> int:
-        """Of both stages."""
+        """Count the maps of both stages."""
         return 2 * len(self._pairs)
 
     @torch.inference_mode()
@@ -352,7 +357,7 @@ class _Maps:
         return planes, torch.where(confirmed, 1 / planes[0], 0)
 
     def _generator(self, name: str) -> torch.Generator:
-        """Of the photograph's own, so that the order in which maps are made does not matter."""
+        """Seed by photograph, so that the order in which maps are made does not matter."""
         return torch.Generator().manual_seed(zlib.crc32(f"{self._seed} {name}".encode()))
 
     def _read_view(self, name: str) -> StereoView:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.class_coverage import class_coverage
-from mapping.report import MapReport, report
+from mapping.report import MapReport, ObjectTruth, report
 from scene.bundle.object_points import objects_of_points
 from scene.bundle.pictures import draw_pictures
 from scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish_scene
@@ -100,11 +100,13 @@ def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
         len(sparse_map.xyz), ((image, layers["instance"]) for image, layers in instances)
     )
     kinds = class_coverage(scene, sparse_map, features) if rendered else {}
-    return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs), kinds)
+    in_view = [item for item in scene.objects.objects if item.id in seen]
+    objects = ObjectTruth(in_view, owners)
+    return report(sparse_map, images, objects, len(pairs), kinds)
 
 
 def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str, str]]) -> str:
-    """Of all that features and matches depend on."""
+    """Return a digest of all that features and matches depend on."""
     digest = hashlib.sha256(f"{VERSION} {_SIFT} {pairs}".encode())
     for image in images:
         photograph = root / image.name
@@ -114,7 +116,7 @@ def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str,
 
 
 def choose_pairs(overlap: NDArray[np.float64], flights: Sequence[str]) -> list[tuple[int, int]]:
-    """Pairs of frames worth matching, each once: neighbours in space, and in time.
+    """Choose pairs of frames worth matching, each once: neighbours in space, and in time.
 
     Args:
         overlap: (N, N) share of each other's surface that frames see, symmetric.
@@ -130,7 +132,7 @@ def choose_pairs(overlap: NDArray[np.float64], flights: Sequence[str]) -> list[t
 
 
 def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
-    """The map's photographs and the objects they show."""
+    """Return the map's photographs and the identifiers of the objects they show."""
     wanted = set(scene.splits.map)
     images = []
     seen: set[int] = set()

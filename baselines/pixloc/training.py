@@ -74,7 +74,7 @@ class PixlocTraining:
 
 
 def half_precision(batch: PairBatch) -> torch.autocast:
-    """In which networks run; losses and alignment do not."""
+    """Return the context of half precision that networks run in, but not losses and alignment."""
     return torch.autocast(batch.image_a.device.type, torch.bfloat16)
 
 

@@ -1,4 +1,4 @@
-"""From scenes to weights: the command ``train``."""
+"""The command ``train``: from scenes to weights."""
 
 from __future__ import annotations
 

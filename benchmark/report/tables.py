@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -222,14 +222,28 @@ def _runs(together: Sequence[tuple[Path, Results]]) -> Iterator[Run]:
 def _label(run: Results, namesakes: Sequence[Results]) -> str:
     """Return the method's name, with the settings that differ from other runs of the method."""
     own = _settings(run)
+    others = [_settings(other) for other in namesakes]
+    # A nested option that an older run does not record says nothing of how the two differ.
     differing = [
-        key for key in own if any(_settings(other).get(key) != own[key] for other in namesakes)
+        key
+        for key, value in own.items()
+        if any(other.get(key, value if "." in key else None) != value for other in others)
     ]
     if not differing:
         return run.method.name
     return f"{run.method.name} ({', '.join(f'{key}={own[key]}' for key in differing)})"
 
 
+def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of a nested configuration by their dotted keys."""
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
 def _settings(run: Results) -> dict[str, Any]:
+    """Return the settings of a run; those of nested configurations by dotted keys."""
     weights = run.method.weights_sha256
-    return run.method.config | ({"weights": weights[:8]} if weights else {})
+    return dict(_flat(run.method.config)) | ({"weights": weights[:8]} if weights else {})

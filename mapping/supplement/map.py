@@ -1,4 +1,4 @@
-"""Lifted centres as points of a scene's map, and the map as it was."""
+"""Adds triangulated centres to a scene's map as points, and removes them again."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def remove_from_map(path: Path) -> int:
 
 
 def _copy_before(scene: Scene, folder: Path) -> None:
-    """The map as it was before anything was added to it."""
+    """Copy the map as it was before anything was added to it."""
     for file in scene.map_path.iterdir():
         if file.name in MAP_FILES and file.name not in (SUPPLEMENT, ADDED_FEATURES):
             shutil.copyfile(file, folder / file.name)
@@ -96,7 +96,7 @@ def _copy_before(scene: Scene, folder: Path) -> None:
 
 
 def _new_point(scene: Scene, point: Lifted, detections: Mapping[str, Detections]) -> NewPoint:
-    """With the colour of the photograph that is surest of it."""
+    """Make a map point with its colour in the photograph of highest confidence."""
     xy = {name: detections[name].xy[row] for name, row in point.rows.items()}
     surest = max(point.rows, key=lambda name: detections[name].confidence[point.rows[name]])
     rgb = read_rgb(scene.images_root / surest)
@@ -109,7 +109,7 @@ def _new_point(scene: Scene, point: Lifted, detections: Mapping[str, Detections]
 def _features(
     points: Sequence[Lifted], detections: Mapping[str, Detections]
 ) -> dict[str, Features]:
-    """The detections that became observations, by photograph, in the order of their points."""
+    """Return the detections that became observations, by photograph, in order of their points."""
     rows: dict[str, list[int]] = {}
     for point in points:
         for name, row in point.rows.items():
