@@ -42,8 +42,8 @@ from scene.storage.digests import digests, require_unchanged
 from scene.storage.files import read_text, require_disk_space
 from scene.storage.images import read_rgb
 from scene.storage.locks import write_lock
-from scene.storage.resumable import ResumableFolder
 from scene.storage.lru_cache import LruCache
+from scene.storage.resumable import ResumableFolder
 
 DENSE = "dense"
 UNFINISHED = f"{TEMPORARY_PREFIX}dense"

@@ -22,7 +22,7 @@ from ingest.positions import FEWEST, local, with_positions
 from ingest.report import REPORT, IngestReport, make_report
 from ingest.split import Split, queries_of
 from scene.bundle.manifest import Manifest, Session, read_json, write_json
-from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish
+from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish_scene
 from scene.colmap.database import match_photographs
 from scene.colmap.sift import SiftOptions
 from scene.colmap.structure_from_motion import Mapper, map_photographs
@@ -113,7 +113,7 @@ def ingest(
         gps=None if gps is None else sha256_of(gps),
         photographs={image.file: image.sha256 for image in flight.images},
     )
-    with sole_writer(out):
+    with write_lock(out):
         return _ingest(photographs, out, flight, camera, plan)
 
 
@@ -300,7 +300,7 @@ def _match(
 def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, dict[str, str]]:
     """Return the model of most photographs, and the reasons why others are not in it."""
     models = out / _WORK / "models"
-    with progress_bar("map", len(taken)) as advance, folder_written_whole(models) as folder:
+    with progress_bar("map", len(taken)) as advance, atomic_folder(models) as folder:
         models_by_size = map_photographs(
             out / "sessions", taken, out / _WORK / _DATABASE, folder, mapper, advance
         )
