@@ -6,8 +6,7 @@ python examples/00_simulate.py [SCENE]    (about a minute on two cores)
 import sys
 from pathlib import Path
 
-from simulate.command import simulate
-from simulate.config import SimulateConfig
+from benchmark.api import SimulateConfig, simulate
 
 
 def main(out: Path = Path("runs/examples/scene")) -> None:

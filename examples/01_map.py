@@ -6,8 +6,7 @@ python examples/01_map.py [SCENE]    (after 00_simulate.py)
 import sys
 from pathlib import Path
 
-from mapping.build import build_map
-from scene.bundle.scene import Scene
+from benchmark.api import build_map, open_scene
 
 
 def main(path: Path = Path("runs/examples/scene")) -> None:
@@ -16,7 +15,7 @@ def main(path: Path = Path("runs/examples/scene")) -> None:
     print(report.text())
 
     # The map is a set of arrays, in world metres.
-    sparse_map = Scene.open(path).sparse_map()
+    sparse_map = open_scene(path).sparse_map()
     print(
         f"{len(sparse_map.xyz)} points between {sparse_map.xyz.min(0)} and {sparse_map.xyz.max(0)}"
     )

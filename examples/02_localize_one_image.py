@@ -6,15 +6,13 @@ python examples/02_localize_one_image.py [SCENE]    (after 01_map.py)
 import sys
 from pathlib import Path
 
-from benchmark.registry import create as create_localizer
-from scene.bundle.scene import Scene
-from scene.geometry.pose import Pose
-from scene.localizer import Prior, Query, Status
+from benchmark.api import Pose, Prior, Query, create_localizer, open_scene
+from scene.localizer import Status
 from scene.storage.images import read_rgb
 
 
 def main(path: Path = Path("runs/examples/scene")) -> float:
-    scene = Scene.open(path)
+    scene = open_scene(path)
     localizer = create_localizer("sift", {"references": 4})
     localizer.prepare(scene.sparse_map(), scene.images_root)
 

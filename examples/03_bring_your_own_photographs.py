@@ -8,8 +8,7 @@ Left out, PHOTOS are those of the map flight of 00_simulate.py, whose EXIF is li
 import sys
 from pathlib import Path
 
-from ingest.command import ingest
-from scene.bundle.scene import Scene
+from benchmark.api import ingest, open_scene
 
 RENDERED = Path("runs/examples/scene/sessions/summer-noon-nadir-map/images")
 
@@ -20,7 +19,7 @@ def main(photographs: Path = RENDERED, out: Path = Path("runs/examples/own")) ->
     print(report.text())
 
     # The poses are those of the reconstruction: no truth is known of real photographs.
-    scene = Scene.open(out)
+    scene = open_scene(out)
     print(f"reference poses: {scene.manifest.reference}; origin: {scene.manifest.origin}")
     print(f"map frames: {len(scene.splits.map)}, points: {len(scene.sparse_map().xyz)}")
 

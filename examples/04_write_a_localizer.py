@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.datasets.simulated import open_scene as open_dataset
-from benchmark.evaluate import evaluate
+from benchmark.api import Estimate, Query, SparseMap, evaluate, open_datasets
 from scene.config import Config
-from scene.localizer import Estimate, Query, Status, Stopwatch
-from scene.maps.sparse_map import SparseMap
+from scene.localizer import Status, Stopwatch
 
 
 class NearestConfig(Config):
@@ -45,7 +43,7 @@ class Nearest:
 def main(
     path: Path = Path("runs/examples/scene"), out: Path = Path("runs/examples/results")
 ) -> None:
-    dataset = open_dataset(path)
+    (dataset,) = open_datasets(path)
     results = evaluate(dataset, Nearest(NearestConfig()), out)
     for threshold, recall in results.summary.recall.items():
         print(f"{threshold}: {100 * recall.value:.0f} % [{recall.low:.2f}, {recall.high:.2f}]")

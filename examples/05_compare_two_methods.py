@@ -6,11 +6,7 @@ python examples/05_compare_two_methods.py [SCENE] [RESULTS] [BOARD]    (after 01
 import sys
 from pathlib import Path
 
-from benchmark.datasets.simulated import open_scene as open_dataset
-from benchmark.evaluate import evaluate
-from benchmark.registry import create as create_localizer
-from benchmark.report.leaderboard import leaderboard
-from benchmark.starts import parse_start
+from benchmark.api import create_localizer, evaluate, leaderboard, open_datasets, parse_start
 
 
 def main(
@@ -20,7 +16,7 @@ def main(
 ) -> None:
     # Every method is told the true pose moved by 3 m and turned by 5 degrees, and no more.
     start = parse_start("error=3m,5deg")
-    dataset = open_dataset(path)
+    (dataset,) = open_datasets(path)
     for name in ("sift", "pixloc"):
         results = evaluate(dataset, create_localizer(name, {}), out / "from-3m", start)
         print(f"{name}: {results.summary.failed} of {results.summary.queries} queries failed")

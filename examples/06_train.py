@@ -6,10 +6,7 @@ python examples/06_train.py [SCENE] [RUN]    (after 00_simulate.py)
 import sys
 from pathlib import Path
 
-from baselines.training.command import train
-from baselines.training.config import TrainConfig
-from benchmark.registry import create as create_localizer
-from benchmark.registry import trainable
+from benchmark.api import TrainConfig, create_localizer, train, trainable
 
 
 def main(

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmark.api import read_results
 from benchmark.results import BASIN
-from benchmark.results import load as read_results
 
 
 def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:
