@@ -8,6 +8,7 @@ BIN := $(VENV)/bin
 DEMO := runs/demo
 # Processes that share the tests; auto: one a core.
 WORKERS ?= auto
+DOCS := runs/docs-venv
 
 .PHONY: demo test test-rest test-all lint bench install clean weights
 .DELETE_ON_ERROR:
@@ -53,6 +54,17 @@ test-rest: libraries browser
 	$(BIN)/python -m tests.fuzz --inputs 4000
 
 test-all: test test-rest
+
+# The site of the documents, runs/site, in an environment of its own: it needs neither torch nor Blender.
+.PHONY: docs
+docs: $(DOCS)/.installed
+	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs build --strict
+
+$(DOCS)/.installed: pyproject.toml
+	@test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install -q --disable-pip-version-check $$($(DOCS)/bin/python -c \
+	  "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']['docs'])")
+	@touch $@
 
 lint: install
 	$(BIN)/ruff check .

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.storage.files import require_readable, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, dataset
 
 Add = Callable[[Mapping[str, NDArray[Any]]], None]
@@ -27,7 +28,7 @@ def written_store(path: Path, **attributes: float) -> Iterator[Add]:
         InputError: the folder cannot be written.
     """
     ends = [0]
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
         file.attrs.update(attributes)
 
         def add(parts: Mapping[str, NDArray[Any]]) -> None:

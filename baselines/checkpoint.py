@@ -16,7 +16,8 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from scene.errors import InputError
-from scene.storage.files import parse_json, sha256_of, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import parse_json, sha256_of
 
 
 def shipped(path: Path) -> Path:
@@ -123,7 +124,7 @@ def write_weights(path: Path, network: nn.Module, config: Mapping[str, Any]) -> 
     own = network.state_dict()
     tensors = {name: value.detach().cpu().contiguous() for name, value in own.items()}
     metadata = {"config": json.dumps(dict(config), sort_keys=True)}
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_bytes(save(tensors, metadata))
 
 

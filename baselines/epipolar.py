@@ -19,8 +19,8 @@ from torch import Tensor
 
 from baselines.features import Extractor, map_features
 from baselines.rays import Rays
-from baselines.retrieval import OnDemand, References
-from baselines.sampson import Matches, refine
+from baselines.retrieval import OnDemand, References, RetrievalOptions
+from baselines.sampson import Matches, RefinementOptions, refine
 from baselines.sift import Sift
 from scene.colmap.relative_pose import estimate_relative_pose
 from scene.config import Config
@@ -30,35 +30,45 @@ from scene.maps.features import Features
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.storage.lru_cache import LruCache, room
 
-# A relative pose takes five matches; so many more that agree are no chance.
+# A relative pose takes five matches; three more that agree are no coincidence.
 _LEAST_INLIERS = 8
 
 
 class EpipolarConfig(Config):
-    """Options of the epipolar localizer.
+    """Options of the epipolar localizer."""
 
-    Attributes:
-        references: photographs of the map matched against the query.
-        ratio: of nearest to second nearest descriptor distance.
-        max_error_px: inlier threshold of the Sampson error.
-        min_inliers: a photograph with fewer has no say.
-        agree_deg: by how much references may differ on the query's attitude and direction.
-        least_angle_deg: rays that cross at less do not say where.
-        max_features: per image.
-        memory_mb: for the whole process: features of the map stay in memory as far as there is room
-            below it (``scene.storage.lru_cache.room``).
-        seed: of RANSAC.
-    """
-
-    references: int = Field(8, ge=2)
-    ratio: float = Field(0.8, gt=0, le=1)
-    max_error_px: float = Field(2.0, gt=0)
-    min_inliers: int = Field(20, ge=_LEAST_INLIERS)
-    agree_deg: float = Field(5.0, gt=0)
-    least_angle_deg: float = Field(5.0, gt=0)
-    max_features: int = Field(8192, ge=100)
-    memory_mb: int = Field(2048, ge=1)
-    seed: int = 0
+    references: int = Field(
+        8, ge=2, description="Photographs of the map that are matched against the query."
+    )
+    ratio: float = Field(
+        0.8, gt=0, le=1, description="Ratio of nearest to second nearest descriptor distance."
+    )
+    max_error_px: float = Field(2.0, gt=0, description="Inlier threshold of the Sampson error.")
+    min_inliers: int = Field(
+        20, ge=_LEAST_INLIERS, description="Photographs with fewer inliers are left out."
+    )
+    agree_deg: float = Field(
+        5.0,
+        gt=0,
+        description="Largest difference of references on the query's attitude and direction.",
+    )
+    least_angle_deg: float = Field(
+        5.0, gt=0, description="Rays that cross at a smaller angle do not determine the position."
+    )
+    max_features: int = Field(8192, ge=100, description="Most features of an image.")
+    memory_mb: int = Field(
+        2048,
+        ge=1,
+        description="Memory of the whole process; features of the map stay in memory as far as "
+        "there is room below it.",
+    )
+    seed: int = Field(0, description="Random seed of RANSAC.")
+    refinement: RefinementOptions = Field(
+        RefinementOptions(), description="How the pose is refined over all references."
+    )
+    retrieval: RetrievalOptions = Field(
+        RetrievalOptions(), description="How photographs are chosen where there is no prior."
+    )
 
 
 @dataclass(frozen=True)
@@ -74,7 +84,7 @@ class _Seen:
 
 
 class EpipolarLocalizer:
-    """See the module. Implements ``scene.localizer.Localizer``."""
+    """Localizes images by relative poses. Implements ``scene.localizer.Localizer``."""
 
     name = "epipolar"
     weights_sha256: str | None = None
@@ -89,18 +99,20 @@ class EpipolarLocalizer:
         features, unit = map_features(sparse_map, images, self._sift, cache), self._sift.unit
 
         def seen(name: str) -> _Seen:
-            found = features[name]
-            return _Seen(found.xy, unit(found.descriptors))
+            keypoints = features[name]
+            return _Seen(keypoints.xy, unit(keypoints.descriptors))
 
         def described(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
         self._seen = LruCache(seen, room(self.config.memory_mb))
         count = len(sparse_map.names)
-        self._references = References.build(sparse_map, OnDemand(described, count))
+        self._references = References.build(
+            sparse_map, OnDemand(described, count), self.config.retrieval
+        )
 
     def localize(self, query: Query) -> Estimate:
-        """Extract, choose references, find relative poses, intersect, refine."""
+        """Extract features, choose references, find relative poses, intersect rays and refine."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
@@ -111,10 +123,10 @@ class EpipolarLocalizer:
             rows = self._references.choose(query, self.config.references, unit.numpy)
             references = [self._map.images[self._map.names[row]] for row in rows]
         with clock.stage("relative poses"):
-            tried = [self._relate(query, features, unit, image) for image in references]
-            found = [related for related in tried if related is not None]
+            attempts = [self._relate(query, features, unit, image) for image in references]
+            related = [each for each in attempts if each is not None]
         with clock.stage("pose"):
-            rays = _rays(found)
+            rays = _rays(related)
             agreeing = rays.consensus(self.config.agree_deg, self.config.least_angle_deg)
             if not len(agreeing):
                 reason = self._why_not(rays, len(references))
@@ -122,8 +134,9 @@ class EpipolarLocalizer:
             chosen = rays[agreeing]
             rotation = chosen.attitude()
             start = Pose(torch.from_numpy(rotation), torch.from_numpy(-rotation @ chosen.meet()))
-            used = [found[row][0] for row in agreeing]
-            refined = refine(start, used, float(np.mean(query.camera.focal)))
+            used = [related[row][0] for row in agreeing]
+            focal = float(np.mean(query.camera.focal))
+            refined = refine(start, used, focal, self.config.refinement)
         return Estimate(
             Status.OK,
             refined.pose,
@@ -136,7 +149,7 @@ class EpipolarLocalizer:
     def _relate(
         self, query: Query, features: Features, unit: Tensor, image: MapImage
     ) -> tuple[Matches, Pose] | None:
-        """Matches to one photograph and ``query_from_reference``; None where too few agree."""
+        """Match one photograph and find ``query_from_reference``; None where too few agree."""
         seen = self._seen(image.name)
         matches = self._sift.match(unit, seen.unit, self.config.ratio)
         if len(matches) < self.config.min_inliers:
@@ -163,14 +176,14 @@ class EpipolarLocalizer:
         return f"no two of {len(rays)} references agree where the query is"
 
 
-def _rays(found: Sequence[tuple[Matches, Pose]]) -> Rays:
-    """Where each photograph stands, and what it says of the query."""
+def _rays(related: Sequence[tuple[Matches, Pose]]) -> Rays:
+    """Return where each photograph stands, and the ray and attitude it gives the query."""
     origins, directions, rotations = (
-        np.zeros((len(found), 3)),
-        np.zeros((len(found), 3)),
-        np.zeros((len(found), 3, 3)),
+        np.zeros((len(related), 3)),
+        np.zeros((len(related), 3)),
+        np.zeros((len(related), 3, 3)),
     )
-    for k, (matches, query_from_reference) in enumerate(found):
+    for k, (matches, query_from_reference) in enumerate(related):
         rotation = matches.reference.rotation
         origins[k] = matches.reference.centre()
         directions[k] = rotation.T @ query_from_reference.centre()

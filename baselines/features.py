@@ -1,4 +1,4 @@
-"""What finds local features, and the features of a map's photographs."""
+"""Extractors of local features, and the features of a map's photographs."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from baselines.views import north, view
+from baselines.views import north_angle, warp_image
 from scene.geometry.camera import Camera
-from scene.maps.features import FeatureFile, Features, unit_descriptors, written_features
+from scene.maps.features import FeatureFile, Features, feature_writer, unit_descriptors
 from scene.maps.matching import match
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
@@ -52,17 +52,18 @@ class Extractor(ABC):
     def seen(
         self, rgb: NDArray[np.uint8], camera: Camera, angle: float, scale: float = 1.0
     ) -> Features:
-        """Features of a photograph turned counter-clockwise by ``angle`` (rad) and resized by
-        ``scale``, in its own pixels.
+        """Extract features of a photograph turned and resized, in its own pixels.
+
+        It is turned counter-clockwise by ``angle`` (rad) and resized by ``scale``.
 
         The corners that come in are black, and nothing at or beyond the photograph's edge is kept.
         """
-        looked = view(rgb, camera, angle, scale)
-        found = self(looked.picture)
-        xy = found.xy.astype(np.float64)
-        kept = looked.shows(xy)
-        xy = looked.in_photograph(xy[kept]).astype(found.xy.dtype)
-        return Features(np.asarray(xy), found.scale[kept] / scale, found.descriptors[kept])
+        view = warp_image(rgb, camera, angle, scale)
+        features = self(view.picture)
+        xy = features.xy.astype(np.float64)
+        kept = view.shows(xy)
+        xy = view.in_photograph(xy[kept]).astype(features.xy.dtype)
+        return Features(np.asarray(xy), features.scale[kept] / scale, features.descriptors[kept])
 
     def of_photographs(
         self,
@@ -71,7 +72,7 @@ class Extractor(ABC):
         on_progress: Callable[[int], None],
         beside: Path | None = None,
     ) -> dict[str, Features]:
-        """Features of photographs by name.
+        """Extract features of photographs, by name.
 
         Args:
             root: folder the names are relative to.
@@ -89,7 +90,7 @@ class Extractor(ABC):
         return found
 
     def unit(self, descriptors: NDArray[Any]) -> Tensor:
-        """As (N, D) float32 of unit length, which ``match`` and retrieval take."""
+        """Convert to (N, D) float32 of unit length, which ``match`` and retrieval take."""
         return unit_descriptors(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
@@ -100,10 +101,10 @@ class Extractor(ABC):
 def map_features(
     sparse_map: SparseMap, images: Path, extractor: Extractor, cache: Path | None
 ) -> FeatureFile:
-    """Features of the map's photographs, extracted unless the cache holds them.
+    """Return features of the map's photographs, extracted unless the cache holds them.
 
     Args:
-        sparse_map: whose photographs.
+        sparse_map: the map.
         images: folder of the photographs.
         extractor: of the features.
         cache: folder of files named by a digest of photographs and extractor; None for a file that
@@ -119,7 +120,7 @@ def map_features(
     names, posed = sparse_map.names, sparse_map.images
     angles, cameras = {}, []
     if not extractor.turned:
-        angles = {name: north(posed[name].cam_from_world[:3, :3]) for name in names}
+        angles = {name: north_angle(posed[name].cam_from_world[:3, :3]) for name in names}
         cameras = [str(posed[name].camera) for name in names]
     files = [images / name for name in names]
     photographs = digests(files)
@@ -130,7 +131,7 @@ def map_features(
     if path.is_file():
         return FeatureFile(path)
     bar = progress_bar(f"{extractor.name} map features", len(names))
-    with bar as advance, written_features(path) as add:
+    with bar as advance, feature_writer(path) as add:
         for first in range(0, len(names), _TOGETHER):
             some = names[first : first + _TOGETHER]
             if extractor.turned:

@@ -1,25 +1,35 @@
-"""The floor under every method that refines: the pose it starts from, and nothing done to it."""
+"""The prior as a localizer: the starting pose unchanged, which refining methods must beat."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from pydantic import Field
 
-from baselines.retrieval import References
-from baselines.starts import starts
+from baselines.retrieval import References, RetrievalOptions
+from baselines.starts import StartOptions, starts
 from scene.config import Config
 from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 
 
 class PriorConfig(Config):
-    """There is nothing to choose."""
+    """Options of the prior localizer."""
+
+    starts: StartOptions = Field(
+        StartOptions(), description="How an incomplete prior is completed from photographs."
+    )
+    retrieval: RetrievalOptions = Field(
+        RetrievalOptions(), description="How the photograph to complete it from is chosen."
+    )
 
 
 class PriorLocalizer:
-    """Answers the prior; for what it does not say, as methods by alignment do, that of the nearest
-    photograph. Implements ``scene.localizer.Localizer``."""
+    """Answers the prior, completed from the nearest photograph as methods by alignment complete it.
+
+    Implements ``scene.localizer.Localizer``.
+    """
 
     name = "prior"
     weights_sha256: str | None = None
@@ -28,13 +38,13 @@ class PriorLocalizer:
         self.config = config
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
-        """Nothing of the photographs but their poses is needed."""
+        """Keep the map; of its photographs only the poses are needed."""
         self._map = sparse_map
         unseen = [np.empty((0, 1), np.float32)] * len(sparse_map.names)
-        self._references = References.build(sparse_map, unseen)
+        self._references = References.build(sparse_map, unseen, self.config.retrieval)
 
     def localize(self, query: Query) -> Estimate:
-        """Where the query is believed to be."""
+        """Return the query's starting pose."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         if query.prior is None and query.references is None:
@@ -44,5 +54,5 @@ class PriorLocalizer:
             chosen = self._references.choose(query, 1, lambda: np.empty((0, 1), np.float32))
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            start = starts(query.prior, self._map, chosen)[0]
+            start = starts(query.prior, self._map, chosen, self.config.starts)[0]
         return Estimate(Status.OK, start, seconds=clock.seconds)

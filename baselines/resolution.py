@@ -1,4 +1,4 @@
-"""Metres of ground per pixel: features know a place again at about the size they first saw it."""
+"""Ground resolution of photographs, and the scale at which two of them can be compared."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import MapImage, SparseMap
 
-# Views whose resolutions differ by less are compared as they are: networks bear that, and streets
-# have no one resolution.
-_ALIKE: Final = 1.25
-_LEAST_POINTS: Final = 10
+# Fewer points in view do not determine the resolution of a photograph.
+_MIN_POINTS: Final = 10
+DEFAULT_SAME_RESOLUTION: Final = 1.25
+"""Ratio of resolutions below which photographs are compared as they are: networks tolerate it, and
+street-level views have no single resolution."""
 
 
 def metres_per_pixel(pose: Pose, camera: Camera, xyz: NDArray[np.float64]) -> float:
-    """Of a photograph, in the middle of the points it shows; NaN where these are too few.
+    """Return the ground resolution of a photograph at the median depth of the points it shows.
+
+    It is NaN where these are too few.
 
     Args:
         pose: ``cam_from_world``.
@@ -31,42 +34,51 @@ def metres_per_pixel(pose: Pose, camera: Camera, xyz: NDArray[np.float64]) -> fl
     in_camera = pose.transform(torch.from_numpy(xyz))
     projected = camera.project(in_camera)
     shown = projected.valid & camera.contains(projected.xy)
-    if int(shown.sum()) < _LEAST_POINTS:
+    if int(shown.sum()) < _MIN_POINTS:
         return math.nan
     return float(in_camera[shown, 2].median()) / float(np.mean(camera.focal))
 
 
 def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:
-    """Metres per pixel at which most photographs of a map are seen; NaN if not known.
+    """Return the median metres per pixel at which photographs of a map are seen, NaN if unknown.
 
     Args:
-        sparse_map: whose photographs.
-        shrunk: pixels seen per pixel of a camera's photographs.
+        sparse_map: the map.
+        shrunk: gives the pixels seen per pixel of a camera's photographs.
     """
-    found = [
+    resolutions = [
         metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
         / shrunk(image.camera)
         for image in sparse_map.images.values()
     ]
-    known = [each for each in found if math.isfinite(each)]
+    known = [each for each in resolutions if math.isfinite(each)]
     return float(np.median(known)) if known else math.nan
 
 
 def observed(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
-    """The points that a photograph of a map observes, (N, 3)."""
+    """Return the points that a photograph of a map observes, (N, 3)."""
     return np.asarray(sparse_map.xyz[np.unique(image.point_rows[image.point_rows >= 0])])
 
 
-def scale_to(wanted: float, own: float, largest: float) -> float:
-    """At which scale to look at a photograph.
+def scale_to(
+    wanted: float, own: float, largest: float, same_resolution: float = DEFAULT_SAME_RESOLUTION
+) -> float:
+    """Return the scale at which to look at a photograph so that it has a wanted resolution.
 
     Args:
-        wanted: metres per pixel of the view.
-        own: of the photograph; either may be NaN, not known.
-        largest: scale; beyond 1 it is used only to reach ``wanted``.
+        wanted: metres per pixel to see it at; NaN where unknown.
+        own: metres per pixel of the photograph; NaN where unknown.
+        largest: the largest scale; beyond 1 it is used only to reach ``wanted``.
+        same_resolution: resolutions whose ratio is below this are left as they are.
+
+    Example:
+        >>> scale_to(wanted=0.2, own=0.1, largest=1.0)
+        0.5
+        >>> scale_to(wanted=0.11, own=0.1, largest=1.0)
+        1.0
     """
     plain = min(1.0, largest)
     matching = own / wanted
-    if math.isfinite(matching) and not 1 / _ALIKE < matching / plain < _ALIKE:
+    if math.isfinite(matching) and not 1 / same_resolution < matching / plain < same_resolution:
         return min(matching, largest)
     return plain

@@ -1,4 +1,4 @@
-"""Which photographs of the map to look at: by the pose prior, or by appearance.
+"""Retrieval of photographs of the map for a query: by its pose prior, or by appearance.
 
 Appearance is a VLAD of the map's own descriptors (Jegou et al., "Aggregating local descriptors
 into a compact image representation", CVPR 2010) with the power and intra-normalisation of
@@ -11,13 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from baselines.views import upright
+from scene.config import Config
 from scene.errors import InputError
 from scene.geometry.nearest import Nearest
 from scene.localizer import Query
@@ -27,18 +29,36 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-_WORDS = 64
-# Metres above the ground that a camera is taken for at least.
-_LEAST_HEIGHT = 2.0
-# Cosine from the plumb line of the flattest view followed to the ground.
-_LEAST_DROP = 0.3
-_TRAINING_DESCRIPTORS = 40_000
-# Vectors of larger maps are described by what they share with those of so many photographs.
-_LANDMARKS = 512
+
+class RetrievalOptions(Config):
+    """How photographs of the map are compared with a query before any are matched."""
+
+    words: int = Field(64, ge=1, description="Visual words of the global descriptor (VLAD).")
+    training_descriptors: int = Field(
+        40_000, ge=1, description="Most descriptors that the visual words are learned from."
+    )
+    landmarks: int = Field(
+        512,
+        ge=1,
+        description="Photographs whose VLADs span the space in which larger maps are described.",
+    )
+    min_height_m: float = Field(
+        2.0, gt=0, description="Least height above the ground that a camera is assumed to have."
+    )
+    min_drop: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="Cosine from the plumb line of the flattest view that is followed to the "
+        "ground.",
+    )
+
+
+_DEFAULTS: Final = RetrievalOptions()
 
 
 class Described(Protocol):
-    """Per photograph its descriptors (n, D) of unit length, in memory or read one by one."""
+    """Descriptors (n, D) of unit length of each photograph, in memory or read one by one."""
 
     def __len__(self) -> int: ...
 
@@ -47,7 +67,7 @@ class Described(Protocol):
 
 @dataclass(frozen=True)
 class OnDemand:
-    """Descriptors of ``count`` photographs that are read when they are asked for."""
+    """Descriptors of ``count`` photographs, read when they are asked for."""
 
     read: Callable[[int], NDArray[np.float32]]
     count: int
@@ -75,39 +95,49 @@ class VladIndex:
     vectors: NDArray[np.float32]
 
     @staticmethod
-    def build(descriptors: Described) -> VladIndex:
+    def build(descriptors: Described, options: RetrievalOptions = _DEFAULTS) -> VladIndex:
         """Cluster the descriptors of all photographs and describe each by its residuals.
 
         Args:
             descriptors: of each photograph; those of one are in memory at a time.
+            options: size of the index.
+
+        Example:
+            Two photographs with two descriptors each; a query like the second finds it:
+
+            >>> first = np.array([[1.0, 0.0], [0.8, 0.6]], np.float32)
+            >>> second = np.array([[0.0, 1.0], [0.6, 0.8]], np.float32)
+            >>> index = VladIndex.build([first, second], RetrievalOptions(words=1))
+            >>> index.rank(second, k=1).tolist()
+            [1]
         """
-        some = _some(descriptors)
+        some = _training_sample(descriptors, options.training_descriptors)
         # Photographs without a single keypoint have no words, and look alike.
-        words = _cluster(some, min(_WORDS, len(some))) if len(some) else some
+        words = _cluster(some, min(options.words, len(some))) if len(some) else some
         count = len(descriptors)
-        spread = np.linspace(0, count - 1, min(count, _LANDMARKS)).astype(int)
-        landmarks = np.stack([_vlad(descriptors[int(row)], words) for row in spread])
+        rows = np.linspace(0, count - 1, min(count, options.landmarks)).astype(int)
+        landmarks = np.stack([_vlad(descriptors[int(row)], words) for row in rows])
         basis = np.asarray(np.linalg.qr(landmarks.T)[0], np.float32)
         vectors = [_vlad(descriptors[row], words) @ basis for row in range(count)]
         return VladIndex(words, basis, np.stack(vectors))
 
     def rank(self, descriptors: NDArray[np.float32], k: int) -> NDArray[np.int64]:
-        """Rows of the ``k`` most similar photographs, best first."""
+        """Return the rows of the ``k`` most similar photographs, best first."""
         similarity = self.vectors @ (_vlad(descriptors, self.words) @ self.basis)
         return _least(-similarity, k)
 
 
-def _some(descriptors: Described) -> NDArray[np.float32]:
-    """Descriptors to find words in: all or, of many, some."""
+def _training_sample(descriptors: Described, most: int) -> NDArray[np.float32]:
+    """Return the descriptors that words are learned from: all of them, or a sample of ``most``."""
     every = range(len(descriptors))
     ends = np.cumsum([len(descriptors[row]) for row in every])
-    if ends[-1] <= _TRAINING_DESCRIPTORS:
+    if ends[-1] <= most:
         return np.concatenate([descriptors[row] for row in every])
-    rows = np.random.default_rng(0).choice(ends[-1], _TRAINING_DESCRIPTORS, replace=False)
-    whose = np.searchsorted(ends, rows, "right")
-    some = np.empty((len(rows), descriptors[int(whose[0])].shape[1]), np.float32)
-    for row in np.unique(whose):
-        taken = np.flatnonzero(whose == row)
+    rows = np.random.default_rng(0).choice(ends[-1], most, replace=False)
+    owner = np.searchsorted(ends, rows, "right")
+    some = np.empty((len(rows), descriptors[int(owner[0])].shape[1]), np.float32)
+    for row in np.unique(owner):
+        taken = np.flatnonzero(owner == row)
         # Negative: counted from the end of a photograph's own.
         some[taken] = descriptors[int(row)][rows[taken] - ends[row]]
     return some
@@ -139,30 +169,32 @@ class Viewpoints:
     """Where the photographs of a map were taken from, and what they look at.
 
     Args:
-        sparse_map: whose photographs; rows are those of its ``names``.
+        sparse_map: the map; rows are those of its ``names``.
+        options: how views are followed to the ground.
     """
 
-    def __init__(self, sparse_map: SparseMap) -> None:
+    def __init__(self, sparse_map: SparseMap, options: RetrievalOptions = _DEFAULTS) -> None:
+        self._options = options
         self._map = sparse_map
         self._nearest = Nearest(sparse_map.centres[:, :2])
         poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
         self._upright = np.array([upright(pose[:3, :3]) for pose in poses]).reshape(-1, 3, 3)
 
     def near(self, position: Vector, k: int) -> Rows:
-        """Rows of the ``k`` cameras nearest to a position (3,), horizontally, nearest first.
+        """Return the rows of the ``k`` cameras nearest to a position (3,), horizontally.
 
-        Altitude is left out: it says little about what a camera over the same ground sees, and GNSS
-        altitude is the least reliable axis.
+        The nearest comes first. Altitude is left out: it says little about what a camera over the
+        same ground sees, and GNSS altitude is the least reliable axis.
         """
         return self._nearest(position[:2], k)
 
     def alike(self, position: Vector, rotation: Matrix, k: int) -> Rows:
-        """Rows of the ``k`` cameras whose picture, north up, is most like that of a pose, best
-        first.
+        """Return rows of the ``k`` cameras whose picture, north up, is most like that of a pose.
 
-        What the middles of two pictures lie apart counts in heights above the ground, and what the
-        cameras are still turned against each other in radians: a picture is about as wide as its
-        camera is high, and as strange as one beside it when it is tilted by 60 degrees.
+        The distance between the centres of two pictures counts in heights above the ground, and
+        the remaining angle between the cameras in radians: a picture is about as wide as its
+        camera is high, and looks about as different when it is tilted by 60 degrees. The best
+        comes first.
 
         Args:
             position: (3,) camera centre, world metres.
@@ -170,17 +202,19 @@ class Viewpoints:
             k: how many.
         """
         rotation = upright(rotation)
-        height = max(self._map.height_above(position), _LEAST_HEIGHT)
+        height = max(self._map.height_above(position), self._options.min_height_m)
         ground = position[2] - height
-        middles = _middle(self._map.centres, self._upright, ground)
-        shift = np.linalg.norm(middles - _middle(position[None], rotation[None], ground), axis=1)
+        drop = self._options.min_drop
+        middles = _middle(self._map.centres, self._upright, ground, drop)
+        own = _middle(position[None], rotation[None], ground, drop)
+        shift = np.linalg.norm(middles - own, axis=1)
         cosine = (self._upright.reshape(-1, 9) @ rotation.ravel() - 1) / 2
         turn = np.arccos(np.clip(cosine, -1, 1))
         return _least(shift / height + turn, k)
 
 
 def _least(values: NDArray[Any], k: int) -> Rows:
-    """Rows of the ``k`` least values, least first, of equals the first."""
+    """Return the rows of the ``k`` least values, least first, and the first of equal ones first."""
     if k >= len(values):
         return np.argsort(values, kind="stable")
     rows = np.flatnonzero(values <= np.partition(values, k - 1)[k - 1])
@@ -188,11 +222,14 @@ def _least(values: NDArray[Any], k: int) -> Rows:
 
 
 def _middle(
-    centres: NDArray[np.float64], rotations: NDArray[np.float64], ground: float
+    centres: NDArray[np.float64],
+    rotations: NDArray[np.float64],
+    ground: float,
+    min_drop: float,
 ) -> NDArray[np.float64]:
-    """Where cameras look at level ground, (N, 2); those that look far or up, some way ahead."""
+    """Return where cameras look at level ground, (N, 2), and some way ahead of flat views."""
     axis = rotations[:, 2]
-    reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], _LEAST_DROP)
+    reach = np.maximum(centres[:, 2] - ground, 0) / np.maximum(-axis[:, 2], min_drop)
     return np.asarray(centres[:, :2] + reach[:, None] * axis[:, :2])
 
 
@@ -202,8 +239,8 @@ class References:
 
     Attributes:
         names: of the photographs.
-        viewpoints: of them.
-        index: of what they look like.
+        viewpoints: where they were taken from.
+        index: their global descriptors.
     """
 
     names: tuple[str, ...]
@@ -211,10 +248,14 @@ class References:
     index: VladIndex
 
     @staticmethod
-    def build(sparse_map: SparseMap, descriptors: Described) -> References:
+    def build(
+        sparse_map: SparseMap,
+        descriptors: Described,
+        options: RetrievalOptions = _DEFAULTS,
+    ) -> References:
         """Index the photographs by their descriptors, in the order of ``sparse_map.names``."""
-        index = VladIndex.build(descriptors)
-        return References(sparse_map.names, Viewpoints(sparse_map), index)
+        index = VladIndex.build(descriptors, options)
+        return References(sparse_map.names, Viewpoints(sparse_map, options), index)
 
     def choose(
         self,
@@ -223,16 +264,16 @@ class References:
         describe: Callable[[], NDArray[np.float32]],
         tilted: bool = True,
     ) -> NDArray[np.int64]:
-        """Rows of ``names``, best first.
+        """Return rows of ``names``, best first.
 
-        Those the query names; else the ``k`` nearest to its prior; else the ``k`` that look most
-        like it.
+        They are those the query names; else the ``k`` nearest to its prior; else the ``k`` that
+        look most like it.
 
         Args:
-            query: what to choose for.
-            k: how many.
+            query: the query to choose for.
+            k: how many to choose.
             describe: descriptors of the query, (n, D) of unit length; called only when needed.
-            tilted: whether what is compared is found again from any side. If not, those near the
+            tilted: whether features are found again from any side. If not, photographs near the
                 prior that are tilted like it come first.
 
         Raises:

@@ -1,30 +1,45 @@
-"""A pose moved to where matches lie closest to their epipolar lines in several photographs."""
+"""Refinement of a pose to the least epipolar error of matches to several photographs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from torch import Tensor
 
+from scene.config import Config
 from scene.geometry.pose import Pose
 
-_STEPS = 30
-# Keeps what is divided by away from zero.
+# Keeps denominators away from zero.
 _TINY = 1e-24
-# A step (rad and m) that changes nothing anyone can measure.
+# Steps (rad and m) shorter than this change nothing measurable.
 _CONVERGED = 1e-7
-# Scale of the Cauchy loss in standard deviations of the noise: 5 % lost where all are inliers.
-_CAUCHY = 2.385
-# Of a normal distribution, over the median of its absolute values.
+# Standard deviation of a normal distribution over the median of its absolute values.
 _SIGMA_OF_MEDIAN = 1.4826
 # Exact matches have no noise to scale by (px).
 _LEAST_SIGMA = 1e-3
 # A condition number beyond which nothing is left of double precision.
 _SINGULAR = 1e15
+
+
+class RefinementOptions(Config):
+    """How a pose is refined by Sampson errors."""
+
+    max_steps: int = Field(30, ge=1, description="Most steps of Levenberg-Marquardt.")
+    cauchy_scale: float = Field(
+        2.385,
+        gt=0,
+        description="Scale of the Cauchy loss in standard deviations of the noise; at 2.385 it "
+        "loses 5 % of efficiency where all matches are inliers.",
+    )
+
+
+_DEFAULTS: Final = RefinementOptions()
 
 
 @dataclass(frozen=True)
@@ -85,19 +100,25 @@ class Refined:
     iterations: int
 
 
-def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined:
-    """Levenberg-Marquardt on the Sampson errors over all photographs, under a Cauchy loss.
+def refine(
+    start: Pose,
+    photographs: Sequence[Matches],
+    focal: float,
+    options: RefinementOptions = _DEFAULTS,
+) -> Refined:
+    """Minimise the Sampson errors over all photographs by Levenberg-Marquardt, under a Cauchy loss.
 
     Args:
         start: ``cam_from_world`` of the query, float64.
         photographs: matches to them.
         focal: of the query, pixels.
+        options: loss and number of steps.
     """
     pose, damping, iterations = start, 1e-3, 0
     error, jacobian = _stacked(pose, photographs, focal)
-    while iterations < _STEPS:
+    while iterations < options.max_steps:
         iterations += 1
-        scale = _CAUCHY * _sigma(error)
+        scale = options.cauchy_scale * _sigma(error)
         weighted = jacobian / (1 + (error / scale) ** 2)[:, None]
         information = weighted.T @ jacobian
         damped = information + damping * torch.diag(information.diagonal() + _TINY)
@@ -111,7 +132,7 @@ def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined
         if float(step.norm()) < _CONVERGED:
             break
     sigma = _sigma(error)
-    weighted = jacobian / (1 + (error / (_CAUCHY * sigma)) ** 2)[:, None]
+    weighted = jacobian / (1 + (error / (options.cauchy_scale * sigma)) ** 2)[:, None]
     information = weighted.T @ jacobian
     if not float(torch.linalg.cond(information)) < _SINGULAR:
         return Refined(pose, None, iterations)
@@ -119,13 +140,13 @@ def refine(start: Pose, photographs: Sequence[Matches], focal: float) -> Refined
 
 
 def _stacked(pose: Pose, photographs: Sequence[Matches], focal: float) -> tuple[Tensor, Tensor]:
-    """Errors and Jacobians over all photographs."""
+    """Return errors and Jacobians over all photographs."""
     errors, jacobians = zip(*(m.residuals(pose, focal) for m in photographs), strict=True)
     return torch.cat(errors), torch.cat(jacobians)
 
 
 def _sigma(error: Tensor) -> float:
-    """Standard deviation of residuals (px) from their median: outliers do not matter."""
+    """Estimate the standard deviation of residuals (px) from their median, robust to outliers."""
     return max(_SIGMA_OF_MEDIAN * float(error.abs().median()), _LEAST_SIGMA)
 
 

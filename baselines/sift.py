@@ -37,7 +37,7 @@ class Sift(Extractor):
         on_progress: Callable[[int], None],
         beside: Path | None = None,
     ) -> dict[str, Features]:
-        """On all cores; see ``Extractor``."""
+        """Extract on all cores; see ``Extractor``."""
         return extract_sift(root, names, self._options, on_progress, beside=beside)
 
 
@@ -46,7 +46,7 @@ class SiftConfig(StructureConfig):
 
 
 class SiftLocalizer(StructureLocalizer):
-    """SIFT against the nearest photographs of the map."""
+    """Localizes by SIFT features of the nearest photographs of the map."""
 
     def __init__(self, config: SiftConfig) -> None:
         super().__init__(config, Sift(config.max_features), interpolate=False)

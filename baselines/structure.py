@@ -17,11 +17,11 @@ from pydantic import Field
 
 from baselines.array_store import ArrayStore, written_store
 from baselines.features import Extractor, map_features
-from baselines.lifting import interpolated_points, observed_points
-from baselines.resolution import metres_per_pixel, of_map, scale_to
-from baselines.retrieval import OnDemand, References
-from baselines.starts import starts
-from baselines.views import north
+from baselines.lifting import LiftingOptions, interpolated_points, observed_points
+from baselines.resolution import DEFAULT_SAME_RESOLUTION, metres_per_pixel, of_map, scale_to
+from baselines.retrieval import OnDemand, References, RetrievalOptions
+from baselines.starts import StartOptions, starts
+from baselines.views import north_angle
 from scene.colmap.absolute_pose import estimate_absolute_pose
 from scene.config import Config
 from scene.errors import InputError
@@ -32,39 +32,57 @@ from scene.maps.sparse_map import SparseMap
 from scene.storage.lru_cache import LruCache, room
 from scene.storage.scratch import scratch
 
+# PnP needs four matches.
 _MIN_MATCHES = 4
 _FORMAT = 1
-# Pictures are magnified by so much at most: there is no more to be seen in them.
-_LARGEST = 2.0
 
 
 class StructureConfig(Config):
-    """Options of a structure-based localizer.
+    """Options of a structure-based localizer."""
 
-    Attributes:
-        references: photographs of the map matched against the query.
-        ratio: of nearest to second nearest descriptor distance.
-        max_error_px: inlier threshold of PnP.
-        min_inliers: fewer count as a failure.
-        max_features: per image.
-        memory_mb: for the whole process: features of the map stay in memory as far as there is room
-            below it (``scene.storage.lru_cache.room``).
-        use_gnss: let a position prior of known sigma take part in the refinement.
-        seed: of RANSAC.
-    """
-
-    references: int = Field(5, ge=1)
-    ratio: float = Field(0.8, gt=0, le=1)
-    max_error_px: float = Field(4.0, gt=0)
-    min_inliers: int = Field(12, ge=4)
-    max_features: int = Field(8192, ge=100)
-    memory_mb: int = Field(2048, ge=1)
-    use_gnss: bool = True
-    seed: int = 0
+    references: int = Field(
+        5, ge=1, description="Photographs of the map that are matched against the query."
+    )
+    ratio: float = Field(
+        0.8, gt=0, le=1, description="Ratio of nearest to second nearest descriptor distance."
+    )
+    max_error_px: float = Field(4.0, gt=0, description="Inlier threshold of PnP.")
+    min_inliers: int = Field(12, ge=4, description="Fewer inliers count as a failure.")
+    max_features: int = Field(8192, ge=100, description="Most features of an image.")
+    memory_mb: int = Field(
+        2048,
+        ge=1,
+        description="Memory of the whole process; features of the map stay in memory as far as "
+        "there is room below it.",
+    )
+    use_gnss: bool = Field(
+        True, description="Let a position prior of known sigma take part in the refinement."
+    )
+    seed: int = Field(0, description="Random seed of RANSAC.")
+    max_magnification: float = Field(
+        2.0,
+        ge=1,
+        description="Images are magnified at most this much to reach the map's resolution, for "
+        "features that depend on it.",
+    )
+    same_resolution: float = Field(
+        DEFAULT_SAME_RESOLUTION,
+        gt=1,
+        description="Images whose ground resolution differs by a smaller ratio are not resized.",
+    )
+    lifting: LiftingOptions = Field(
+        LiftingOptions(), description="How keypoints of the map are given 3D points."
+    )
+    starts: StartOptions = Field(
+        StartOptions(), description="Which starting poses an incomplete prior gives."
+    )
+    retrieval: RetrievalOptions = Field(
+        RetrievalOptions(), description="How photographs are chosen where there is no prior."
+    )
 
 
 class StructureLocalizer:
-    """See the module. Implements ``scene.localizer.Localizer``."""
+    """Localizes images by matches to 3D points. Implements ``scene.localizer.Localizer``."""
 
     def __init__(self, config: StructureConfig, extractor: Extractor, interpolate: bool) -> None:
         """
@@ -80,12 +98,12 @@ class StructureLocalizer:
 
     @property
     def name(self) -> str:
-        """That of the features."""
+        """Return the name of the features."""
         return self._extractor.name
 
     @property
     def weights_sha256(self) -> str | None:
-        """That of the features."""
+        """Return the digest of the features' weights."""
         return self._extractor.weights_sha256
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
@@ -95,23 +113,26 @@ class StructureLocalizer:
                 self.prepare(sparse_map, images, folder)
             return
         features = map_features(sparse_map, images, self._extractor, cache)
-        key = f"{_FORMAT} {features.path.name} {sparse_map.sha256} {self._interpolate}"
+        key = f"{_FORMAT} {features.path.name} {sparse_map.sha256} {self._interpolate} "
+        key += self.config.lifting.model_dump_json()
         path = cache / f"{self.name}-points-{hashlib.sha256(key.encode()).hexdigest()[:16]}.h5"
         if not path.is_file():
             self._write_lifted(path, sparse_map, features, images)
         self._map = sparse_map
-        shelf, unit = ArrayStore(path), self._extractor.unit
+        store, unit = ArrayStore(path), self._extractor.unit
 
         def lifted(row: int) -> _Lifted:
-            descriptors = unit(shelf.read(row, "descriptors"))
-            return _Lifted(shelf.read(row, "point"), shelf.read(row, "xyz"), descriptors)
+            descriptors = unit(store.read(row, "descriptors"))
+            return _Lifted(store.read(row, "point"), store.read(row, "xyz"), descriptors)
 
         def described(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
         self._lifted = LruCache(lifted, room(self.config.memory_mb))
         self._resolution = of_map(sparse_map, lambda camera: 1.0)
-        self._references = References.build(sparse_map, OnDemand(described, len(shelf)))
+        self._references = References.build(
+            sparse_map, OnDemand(described, len(store)), self.config.retrieval
+        )
 
     def _write_lifted(
         self, path: Path, sparse_map: SparseMap, features: FeatureFile, images: Path
@@ -120,21 +141,23 @@ class StructureLocalizer:
 
         Points are those of the map, or one for each keypoint.
         """
+        options = self.config.lifting
         end, carried = len(sparse_map.xyz), 0
         with written_store(path) as add:
             for name in sparse_map.names:
-                image, found = sparse_map.images[name], features[name]
+                image, keypoints = sparse_map.images[name], features[name]
                 if self._interpolate:
-                    xyz = interpolated_points(found.xy, image, sparse_map.xyz)
+                    xyz = interpolated_points(keypoints.xy, image, sparse_map.xyz, options)
                     kept = np.flatnonzero(np.isfinite(xyz).all(1))
                     points, xyz = np.arange(end, end + len(kept)), xyz[kept]
                     end += len(kept)
                 else:
-                    rows = observed_points(found.xy, image)
+                    rows = observed_points(keypoints.xy, image, options)
                     kept = np.flatnonzero(rows >= 0)
                     points, xyz = rows[kept], sparse_map.xyz[rows[kept]]
                 carried += len(kept)
-                add({"point": points, "xyz": xyz, "descriptors": found.descriptors[kept]})
+                descriptors = keypoints.descriptors[kept]
+                add({"point": points, "xyz": xyz, "descriptors": descriptors})
             if not carried and _is_observed(sparse_map):
                 raise InputError(
                     f"no keypoint of the photographs in {images} lies where the map has a point: "
@@ -142,10 +165,10 @@ class StructureLocalizer:
                 )
 
     def localize(self, query: Query) -> Estimate:
-        """Extract, choose references, match, lift and solve.
+        """Extract features, choose references, match, lift and solve for the pose.
 
-        Features that are not found again in turned pictures are those of every picture that the
-        likely starts give; the one with most inliers counts.
+        Features that are not found again in turned pictures are extracted from the image as each
+        likely start would turn it; the estimate with most inliers is returned.
         """
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
@@ -169,25 +192,26 @@ class StructureLocalizer:
             return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
         if turned:
             return self._solved(query, as_taken(), chosen, clock)
-        found = []
-        for start in starts(query.prior, self._map, chosen):
+        estimates = []
+        for start in starts(query.prior, self._map, chosen, self.config.starts):
             with clock.stage("features"):
                 features = self._seen(query, chosen, start)
-            found.append(self._solved(query, features, chosen, clock))
-        return max(found, key=lambda estimate: estimate.inliers)
+            estimates.append(self._solved(query, features, chosen, clock))
+        return max(estimates, key=lambda estimate: estimate.inliers)
 
     def _seen(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
-        """Features of the query, seen as the photographs were, if a start is right."""
+        """Extract features of the query, turned and scaled as a start suggests."""
         around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
         own = metres_per_pixel(start, query.camera, around)
-        scale = scale_to(self._resolution, own, _LARGEST)
-        angle = north(start.rotation.numpy())
+        config = self.config
+        scale = scale_to(self._resolution, own, config.max_magnification, config.same_resolution)
+        angle = north_angle(start.rotation.numpy())
         return self._extractor.seen(query.image, query.camera, angle, scale)
 
     def _solved(
         self, query: Query, features: Features, chosen: NDArray[np.int64], clock: Stopwatch
     ) -> Estimate:
-        """Match, lift and solve."""
+        """Match features to the chosen photographs and solve for the pose."""
         with clock.stage("matching"):
             unit = self._extractor.unit(features.descriptors)
             keypoints, xyz = self._correspondences(unit, chosen)
@@ -220,15 +244,18 @@ class StructureLocalizer:
     def _correspondences(
         self, descriptors: torch.Tensor, references: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Unique pairs over all references: rows of the query's keypoints (K,) and their points
-        (K, 3)."""
-        found, places = [], []
+        """Match descriptors to all references.
+
+        Returns:
+            Unique pairs: rows of the query's keypoints (K,) and their points (K, 3).
+        """
+        matches, places = [], []
         for reference in references:
             lifted = self._lifted(int(reference))
             pairs = self._extractor.match(descriptors, lifted.unit, self.config.ratio)
-            found.append(np.stack([pairs[:, 0], lifted.points[pairs[:, 1]]], -1))
+            matches.append(np.stack([pairs[:, 0], lifted.points[pairs[:, 1]]], -1))
             places.append(lifted.xyz[pairs[:, 1]])
-        unique, first = np.unique(np.concatenate(found), axis=0, return_index=True)
+        unique, first = np.unique(np.concatenate(matches), axis=0, return_index=True)
         return unique[:, 0], np.concatenate(places)[first]
 
 
@@ -252,7 +279,7 @@ class _Lifted:
 
 
 def _is_observed(sparse_map: SparseMap) -> bool:
-    """Whether the photographs of a map see enough of its points for a pose."""
+    """Return whether the photographs of a map see enough of its points for a pose."""
     seen = [image.point_rows for image in sparse_map.images.values()]
     rows = np.unique(np.concatenate(seen))
     return int((rows >= 0).sum()) >= _MIN_MATCHES

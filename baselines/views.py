@@ -1,4 +1,4 @@
-"""Photographs as networks know places again: north up, and of one scale.
+"""Photographs turned north up and brought to one scale, as networks recognise places again.
 
 Photographs of a survey are turned every way, every second line by half a turn, and flown at any
 height. The map's poses say how, the query's prior to a few degrees and metres. A photograph turned
@@ -19,57 +19,67 @@ from numpy.typing import NDArray
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 
-# What is this near (px of the view) to where the photograph ends sees what is not there.
+# Numerical guard: features this near (px of the view) to where the photograph ends see the black
+# beyond it.
 MARGIN: Final = 8.0
-# Height of the optical axis, of unit length, in the flattest view that counts as one from above.
+# Vertical component of the optical axis in the flattest view that counts as one from above.
 _LEVEL: Final = -0.5
-# Radians and share below which a photograph is left as it is.
+# Numerical guard: radians and share below which a photograph is left as it is.
 _SAME_ANGLE, _SAME_SCALE = 1e-3, 1e-3
 
 
 def looks_down(cam_from_world: NDArray[np.float64]) -> bool:
-    """Whether a camera of this rotation (3, 3) looks 30 degrees or more below the horizon."""
+    """Return whether a camera of this rotation (3, 3) looks at least 30 degrees downwards."""
     return bool(cam_from_world[2, 2] <= _LEVEL)
 
 
-def north(cam_from_world: NDArray[np.float64]) -> float:
-    """Clockwise angle (rad) from the picture's up to the ground's north, of a rotation (3, 3).
+def north_angle(cam_from_world: NDArray[np.float64]) -> float:
+    """Return the clockwise angle (rad) from the picture's up to north on the ground.
 
-    Of a view straight along north it is that of the sky, which is up as well. Of views within 30
-    degrees of the horizon, as from a street, it is the sky's wherever they look.
+    Views within 30 degrees of the horizon, as from a street, are given the angle to the sky
+    instead, wherever they look.
+
+    Args:
+        cam_from_world: rotation (3, 3).
+
+    Example:
+        A camera that looks straight down, with north at the top of its picture:
+
+        >>> north_angle(np.diag([1.0, -1.0, -1.0]))
+        0.0
     """
     east_axis, north_axis, up_axis = cam_from_world.T
     if not looks_down(cam_from_world):
         return float(np.arctan2(up_axis[0], -up_axis[1]))
-    # The picture plane turned about its axis so that east comes right and north up, as well as can.
+    # The turn about the optical axis that best brings east to the right and north up.
     return float(np.arctan2(north_axis[0] + east_axis[1], east_axis[0] - north_axis[1]))
 
 
-def turned_by(angle: float) -> NDArray[np.float64]:
-    """Rotation (3, 3) of camera coordinates when the picture turns counter-clockwise (rad)."""
+def roll_rotation(angle: float) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of camera coordinates when the picture turns counter-clockwise."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
 
 
 def upright(cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation (3, 3) of a camera turned about its axis so that north is up."""
-    return np.asarray(turned_by(north(cam_from_world)) @ cam_from_world)
+    """Return the rotation (3, 3) of a camera turned about its axis so that north is up."""
+    return np.asarray(roll_rotation(north_angle(cam_from_world)) @ cam_from_world)
 
 
-def turned_to(pose: Pose, heading: float) -> Pose:
-    """A camera turned about its axis so that ``north`` of its picture is ``heading`` (rad)."""
-    rotation = torch.from_numpy(turned_by(-heading) @ upright(pose.rotation.numpy()))
+def with_heading(pose: Pose, heading: float) -> Pose:
+    """Turn a camera about its axis so that ``north_angle`` of it is ``heading`` (rad)."""
+    rotation = torch.from_numpy(roll_rotation(-heading) @ upright(pose.rotation.numpy()))
     return Pose(rotation, -rotation @ pose.centre())
 
 
 @dataclass(frozen=True)
-class View:
+class WarpedImage:
     """A photograph turned and resized.
 
     Attributes:
         picture: (h, w, 3) uint8; black where the photograph has ended.
-        camera: that would have taken it.
-        view_from_camera: (3, 3) the turn from the photograph's camera frame.
+        camera: the camera that would have taken it.
+        view_from_camera: (3, 3) rotation from the photograph's camera frame.
         affine: (2, 3) pixels of the view from pixels of the photograph.
         size: (2,) of the photograph, width and height.
     """
@@ -81,12 +91,12 @@ class View:
     size: NDArray[np.int64]
 
     def in_photograph(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pixels of the view (N, 2) as pixels of the photograph."""
+        """Map pixels of the view (N, 2) to pixels of the photograph."""
         back = np.linalg.inv(self.affine[:, :2])
         return np.asarray((xy - self.affine[:, 2]) @ back.T)
 
     def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether pixels of the view (..., 2) show the photograph, 8 px from where it ends."""
+        """Return whether pixels of the view (..., 2) show the photograph, 8 px inside its edge."""
         scale = np.linalg.norm(self.affine[:, 0])
         there = self.in_photograph(xy.reshape(-1, 2))
         inside = (there >= MARGIN / scale) & (there <= self.size - MARGIN / scale)
@@ -94,19 +104,19 @@ class View:
 
     @cached_property
     def whole(self) -> bool:
-        """Whether the photograph fills the view."""
+        """Return whether the photograph fills the view."""
         return bool(np.allclose(self.view_from_camera, np.eye(3)))
 
     def pose(self, cam_from_world: Pose) -> Pose:
-        """The view's pose from the photograph's."""
+        """Return the view's pose, given the photograph's."""
         return _turned(torch.from_numpy(self.view_from_camera), cam_from_world)
 
     def photograph_pose(self, view_from_world: Pose) -> Pose:
-        """The photograph's pose from the view's."""
+        """Return the photograph's pose, given the view's."""
         return _turned(torch.from_numpy(self.view_from_camera.T.copy()), view_from_world)
 
     def photograph_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of the photograph's pose (6, 6), from that of the view's; of left tangents."""
+        """Return the covariance (6, 6) of the photograph's pose, given that of the view's."""
         back = np.kron(np.eye(2), self.view_from_camera.T)
         return np.asarray(back @ covariance @ back.T)
 
@@ -115,22 +125,24 @@ def _turned(by: torch.Tensor, pose: Pose) -> Pose:
     return Pose(by @ pose.rotation, pose.translation @ by.T)
 
 
-def view(rgb: NDArray[np.uint8], camera: Camera, angle: float = 0.0, scale: float = 1.0) -> View:
-    """A photograph turned counter-clockwise and resized; all of it is in the view.
+def warp_image(
+    rgb: NDArray[np.uint8], camera: Camera, angle: float = 0.0, scale: float = 1.0
+) -> WarpedImage:
+    """Turn a photograph counter-clockwise and resize it; all of it is in the view.
 
     Args:
         rgb: (H, W, 3) the photograph.
-        camera: that took it.
-        angle: radians, for instance of ``north``.
+        camera: the camera that took it.
+        angle: radians, for instance from ``north_angle``.
         scale: pixels of the view per pixel of the photograph.
     """
     size = np.array([camera.width, camera.height])
     if abs(angle) < _SAME_ANGLE and abs(scale - 1) < _SAME_SCALE:
-        return View(rgb, camera, np.eye(3), np.eye(2, 3), size)
-    # Pixels that are no squares become squares, so that the turned lens is one of the same kind.
+        return WarpedImage(rgb, camera, np.eye(3), np.eye(2, 3), size)
+    # Pixels become square, so that the turned lens is described by the same camera model.
     focal = np.array(camera.focal)
     per_axis = scale * focal.mean() / focal
-    turn = turned_by(angle)
+    turn = roll_rotation(angle)
     extent = np.abs(turn[:2, :2]) @ (size * per_axis)
     wide = np.ceil(extent - 1e-6).astype(int)
     linear = turn[:2, :2] * per_axis
@@ -140,19 +152,19 @@ def view(rgb: NDArray[np.uint8], camera: Camera, angle: float = 0.0, scale: floa
         model, lens = "OPENCV_FISHEYE", camera.distortion
     else:
         k1, k2, p1, p2 = camera.distortion
-        # Radial distortion does not know directions; the tangential is one.
+        # Radial distortion has no direction; tangential distortion turns with the picture.
         p2, p1 = (turn[:2, :2] @ [p2, p1]).tolist()
         model, lens = "OPENCV", (k1, k2, p1, p2)
     turned = Camera(model, int(wide[0]), int(wide[1]), (*(float(p) for p in params), *lens))
-    return View(resampled(rgb, affine, wide), turned, turn, affine, size)
+    return WarpedImage(resampled(rgb, affine, wide), turned, turn, affine, size)
 
 
 def resampled(
     rgb: NDArray[np.uint8], affine: NDArray[np.float64], size: NDArray[np.int64]
 ) -> NDArray[np.uint8]:
-    """A picture moved by ``affine`` (2, 3), pixels counted from the edge, into width and height.
+    """Warp a picture by ``affine`` (2, 3), pixels counted from the edge, into width and height.
 
-    Pictures that become smaller are averaged over areas first: nothing is skipped.
+    A picture that becomes smaller is averaged over areas first, so that no pixel is skipped.
     """
     height, width = rgb.shape[:2]
     scale = np.linalg.norm(affine[:, :2], axis=0)

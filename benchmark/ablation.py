@@ -1,7 +1,8 @@
-"""``ablate``: what each part of object-connect is worth.
+"""The command ``ablate``, which measures what each part of object-connect contributes.
 
-Variants of the network learn from the same pairs, as many steps from the same weights, and answer
-the same queries; the first of them is what the others are held against.
+All variants of the network are trained on the same pairs, for the same number of steps and from the
+same weights, and localize the same queries. The first variant is the reference that the others are
+compared with.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from benchmark.starts import Start
 from objconnect.config import ObjConnectNetConfig
 from objconnect.localizer import ObjConnectConfig
 from scene.config import Config
-from scene.storage.files import write_text
-from scene.storage.outputs import Output, claim, claim_folder
+from scene.storage.atomic import write_text
+from scene.storage.outputs import OutputFile, check_output_folder, check_outputs
 
 METHOD: Final = "objconnect"
 TABLE: Final = "ablation.md"
-# Stands near the beginning of every table.
+# These bytes stand near the beginning of every table that this command wrote.
 _MARK: Final = b"| variant |"
-# That of the paper's table.
+# The threshold of the table in the object-connect paper.
 _THRESHOLD: Final = THRESHOLDS[1]
 
 
@@ -43,9 +44,9 @@ class Variant(Config):
     """One row of the table.
 
     Attributes:
-        name: of the row, and of its folder.
-        network: switches; what is not given is as the weights have it.
-        method: options of the localizer; variants that differ in these alone share their training.
+        name: name of the row and of its folder.
+        network: switches of the network; those that are not given stay as in the initial weights.
+        method: options of the localizer; variants that differ in these alone share one training.
     """
 
     name: str = Field(pattern=r"^\w[\w ,+-]*$")
@@ -54,12 +55,12 @@ class Variant(Config):
 
 
 class Plan(Config):
-    """An ablation.
+    """The plan of an ablation.
 
     Attributes:
-        training: of every variant; ``network`` is the variant's, and without ``weights`` it begins
-            with those of pixloc that come with the project.
-        variants: the first is what others are held against.
+        training: configuration of every training. Its ``network`` is replaced by the variant's;
+            without ``weights``, training begins with the pixloc weights of the project.
+        variants: rows of the table; the first is the reference for the others.
     """
 
     training: TrainConfig
@@ -74,11 +75,13 @@ class Plan(Config):
 
 
 class _Row(NamedTuple):
+    """The results of one variant on all data sets."""
+
     name: str
     runs: list[Results]
 
     def queries(self, condition: str | None = None) -> list[QueryResult]:
-        """Of all data sets, in their order."""
+        """Return the queries of all data sets, or those taken under one condition."""
         every = [query for run in self.runs for query in run.queries]
         return [query for query in every if condition in (None, query.condition)]
 
@@ -91,24 +94,26 @@ def ablate(
     out: Path,
     start: Start,
 ) -> str:
-    """Train and ask every variant; what an interrupted call had finished is not done again.
+    """Train and evaluate every variant of a plan.
+
+    An interrupted call goes on where it stopped.
 
     Args:
-        plan: what to compare.
+        plan: variants to compare.
         data: scenes to learn from.
-        validation: scenes to look at while training.
-        datasets: to answer queries of; none of ``data``.
+        validation: scenes on which the loss is measured during training.
+        datasets: data sets to evaluate on; none of them should be among ``data``.
         out: folder of the training runs, the results and the table ``ablation.md``.
-        start: what variants are told about each query.
+        start: what the variants are told about each query.
 
     Returns:
         The table as Markdown.
 
     Raises:
-        InputError: as ``train`` and ``evaluate``.
+        InputError: for the reasons of ``train`` and ``evaluate``.
     """
-    claim_folder(out, [*data, *validation])
-    claim([Output(out / TABLE, _MARK)], within=out)
+    check_output_folder(out, [*data, *validation])
+    check_outputs([OutputFile(out / TABLE, _MARK)], within=out)
     rows: list[_Row] = []
     trained: list[tuple[ObjConnectNetConfig, Path]] = []
     for variant in plan.variants:
@@ -117,15 +122,15 @@ def ablate(
         if weights is None:
             weights = _train(plan.training, variant, data, validation, folder)
             trained.append((variant.network, weights))
-        localizer = create(METHOD, {**_given(variant.method), "weights": weights})
+        localizer = create(METHOD, {**_given_values(variant.method), "weights": weights})
         runs = []
         for dataset in datasets:
             path = results_path(folder, dataset, localizer)
-            done = load(path) if path.is_file() else None
-            asked = (method_of(localizer), dataset.sha256, start.name)
-            if done is None or (done.method, done.dataset.sha256, done.start) != asked:
-                done = evaluate(dataset, localizer, folder, start, cache=out / "cache")
-            runs.append(done)
+            run = load(path) if path.is_file() else None
+            wanted = (method_of(localizer), dataset.sha256, start.name)
+            if run is None or (run.method, run.dataset.sha256, run.start) != wanted:
+                run = evaluate(dataset, localizer, folder, start, cache=out / "cache")
+            runs.append(run)
         rows.append(_Row(variant.name, runs))
     text = "\n".join(_table(rows)) + "\n"
     write_text(out / TABLE, text)
@@ -140,15 +145,19 @@ def _train(
     folder: Path,
 ) -> Path:
     weights = training.weights or shipped(SHIPPED)
-    config = training.model_copy(update={"network": _given(variant.network), "weights": weights})
+    config = training.model_copy(
+        update={"network": _given_values(variant.network), "weights": weights}
+    )
     return train(METHOD, trainable(METHOD), data, folder / "training", config, validation)
 
 
-def _given(config: Config) -> dict[str, Any]:
+def _given_values(config: Config) -> dict[str, Any]:
+    """Return the values of a configuration that were given, without its defaults."""
     return config.model_dump(exclude_unset=True)
 
 
 def _table(rows: Sequence[_Row]) -> Iterator[str]:
+    """Yield the lines of the table as Markdown."""
     conditions = list(dict.fromkeys(query.condition for query in rows[0].queries()))
     counts = [
         f"{escaped(condition)} ({len(rows[0].queries(condition))})" for condition in conditions
@@ -158,15 +167,16 @@ def _table(rows: Sequence[_Row]) -> Iterator[str]:
     yield "| --- |" + " --: |" * (len(header) - 1)
     first = [is_correct(query, _THRESHOLD) for query in rows[0].queries()]
     for row in rows:
-        found = (recall(row.queries(condition), _THRESHOLD) for condition in conditions)
-        cells = [f"{each.value:.1f} [{each.low:.1f}, {each.high:.1f}]" for each in found]
+        recalls = (recall(row.queries(condition), _THRESHOLD) for condition in conditions)
+        cells = [f"{each.value:.1f} [{each.low:.1f}, {each.high:.1f}]" for each in recalls]
         change = compare(first, [is_correct(query, _THRESHOLD) for query in row.queries()])
         p = mcnemar(change.lost, change.won)
-        beside = "" if row is rows[0] else f"{change.won} won, {change.lost} lost, p = {p:.2g}"
+        verdict = "" if row is rows[0] else f"{change.won} won, {change.lost} lost, p = {p:.2g}"
         seconds = [query.seconds[TOTAL] for query in row.queries()]
-        cells += [beside, f"{sum(seconds) / len(seconds):.2f}"]
+        cells += [verdict, f"{sum(seconds) / len(seconds):.2f}"]
         yield "| " + " | ".join([row.name, *cells]) + " |"
 
 
 def _folder(name: str) -> str:
+    """Return the folder name of a variant."""
     return re.sub(r"\W+", "-", name).strip("-")

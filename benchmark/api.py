@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from baselines.training.command import train as train
     from baselines.training.config import TrainConfig as TrainConfig
     from benchmark.datasets.dataset import Dataset as Dataset
-    from benchmark.datasets.dataset import open_datasets as open_datasets
+    from benchmark.datasets.open import open_datasets as open_datasets
     from benchmark.evaluate import evaluate as evaluate
     from benchmark.external_poses import score as score
     from benchmark.localize import localize as localize
@@ -65,7 +65,7 @@ _MODULES = {
     "validate": "benchmark.validate",
     # Read what is on disk.
     "open_scene": "scene.bundle.scene:Scene.open",
-    "open_datasets": "benchmark.datasets.dataset",
+    "open_datasets": "benchmark.datasets.open",
     "open_map": "benchmark.localize:open_place",
     "read_model": "scene.maps.colmap_files",
     "read_results": "benchmark.results:load",

@@ -1,13 +1,14 @@
-"""How far off a start may be: recall against the error of the prior.
+"""The basin of convergence of a method: its recall against the error of the prior.
 
-Every query is localized once for each size of error. Its prior is the reference pose, moved by
-exactly so many metres and turned by exactly so many degrees, in directions drawn from the seed and
-the query's name: the same for every method, and along one line from the smallest error to the
-largest. The prior states its own size as its sigma, as an honest receiver would.
+Every query is localized once for each size of error. Its prior is the reference pose, shifted by
+exactly this many metres and rotated by exactly this many degrees. The directions are drawn from the
+seed and the query's name, so that they are the same for every method and for every size. The prior
+states the size of its error as its standard deviation.
 
-What a method makes of it is its own affair. A refiner starts there. ``sift`` looks at the map
-photographs nearest to it and, with ``use_gnss``, weighs its position in the refinement; it needs no
-start, so its curve falls only where the nearest photographs no longer show the query's ground.
+Methods use the prior in different ways. A refiner starts its optimization there. ``sift`` matches
+the map photographs nearest to it and, with ``use_gnss``, weighs its position in the refinement. It
+needs no starting pose, so its recall falls only where the nearest photographs no longer show the
+ground that the query shows.
 """
 
 from __future__ import annotations
@@ -36,22 +37,22 @@ from benchmark.score import THRESHOLDS, is_correct, wilson
 from benchmark.starts import moved_prior
 from scene.bundle.manifest import read_json
 from scene.errors import InputError
-from scene.geometry.pose import FARTHEST_M
+from scene.geometry.geodesy import FARTHEST_M
 from scene.localizer import Localizer, Status
 from scene.runtime.progress import progress_bar
-from scene.storage.files import write_text
-from scene.storage.outputs import claim
-from scene.storage.scratch import kept_or_scratch
+from scene.storage.atomic import write_text
+from scene.storage.outputs import check_outputs
+from scene.storage.scratch import cache_or_scratch
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
 
-# Beyond it a file's numbers are no counts, and some that JSON can say no floats either.
+# A larger count in a file is damage.
 _MOST = 10**12
 Count = Annotated[int, Field(ge=0, le=_MOST)]
 
 
 class Size(NamedTuple):
-    """How wrong a prior is."""
+    """The error of a prior: metres of its position, degrees of its attitude."""
 
     metres: float
     degrees: float
@@ -70,15 +71,15 @@ class _File(BaseModel):
 
 
 class Level(_File):
-    """What came of the queries whose priors were wrong by one size.
+    """The counts of one size of error.
 
     Attributes:
-        prior_t_m: distance of the prior from the camera centre, metres.
-        prior_r_deg: angle of the prior's attitude to the camera's, degrees.
-        queries: how many are listed; all of them count.
-        failed: without a pose.
-        fallback: with a pose that is only the prior's; counted as wrong.
-        correct: right queries by threshold, as "0.25m_2deg".
+        prior_t_m: distance of the prior's position from the camera centre, metres.
+        prior_r_deg: angle between the attitudes of the prior and the camera, degrees.
+        queries: number of queries; all of them count in the recall.
+        failed: number of queries without a pose.
+        fallback: number of queries whose pose is only the prior's; they count as wrong.
+        correct: number of correct queries by the key of a threshold, such as "0.25m_2deg".
     """
 
     prior_t_m: float = Field(ge=0)
@@ -97,14 +98,14 @@ class Level(_File):
         return self
 
     def recall(self, threshold: str) -> Recall:
-        """Percent of the queries, with the Wilson 95 % interval."""
+        """Return the percentage of correct queries with its Wilson 95 % interval."""
         correct = self.correct[threshold]
         low, high = wilson(correct, self.queries)
         return Recall(value=100 * correct / self.queries, low=100 * low, high=100 * high)
 
 
 class Basin(_File):
-    """``RESULTS/<dataset>/<method>.basin.json``: one method on one data set."""
+    """The file ``RESULTS/<dataset>/<method>.basin.json`` of one method on one data set."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     method: Method
@@ -114,13 +115,13 @@ class Basin(_File):
     levels: tuple[Level, ...] = Field(min_length=1)
 
     def text(self) -> str:
-        """A line for each size of error."""
+        """Return one line for each size of error."""
         lines = []
         for level in self.levels:
             recalls = [
-                f"{found.value:.1f} [{found.low:.1f}, {found.high:.1f}] % at {threshold}"
+                f"{recall.value:.1f} [{recall.low:.1f}, {recall.high:.1f}] % at {threshold}"
                 for threshold in THRESHOLDS
-                for found in [level.recall(threshold.key)]
+                for recall in [level.recall(threshold.key)]
             ]
             size = f"{level.prior_t_m:g} m {level.prior_r_deg:g}°"
             lines.append(f"prior {size}: {', '.join(recalls)}, of {level.queries}")
@@ -128,17 +129,17 @@ class Basin(_File):
 
 
 def parse_sizes(text: str) -> tuple[Size, ...]:
-    """Sizes of error from words like ``1m/2deg,3m/5deg``.
+    """Read sizes of error, written like ``1m/2deg,3m/5deg``.
 
     Raises:
-        InputError: anything else, or a size listed twice.
+        InputError: the text is written otherwise, or lists a size twice or one that is too large.
     """
     sizes = []
     for word in text.split(","):
-        found = _SIZE.fullmatch(word.strip())
-        if found is None:
+        match = _SIZE.fullmatch(word.strip())
+        if match is None:
             raise InputError(f"errors are listed as 1m/2deg,3m/5deg; got {word.strip()!r}")
-        size = Size(float(found.group(1)), float(found.group(2)))
+        size = Size(float(match.group(1)), float(match.group(2)))
         if size.metres > FARTHEST_M:
             raise InputError(f"a position cannot be wrong by {size.metres:g} metres")
         if size.degrees > 180:
@@ -150,7 +151,7 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
 
 
 def basin_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
-    """Where the basin of a method on a data set lies."""
+    """Return the path of the basin file of a method on a data set."""
     return out / dataset.name / f"{localizer.name}{BASIN}"
 
 
@@ -162,32 +163,35 @@ def basin(
     seed: int = 0,
     cache: Path | None = None,
 ) -> Basin:
-    """Localize every query from priors of every size of error; write the counts at the end.
+    """Localize every query from priors with every size of error, and write the counts.
 
     Args:
-        dataset: whose queries. Their own priors are not used.
-        localizer: what to run.
+        dataset: data set of the queries. Their own priors are not used.
+        localizer: method to run.
         out: folder of the results.
-        sizes: of the errors, see the module.
-        seed: of their directions.
-        cache: folder for the method's per-map state; None for a scratch folder in ``out``.
+        sizes: sizes of the error.
+        seed: random seed of the error directions.
+        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+
+    Returns:
+        The basin that was written.
 
     Raises:
-        InputError: the map or a photograph is missing or broken, or ``out`` cannot be written.
+        InputError: the map or a photograph is missing or damaged, or ``out`` cannot be written.
     """
     require_folder(out)
     target = basin_path(out, dataset, localizer)
-    claim([target], within=out)
+    check_outputs([target], within=out)
     method_in(target)
     sparse_map = dataset.load_map()
-    with kept_or_scratch(cache, out) as folder:
+    with cache_or_scratch(cache, out) as folder:
         localizer.prepare(sparse_map, dataset.images, folder)
     answers: list[list[QueryResult]] = [[] for _ in sizes]
     steps = len(dataset.queries) * len(sizes)
     with progress_bar(f"{dataset.name} {localizer.name}", steps) as advance:
         for number, query in enumerate(dataset.queries):
             loaded = query.load()
-            # With seed 0 the priors are those of `evaluate --start error=`.
+            # With seed 0 the priors are the same as those of `evaluate --start error=`.
             name = f"{seed} {query.name}" if seed else query.name
             for level, size in enumerate(sizes):
                 prior = moved_prior(query.reference, name, *size)
@@ -201,7 +205,7 @@ def basin(
         dataset=identity(dataset),
         seed=seed,
         environment=Environment.current(),
-        levels=tuple(_level(size, found) for size, found in zip(sizes, answers, strict=True)),
+        levels=tuple(_level(*pair) for pair in zip(sizes, answers, strict=True)),
     )
     text = result.model_dump_json(indent=1, by_alias=True) + "\n"
     write_text(target, text)
@@ -209,10 +213,10 @@ def basin(
 
 
 def load_basin(path: Path) -> Basin:
-    """Read what ``basin`` wrote.
+    """Read a basin file.
 
     Raises:
-        InputError: unreadable, no such file, or counts that contradict themselves.
+        InputError: the file is missing, cannot be read, or has counts that contradict each other.
     """
     return read_json(path, Basin, "basin file")
 

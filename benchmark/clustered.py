@@ -1,8 +1,8 @@
-"""Intervals that respect that queries of one flight go together.
+"""Confidence intervals for queries that are not independent within a flight.
 
-Photographs of one flight share light, weather and the map below them: they fail together, and an
-interval that takes them for independent is too narrow. Resampling whole flights (the bootstrap
-clustered by flight; Field and Welsh, J. R. Stat. Soc. B 69, 2007) keeps them together.
+Photographs of one flight share light, weather and the map below them, so that they tend to fail
+together. An interval that treats them as independent is too narrow. The cluster bootstrap resamples
+whole flights instead (Field and Welsh, J. R. Stat. Soc. B 69, 2007).
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from typing import Final
 import numpy as np
 
 _DRAWS: Final = 4000
-# With k flights one draw in k^(k-1) holds a single one alone: below five that happens too often for
-# the ends of a 95 % interval to mean anything.
+# With k flights, one resample in k^(k-1) repeats a single flight. With fewer than five flights this
+# is too frequent for the ends of a 95 % interval to be meaningful.
 MIN_CLUSTERS: Final = 5
 
 
 def difference_interval(
     before: Sequence[bool], after: Sequence[bool], clusters: Sequence[str], seed: int = 0
 ) -> tuple[float, float] | None:
-    """The 95 % percentile interval of the change of recall, in percentage points.
+    """Return the 95 % percentile interval of the change of recall, in percentage points.
 
     Args:
-        before: whether each query was right.
-        after: the same queries in the same order.
-        clusters: the flight of each query.
-        seed: of the draws.
+        before: whether each query was correct in the first run.
+        after: whether it was correct in the second run, in the same order.
+        clusters: flight of each query.
+        seed: random seed of the resamples.
 
     Returns:
-        Lower and upper end; None with fewer than ``MIN_CLUSTERS`` flights.
+        The lower and the upper end; None with fewer than ``MIN_CLUSTERS`` flights.
 
     Raises:
-        ValueError: lengths differ.
+        ValueError: the lengths differ.
     """
     if not len(before) == len(after) == len(clusters):
         raise ValueError(f"{len(before)}, {len(after)} and {len(clusters)} queries do not pair")

@@ -1,8 +1,10 @@
-"""Is everything there? Versions, libraries, machine and weights, and the line that mends a fault.
+"""The command ``doctor``, which checks the installation and prints the command that mends a fault.
 
-Needs nothing but Python itself, and runs as ``python -m benchmark.doctor`` or ``python
-benchmark/doctor.py`` where the command line cannot, on a Python too old for everything else too.
-Asks no network. Packages are loaded in processes of their own: one that crashes says so.
+It checks the machine, the versions of packages, the libraries of the system and the weights. It
+needs nothing but Python itself, so that it runs as ``python -m benchmark.doctor`` or ``python
+benchmark/doctor.py`` where the command line cannot start, even on a Python that is too old for the
+rest. It uses no network. Every package is loaded in a process of its own, because loading a broken
+one may crash the process.
 """
 
 from __future__ import annotations
@@ -23,18 +25,18 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 _ROOT: Final = Path(__file__).resolve().parents[1]
-if not __package__:  # run by its file: our packages are not on the path
+if not __package__:  # run as a file: the packages of the project are not on the path
     sys.path.insert(0, str(_ROOT))
 
 from simulate.render.libraries import missing_packages  # noqa: E402
 
-# The packages that weights come with.
+# The packages that contain weights.
 _WITH_WEIGHTS: Final = ("baselines", "objconnect", "mapping")
 
 _DISTRIBUTION: Final = "objconnect"
-# As requires-python in pyproject.toml. An older Python reads this module, and nothing else of ours.
+# Equal to requires-python in pyproject.toml. An older Python can load this module alone.
 _PYTHON: Final = (3, 11)
-# What the module of a package is called where it is not called like the package.
+# Modules of packages whose name differs from that of the package.
 _MODULES: Final = {
     "opencv-python-headless": "cv2",
     "scikit-image": "skimage",
@@ -42,11 +44,11 @@ _MODULES: Final = {
     "pillow": "PIL",
 }
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
-# Loading torch on a machine that does much else takes a while.
+# Loading torch takes long on a busy machine.
 _PATIENCE_S: Final = 300
-# With less free nothing that is worth writing fits.
+# Free bytes below which no scene or result fits on a disk.
 _LEAST_FREE: Final = 1e9
-# Beside the versions of packages, what torch finds to compute on.
+# Program that prints the names of the GPUs that torch can use.
 _TORCH: Final = (
     "import json, torch; print(json.dumps([torch.cuda.get_device_name(k) "
     "for k in range(torch.cuda.device_count())] if torch.cuda.is_available() else []))"
@@ -57,13 +59,14 @@ State = Literal["ok", "absent", "missing"]
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at.
+    """The check of one part of the installation.
 
     Attributes:
-        name: of the thing.
-        state: "absent" is what only some commands need, "missing" what must be mended.
-        found: what is there, or what is wrong with it.
-        fix: the line that mends it; empty where there is nothing to mend.
+        name: name of the part.
+        state: "ok", "absent" for a part that only some commands need, or "missing" for a part that
+            must be installed.
+        found: what is installed, or what is wrong with it.
+        fix: command that mends the fault; empty where there is none.
     """
 
     name: str
@@ -74,7 +77,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything that was looked at."""
+    """All checks of the installation."""
 
     checks: tuple[Check, ...]
 
@@ -84,11 +87,11 @@ class Diagnosis:
         return all(check.state != "missing" for check in self.checks)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the diagnosis for a program."""
         return {"ok": self.ok, "checks": [asdict(check) for check in self.checks]}
 
     def text(self) -> str:
-        """For people, a line each, and a line each for what mends it."""
+        """Return one line for each check, and one for each command that mends a fault."""
         lines = []
         width = max(len(check.name) for check in self.checks)
         for check in self.checks:
@@ -101,7 +104,7 @@ class Diagnosis:
 
 
 class _Requirement(NamedTuple):
-    """A package, the versions of it that do, and the extra that asks for it ("" for all)."""
+    """A required package, its versions, and the extra that needs it ("" for the project)."""
 
     package: str
     versions: str
@@ -120,22 +123,22 @@ class _Requirement(NamedTuple):
 
 
 class _Loaded(NamedTuple):
-    """What a package said when it was loaded: its output, or why it could not be."""
+    """The output of loading a package, or the error that prevented it."""
 
     output: str
     error: str
 
 
 def doctor() -> Diagnosis:
-    """Look at the machine, the packages, what rendering needs, and the shipped weights.
+    """Check the machine, the packages, the libraries that rendering needs, and the weights.
 
-    On a Python that is too old, what it has of packages says nothing: it alone is named.
+    On a Python that is too old only Python itself is checked.
     """
     if sys.version_info < _PYTHON:
         return Diagnosis((_python(),))
     requirements = _requirements()
     rendering = _version("bpy") is not None
-    # What is not wanted is not looked for.
+    # The packages of an extra that is not installed are not loaded.
     wanted = {"", *(["simulate"] if rendering else []), *(["cluster"] if _version("ray") else [])}
     loadable = [r for r in requirements if r.extra in wanted]
     with ThreadPoolExecutor(min(4, _cores())) as pool:
@@ -154,19 +157,19 @@ def doctor() -> Diagnosis:
 
 
 def _requirements() -> list[_Requirement]:
-    """Of the source tree this file lies in, else of the installed package."""
-    import tomllib  # no part of a Python that is too old
+    """Return the requirements of the source tree of this file, else of the installed package."""
+    import tomllib  # a Python that is too old does not have it
 
     project = _ROOT / "pyproject.toml"
     if project.is_file():
         table = tomllib.loads(project.read_text("utf-8"))["project"]
         groups = {"": table["dependencies"], **table["optional-dependencies"]}
         return [_requirement(text, extra) for extra, texts in groups.items() for text in texts]
-    found = []
+    requirements = []
     for text in metadata.requires(_DISTRIBUTION) or []:
         extra = re.search(r"extra == [\"'](\w+)", text)
-        found.append(_requirement(text, extra[1] if extra else ""))
-    return found
+        requirements.append(_requirement(text, extra[1] if extra else ""))
+    return requirements
 
 
 def _requirement(text: str, extra: str) -> _Requirement:
@@ -184,7 +187,7 @@ def _version(package: str) -> str | None:
 
 
 def _fits(version: str, wanted: str) -> bool:
-    """Whether a version is at least ``>=`` and below ``<``, the bounds this project uses."""
+    """Return whether a version lies within bounds such as ``>=1.26,<2``."""
     have = _numbers(version)
     return all(
         have >= _numbers(bound) if sign == ">=" else have < _numbers(bound)
@@ -198,7 +201,7 @@ def _numbers(version: str) -> list[int]:
 
 
 def _load(module: str) -> _Loaded:
-    """Load a module in a process of its own."""
+    """Load a module in a process of its own and return its output or its error."""
     code = _TORCH if module == "torch" else f"import {module}"
     try:
         answer = subprocess.run(
@@ -213,8 +216,8 @@ def _load(module: str) -> _Loaded:
         return _Loaded("", f"does not load within {_PATIENCE_S} s")
     if answer.returncode == 0:
         return _Loaded(answer.stdout, "")
-    said = answer.stderr.strip().splitlines()
-    return _Loaded("", said[-1] if said else f"its process ended with {answer.returncode}")
+    errors = answer.stderr.strip().splitlines()
+    return _Loaded("", errors[-1] if errors else f"its process ended with {answer.returncode}")
 
 
 def _python() -> Check:
@@ -244,14 +247,14 @@ def _machine() -> Iterator[Check]:
 
 
 def _cores() -> int:
-    """Those this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _temporary() -> Path:
-    """The folder of temporary files; the working folder where there is none."""
+    """Return the folder of temporary files, or the working folder where there is none."""
     try:
         return Path(tempfile.gettempdir())
     except FileNotFoundError:
@@ -259,7 +262,7 @@ def _temporary() -> Path:
 
 
 def _memory() -> int | None:
-    """Bytes of the machine, or of the container where that has fewer."""
+    """Return the bytes of memory of the machine, or of a container with less; None if unknown."""
     try:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # AttributeError: Windows has no sysconf
@@ -282,7 +285,7 @@ def _device(torch: _Loaded) -> Check:
 
 
 def _package(requirement: _Requirement, loaded: _Loaded) -> Check:
-    """A package that must be there, of a version that does, and loads."""
+    """Check that a package is installed in a required version and can be loaded."""
     version, wanted = _version(requirement.package), requirement.versions
     why = f" for {requirement.extra}" if requirement.extra else ""
     name = requirement.package + why
@@ -298,7 +301,7 @@ def _package(requirement: _Requirement, loaded: _Loaded) -> Check:
 
 
 def _rendering(installed: bool) -> Iterator[Check]:
-    """What simulate, calibrate and gallery need; nothing is missing where bpy is not wanted."""
+    """Check what simulate, calibrate and gallery need; without bpy nothing counts as missing."""
     packages = missing_packages()
     if not installed:
         fix = f"{sys.executable} -m pip install 'objconnect[simulate]'"
@@ -315,14 +318,14 @@ def _rendering(installed: bool) -> Iterator[Check]:
 
 
 def _cluster(installed: bool) -> Iterator[Check]:
-    """What ``--cluster`` needs; never missing."""
+    """Check what ``--cluster`` needs, which never counts as missing."""
     if not installed:
         fix = f"{sys.executable} -m pip install 'objconnect[cluster]'"
         yield Check("ray", "absent", "not installed: --cluster is not possible", fix)
 
 
 def _testing(requirements: list[_Requirement]) -> Iterator[Check]:
-    """What developers need; never missing."""
+    """Check what developers need, which never counts as missing."""
     lacking = [
         requirement
         for requirement in requirements
@@ -346,7 +349,7 @@ def _apt(packages: list[str]) -> str:
 
 
 def _weights(folders: Sequence[Path]) -> Iterator[Check]:
-    """Weights have a card beside them: where there is one, the other must be whole."""
+    """Check that the weights beside every card in these folders are complete."""
     cards = sorted(card for folder in folders for card in folder.rglob("*.md"))
     again = f"install objconnect again, or git checkout {' '.join(_WITH_WEIGHTS)}"
     if not cards:
@@ -359,9 +362,10 @@ def _weights(folders: Sequence[Path]) -> Iterator[Check]:
 
 
 def _damage(path: Path) -> str:
-    """What is wrong with a file of weights: its header says how long it is. Empty for nothing.
+    """Return what is wrong with a file of weights; empty for a complete file.
 
-    Format: https://huggingface.co/docs/safetensors (length of the header, header, tensors).
+    The header of the file says how long it is. Format: https://huggingface.co/docs/safetensors
+    (length of the header, header, tensors).
     """
     try:
         with path.open("rb") as file:

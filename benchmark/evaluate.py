@@ -1,4 +1,4 @@
-"""Runs one localizer over one data set."""
+"""Evaluation of one localizer on one data set."""
 
 from __future__ import annotations
 
@@ -32,23 +32,26 @@ from benchmark.results import (
     claim_results,
     load,
 )
-from benchmark.starts import NONE, PRIOR, Ask, Start
+from benchmark.starts import NONE, PRIOR, LoadQuery, Start
 from benchmark.uncertainty import normalised_error
 from scene.errors import InputError
-from scene.geometry.pose import FARTHEST_M, Pose
+from scene.geometry.geodesy import FARTHEST_M
+from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Localizer, Query, Status
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.cluster import shares, worker_pool
+from scene.runtime.cluster import WorkerPool, split_work, worker_pool
 from scene.runtime.memory import peak_megabytes, reset_peak
 from scene.runtime.progress import progress_bar
-from scene.storage.marks import PNG_MARK
-from scene.storage.outputs import Output, claim
-from scene.storage.scratch import kept_or_scratch
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.provenance import PNG_MARK
+from scene.storage.scratch import cache_or_scratch
 
 log = logging.getLogger(__name__)
 
-# Queries that a worker of a cluster is handed at once, at most.
-_UNIT = 16
+# The greatest number of queries that a worker of a cluster is handed at once.
+_MOST_QUERIES_AT_ONCE = 16
+# Work without a query: a worker that is handed it only prepares the method.
+_ONLY_PREPARE: Sequence[BenchmarkQuery] = ()
 
 
 def evaluate(
@@ -62,73 +65,78 @@ def evaluate(
 ) -> Results:
     """Localize every query, score it, and write ``OUT/<dataset>/<method>.json`` at the end.
 
-    Beside it go ``<method>-query.png``, the map drawn into the query of median error, and
-    ``album.h5``, what the page shows of each query. A method that raises an exception on a query
-    has failed on that query, and the run goes on. Finished queries are kept in a hidden journal
-    until then: the same run, interrupted, goes on there. What was finished on another data set is
-    not taken, and a line of the log says what changed; nothing is written of a data set that
-    changes during the run.
+    Two files are written beside it: ``<method>-query.png``, which shows the map drawn into the
+    query of median error, and ``album.h5``, which holds what the leaderboard's page shows of each
+    query. Where a method raises an exception on a query, it has failed on that query, and the run
+    goes on. Finished queries are kept in a hidden journal until the run ends, so that an
+    interrupted run goes on where it stopped. Queries that were finished on another version of the
+    data set are not reused, and a warning names what changed. If the data set changes during the
+    run, no results are written.
 
     Args:
-        dataset: what to run on.
-        localizer: what to run.
+        dataset: data set to run on.
+        localizer: method to run.
         out: folder of the results.
         start: what the method is told about each query besides its image.
-        cache: folder for the method's per-map state; None for a scratch folder in ``out``.
-        jobs: queries at a time, in threads. Seconds per query are those of one of so many.
-        cluster: whose cores answer instead, a query each, see ``worker_pool``. Its
-            nodes see data set and cache under the paths they have here. Seconds of preparation are
-            then those of the first worker, its own start included; memory is the largest worker's.
+        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+        jobs: number of queries at a time, in threads. Seconds per query are measured with this many
+            at work.
+        cluster: address of a cluster whose cores localize the queries instead; see
+            ``worker_pool``. Its nodes must see the data set and the cache under the same paths as
+            this process. The seconds of preparation are then those of the first worker, with its
+            own start; the peak memory is that of the largest worker.
+
+    Returns:
+        The results that were written.
 
     Raises:
-        InputError: the map or a photograph is missing, broken or changed meanwhile, ``out`` cannot
-            be written, or there is no such cluster.
+        InputError: the map or a photograph is missing, damaged or changed during the run, ``out``
+            cannot be written, or there is no such cluster.
     """
     require_folder(out)
-    start = _given(start, dataset)
+    start = _available_start(start, dataset)
     method = method_of(localizer)
     target = results_path(out, dataset, localizer)
     claim_evaluation(dataset, localizer, out)
-    # Nodes of a cluster need not see ``out``.
+    # The nodes of a cluster need not see ``out``, so they make scratch folders of their own.
     run = _Run(dataset, localizer, start, cache, None if cluster else out)
     key = _key(method, dataset, start)
     with Journal(journal_path(target), key, QueryResult, dataset.parts) as journal:
-        _say_what_changed(dataset, target, journal)
+        _warn_of_changes(dataset, target, journal)
         with (
-            _answering(run, jobs, cluster) as (prepare, ask),
-            closing(ask([q for q in dataset.queries if q.name not in journal.done])) as answers,
+            _prepared(run, jobs, cluster) as (seconds, localize),
+            closing(localize([q for q in dataset.queries if q.name not in journal.done])) as scored,
             progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance,
         ):
             peak = None if cluster else peak_megabytes()
             advance(len(journal.done))
-            for result, memory in answers:
+            for result, memory in scored:
                 journal.add(result)
                 peak = max(filter(None, (peak, memory)), default=None)
                 advance(len(journal.done))
         try:
             require_unchanged(dataset, run.sparse_map.names)
         except InputError:
-            journal.done.clear()  # nobody knows which bytes they are of
+            journal.done.clear()  # the queries may have been read before or after the change
             raise
         queries = [journal.done[query.name] for query in dataset.queries]
-        results = Results.of(method, identity(dataset), start.name, queries, prepare, peak)
-        # Before the results, so that a run interrupted here has lost nothing.
+        results = Results.of(method, identity(dataset), start.name, queries, seconds, peak)
+        # The album comes before the results, so that a run interrupted here still has its journal.
         keep_album(target.with_name(ALBUM), dataset, run.sparse_map)
         results.write(target)
-    _draw_median(dataset, run.sparse_map, results, _picture(target))
+    _draw_median(dataset, run.sparse_map, results, _picture_path(target))
     return results
 
 
-_Answer = tuple[QueryResult, float | None]
-"""Of a query, and the largest memory of its process so far, 1e6 bytes."""
-_Ask = Callable[[Sequence[BenchmarkQuery]], Generator[_Answer, None, None]]
+_Scored = tuple[QueryResult, float | None]
+"""The result of a query, and the peak memory of its process so far (1e6 bytes; None if unknown)."""
+_LocalizeAll = Callable[[Sequence[BenchmarkQuery]], Generator[_Scored, None, None]]
 
 
 class _Run:
-    """A method at work on a data set.
+    """A method that is prepared on the map of a data set and localizes its queries.
 
-    Before it is prepared it goes to workers, who make a method we know anew by its name and
-    configuration: libraries' own objects in it cannot travel.
+    An unprepared run can be pickled, so that the workers of a cluster prepare one each.
     """
 
     def __init__(
@@ -137,83 +145,106 @@ class _Run:
         localizer: Localizer,
         start: Start,
         cache: Path | None,
-        beside: Path | None,
+        scratch: Path | None,
     ) -> None:
         self._dataset, self._localizer = dataset, localizer
-        self._start, self._cache, self._beside = start, cache, beside
-        self._ask: Ask | None = None
+        self._start, self._cache, self._scratch = start, cache, scratch
+        self._load: LoadQuery | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        localizer = self._localizer
-        if localizer.name not in known():
-            return self.__dict__
-        recipe = (localizer.name, localizer.config.model_dump())
-        return self.__dict__ | {"_localizer": None, "_recipe": recipe}
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle an unprepared run.
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        recipe = state.pop("_recipe", None)
-        self.__dict__.update(state)
-        if recipe is not None:
-            self._localizer = create(*recipe)
+        A localizer of the registry is pickled as its name and configuration, because objects of
+        libraries inside it cannot be pickled.
+        """
+        localizer: Any = self._localizer
+        if localizer.name in known():
+            return _created_run, (
+                self._dataset, localizer.name, localizer.config.model_dump(), self._start,
+                self._cache, self._scratch,
+            )  # fmt: skip
+        return _Run, (self._dataset, localizer, self._start, self._cache, self._scratch)
 
     @cached_property
     def sparse_map(self) -> SparseMap:
-        """Of the data set."""
+        """The map of the data set."""
         return self._dataset.load_map()
 
     def prepare(self) -> float:
-        """Make the method ready; seconds it took."""
+        """Prepare the method on the map, and return the seconds that the method took."""
         reset_peak()
         sparse_map = self.sparse_map
-        # What is prepared stays open.
-        with kept_or_scratch(self._cache, self._beside) as cache:
+        # Files that the method opened in the folder stay open after the folder is gone.
+        with cache_or_scratch(self._cache, self._scratch) as cache:
             began = perf_counter()
             self._localizer.prepare(sparse_map, self._dataset.images, cache)
             took = perf_counter() - began
-            self._ask = self._start.asker(self._dataset, sparse_map, cache)
+            self._load = self._start.loader(self._dataset, sparse_map, cache)
         return took
 
-    def answer(self, query: BenchmarkQuery) -> _Answer:
-        """Ask, and score."""
-        assert self._ask is not None
-        loaded = self._ask(query)
+    def localize(self, query: BenchmarkQuery) -> _Scored:
+        """Localize a query and score its pose."""
+        assert self._load is not None
+        loaded = self._load(query)
         began = perf_counter()
         estimate = localize_safely(self._localizer, loaded)
-        return score_query(
-            query, estimate, self.sparse_map, perf_counter() - began
-        ), peak_megabytes()
+        seconds = perf_counter() - began
+        return score_query(query, estimate, self.sparse_map, seconds), peak_megabytes()
 
-    def __call__(self, queries: Sequence[BenchmarkQuery]) -> Iterator[_Answer]:
-        """What a worker of a crew does."""
-        if self._ask is None:
+    def __call__(self, queries: Sequence[BenchmarkQuery]) -> Iterator[_Scored]:
+        """Localize queries in a worker, which prepares the method before its first queries."""
+        if self._load is None:
             self.prepare()
-        yield from map(self.answer, queries)
+        yield from map(self.localize, queries)
+
+
+def _created_run(dataset: Dataset, name: str, config: dict[str, Any], *others: Any) -> _Run:
+    return _Run(dataset, create(name, config), *others)
 
 
 @contextmanager
-def _answering(run: _Run, jobs: int, cluster: str | None) -> Iterator[tuple[float, _Ask]]:
-    """Seconds that preparing took, and who answers queries: our threads, or a cluster."""
+def _prepared(run: _Run, jobs: int, cluster: str | None) -> Iterator[tuple[float, _LocalizeAll]]:
+    """Prepare the method here or on a cluster.
+
+    Yields:
+        The seconds that preparing took, and a function that localizes queries in threads of this
+        process or on the cluster.
+    """
     if cluster is None:
         yield run.prepare(), lambda queries: _in_threads(run, queries, jobs)
         return
     with worker_pool(cluster, run) as workers:
-        began = perf_counter()
-        for _ in workers.map([()]):  # one fills the cache, from which the others take it
-            pass
-        took = perf_counter() - began
-        yield took, lambda queries: workers.map(shares(queries, workers.cores, 1, _UNIT))
+        seconds = _prepare_one_worker(workers)
+        yield (
+            seconds,
+            lambda queries: workers.map(
+                split_work(queries, workers.cores, 1, _MOST_QUERIES_AT_ONCE)
+            ),
+        )
+
+
+def _prepare_one_worker(workers: WorkerPool[Sequence[BenchmarkQuery], _Scored]) -> float:
+    """Let one worker prepare the method, and return the seconds that it took.
+
+    This fills the cache, which the other workers then read instead of preparing all at once.
+    """
+    began = perf_counter()
+    nothing = list(workers.map([_ONLY_PREPARE]))
+    assert not nothing
+    return perf_counter() - began
 
 
 def _in_threads(
     run: _Run, queries: Sequence[BenchmarkQuery], jobs: int
-) -> Generator[_Answer, None, None]:
+) -> Generator[_Scored, None, None]:
+    """Localize queries in threads and yield each result as soon as it is there."""
     with ThreadPoolExecutor(jobs) as pool:
         try:
-            order = {pool.submit(run.answer, query): k for k, query in enumerate(queries)}
+            order = {pool.submit(run.localize, query): k for k, query in enumerate(queries)}
             waiting = set(order)
             while waiting:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                # What came first ends the run first, when it is an error.
+                # Of several errors at once, the one of the earliest query ends the run.
                 for future in sorted(done, key=order.__getitem__):
                     yield future.result()
         except BaseException:
@@ -221,16 +252,18 @@ def _in_threads(
             raise
 
 
-def _say_what_changed(dataset: Dataset, target: Path, journal: Journal[QueryResult]) -> None:
-    """Name what of the data set is not as it was when the journal, or else the results that are
-    replaced, were written."""
+def _warn_of_changes(dataset: Dataset, target: Path, journal: Journal[QueryResult]) -> None:
+    """Log which parts of the data set changed since an earlier run on it.
+
+    The earlier run is the one of the journal, or else the one whose results are replaced.
+    """
     path, before = journal.path, journal.dropped
     if before is None and target.is_file():
         path = target
         try:
             written = load(target).dataset.sha256
         except InputError:
-            return  # no results
+            return  # the file holds no results
         if written != dataset.sha256:
             before = album_parts(target.with_name(ALBUM), written) or {}
     if before is None or before == dataset.parts:
@@ -240,35 +273,39 @@ def _say_what_changed(dataset: Dataset, target: Path, journal: Journal[QueryResu
 
 
 def require_folder(out: Path) -> None:
-    """InputError: something that is no folder stands where results are to go."""
+    """Refuse a path for results where a file lies.
+
+    Raises:
+        InputError: ``out`` exists and is not a folder.
+    """
     if out.exists() and not out.is_dir():
         raise InputError(f"cannot write results to {out}: it is not a folder")
 
 
 def results_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
-    """Where the results of a method on a data set lie."""
+    """Return the path of the results of a method on a data set."""
     return out / dataset.name / f"{localizer.name}.json"
 
 
-def _picture(results: Path) -> Path:
-    """Of the query of median error."""
+def _picture_path(results: Path) -> Path:
+    """Return the path of the picture of the query of median error."""
     return results.with_name(f"{results.stem}-query.png")
 
 
 def claim_evaluation(dataset: Dataset, localizer: Localizer, out: Path) -> None:
-    """Refuse, before any work, an evaluation whose files would replace somebody else's.
+    """Refuse, before any work, an evaluation whose files would replace files of another command.
 
     Raises:
-        InputError: they would, or cannot be written.
+        InputError: a file would be replaced, or cannot be written.
     """
     target = results_path(out, dataset, localizer)
     claim_results(target, method_of(localizer), out)
-    drawn = Output(_picture(target), b"" if target.is_file() else PNG_MARK)
-    claim([drawn, Output(target.with_name(ALBUM), ALBUM_MARK)], within=out)
+    picture = OutputFile(_picture_path(target), b"" if target.is_file() else PNG_MARK)
+    check_outputs([picture, OutputFile(target.with_name(ALBUM), ALBUM_MARK)], within=out)
 
 
 def method_of(localizer: Localizer) -> Method:
-    """What results say of their method."""
+    """Return what results record of their method."""
     return Method(
         name=localizer.name,
         config=localizer.config.model_dump(mode="json"),
@@ -276,26 +313,27 @@ def method_of(localizer: Localizer) -> Method:
     )
 
 
-def _given(start: Start, dataset: Dataset) -> Start:
-    """The start as it is: a data set without priors has none to give."""
+def _available_start(start: Start, dataset: Dataset) -> Start:
+    """Return the start, or "none" where it is "prior" and no query of the data set has a prior."""
     if start.kind != "prior":
         return start
-    given = sum(query.prior is not None for query in dataset.queries)
-    if 0 < given < len(dataset.queries):
-        missing = len(dataset.queries) - given
+    missing = sum(query.prior is None for query in dataset.queries)
+    if missing == len(dataset.queries):
+        return NONE
+    if missing:
         log.warning("%s: %d queries have no prior", dataset.name, missing)
-    return PRIOR if given else NONE
+    return PRIOR
 
 
 def _key(method: Method, dataset: Dataset, start: Start) -> str:
-    """Digest of everything that decides the results of a run."""
+    """Return the digest of everything that decides the results of a run."""
     parts = [method.model_dump_json(), dataset.sha256, start.name]
     parts.append(Environment.current().model_dump_json())
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def identity(dataset: Dataset) -> DatasetId:
-    """What results say of their data set."""
+    """Return what results record of their data set."""
     return DatasetId(
         name=dataset.name,
         track=dataset.track,
@@ -305,7 +343,14 @@ def identity(dataset: Dataset) -> DatasetId:
 
 
 def localize_safely(localizer: Localizer, query: Query) -> Estimate:
-    """The method's answer; a crash or a pose that is none is a failure with a reason."""
+    """Localize a query, where an exception of the method counts as a failure.
+
+    A pose that is missing, not finite or too far away is a failure, too. The estimate then has the
+    status ``FAILED`` and states the reason.
+
+    Raises:
+        InputError: the method cannot read its input.
+    """
     try:
         estimate = localizer.localize(query)
     except InputError:
@@ -329,13 +374,20 @@ def localize_safely(localizer: Localizer, query: Query) -> Estimate:
 def score_query(
     query: BenchmarkQuery, estimate: Estimate, sparse_map: SparseMap, seconds: float | None
 ) -> QueryResult:
-    """An estimate held against the reference pose of its query; seconds where they are known."""
+    """Compare an estimate with the reference pose of its query.
+
+    Args:
+        query: query with its reference pose.
+        estimate: answer of a method.
+        sparse_map: map, for the height of the query above its points.
+        seconds: wall-clock time of the method's call; None where it was not measured.
+    """
     pose = estimate.cam_from_world if estimate.status is not Status.FAILED else None
     numbers = t_err = r_err = nees = None
     if pose is not None:
         pose = pose.to(dtype=torch.float64, device=torch.device("cpu"))
         numbers = (*pose.quaternion().tolist(), *pose.translation.tolist())
-        # What is scored is what is written.
+        # The pose is scored as it is written to the file, so that the figures can be recomputed.
         metres, degrees = _pose(numbers).error_to(query.reference)
         t_err, r_err = float(metres), float(degrees)
         nees = normalised_error(_pose(numbers), query.reference, estimate.covariance)
@@ -351,7 +403,7 @@ def score_query(
         t_err_m=t_err,
         r_err_deg=r_err,
         cam_from_world=numbers,
-        # A covariance beyond all bounds says as little as none.
+        # A covariance larger than any scene carries no information.
         sigma_t_m=sigma if sigma is not None and sigma <= FARTHEST_M else None,
         nees=nees,
         iterations=estimate.iterations,
@@ -361,7 +413,7 @@ def score_query(
 
 
 def _draw_median(dataset: Dataset, sparse_map: SparseMap, results: Results, path: Path) -> None:
-    """The query of median error; no picture when no query has a pose."""
+    """Draw the query of median error; without a localized query there is no picture."""
     chosen = median_query(results.queries)
     if chosen is None or chosen.cam_from_world is None:
         return

@@ -1,4 +1,4 @@
-"""``score``: poses that another program found, held against a data set's references."""
+"""The command ``score``, which scores poses that another program found."""
 
 from __future__ import annotations
 
@@ -19,56 +19,55 @@ from scene.storage.outputs import require_name
 def score(
     poses: Path, datasets: Sequence[Dataset], method: str, out: Path, start: str = "none"
 ) -> list[Path]:
-    """Score a file of poses in the format of hloc, ``name qw qx qy qz tx ty tz``, world to camera,
-    and write ``OUT/<dataset>/<method>.json``.
+    """Score a file of poses and write ``OUT/<dataset>/<method>.json``.
 
-    Results of the same name are replaced only if they are of this command.
-
-    A query without a line counts as failed. Names may be those of the data set or, where that is
-    not ambiguous, their last part, as hloc writes them for Aachen.
+    The file has hloc's format: lines ``name qw qx qy qz tx ty tz``, world to camera. A query
+    without a line counts as failed. Names are those of the data set or, where that is not
+    ambiguous, their last part, as hloc writes them for Aachen. Results of the same name are
+    replaced only if this command wrote them.
 
     Args:
-        poses: text file.
-        datasets: those whose queries the file may hold.
-        method: name to go by in the results, and theirs.
+        poses: text file of the poses.
+        datasets: data sets whose queries the file may contain.
+        method: name of the method, which names the results files.
         out: folder of the results.
-        start: what the method was told: see ``benchmark.starts.parse_start``.
+        start: what the method was told; see ``benchmark.starts.parse_start``.
 
     Returns:
-        The results files; of a data set none of whose queries is in the file there is none.
+        The results files that were written: one for each data set with a query in the file.
 
     Raises:
-        InputError: unreadable file, a pose of no query, a query with two, a method whose name
-            cannot name a file, or results that this command did not write.
+        InputError: the file cannot be read, a pose belongs to no query, a query has two poses, the
+            method cannot name a file, or results there are from another command.
     """
     require_name(method, "method")
     if f"{method}.json".endswith(BASIN):
         raise InputError(f"method {method!r}: files that end in {BASIN} are of basins")
-    told = parse_start(start)
-    found = read_poses(poses)
+    starting_information = parse_start(start)
+    pose_of = read_poses(poses)
     digest = sha256_of(poses)
-    left = set(found)
+    unused = set(pose_of)
     results: dict[Path, Results] = {}
     for dataset in datasets:
-        names = _named(found, dataset, poses)
+        names = _name_in_file(pose_of, dataset, poses)
         if not names:
             continue
-        left -= set(names.values())
+        unused -= set(names.values())
         sparse_map = dataset.load_map()
         queries = []
         for query in dataset.queries:
             if query.name in names:
-                estimate = Estimate(Status.OK, found[names[query.name]])
+                estimate = Estimate(Status.OK, pose_of[names[query.name]])
             else:
                 estimate = Estimate(Status.FAILED, reason=f"no line in {poses.name}")
             queries.append(score_query(query, estimate, sparse_map, None))
         made_by = Method.external(method, digest)
         target = out / dataset.name / f"{method}.json"
         claim_results(target, made_by, out)
-        results[target] = Results.of(made_by, identity(dataset), told.name, queries)
-    if left:
+        results[target] = Results.of(made_by, identity(dataset), starting_information.name, queries)
+    if unused:
         raise InputError(
-            f"{poses}: {len(left)} poses are of no query of the reference, such as {min(left)}"
+            f"{poses}: {len(unused)} poses are of no query of the reference, such as {min(unused)}"
         )
     if not results:
         raise InputError(f"{poses} holds no pose")
@@ -77,14 +76,14 @@ def score(
     return list(results)
 
 
-def _named(found: Collection[str], dataset: Dataset, poses: Path) -> dict[str, str]:
-    """Name in the file of each query that has a line."""
+def _name_in_file(posed: Collection[str], dataset: Dataset, poses: Path) -> dict[str, str]:
+    """Return the name in the file by the name of the query, for queries that have a line."""
     short: dict[str, list[str]] = {}
     for query in dataset.queries:
         short.setdefault(Path(query.name).name, []).append(query.name)
     names: dict[str, str] = {}
     whole = {query.name for query in dataset.queries}
-    for name in found:
+    for name in posed:
         matching = [name] if name in whole else short.get(name, [])
         if len(matching) > 1:
             raise InputError(

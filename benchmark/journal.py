@@ -1,4 +1,4 @@
-"""Finished queries of an unfinished run, so that a crash loses none."""
+"""A journal of the finished queries of a run, so that an interruption loses none of them."""
 
 from __future__ import annotations
 
@@ -16,21 +16,28 @@ from pydantic import ValidationError
 
 from benchmark.results import Named
 from scene.errors import WriteError
-from scene.storage.files import MARK, locked, parse_json
+from scene.storage.atomic import TEMPORARY_PREFIX
+from scene.storage.files import parse_json
+from scene.storage.locks import hold_lock
 
 Entry = TypeVar("Entry", bound=Named)
 
 
 def journal_path(results: Path) -> Path:
-    """Where the journal of a results file lies."""
-    return results.with_name(f"{MARK}{results.stem}.journal")
+    """Return the path of the journal of a results file."""
+    return results.with_name(f"{TEMPORARY_PREFIX}{results.stem}.journal")
 
 
 class Journal(Generic[Entry]):
-    """A file of one line per finished query; it goes when the run is complete.
+    """A file with one line per finished query, which is removed when the run is complete.
 
-    A run of another key (other data, method, configuration, start or version) starts over. Used as
-    a context manager; while it is open no second run writes the same results.
+    A run with another key (other data, method, configuration, start or version) starts over. The
+    journal is a context manager; while it is open, no second run can write the same results.
+
+    Attributes:
+        done: finished queries by name.
+        dropped: parts of the data set of an earlier run whose queries were not taken, because its
+            key differs; None where there is no such run, or its parts are unknown.
     """
 
     def __init__(
@@ -38,15 +45,10 @@ class Journal(Generic[Entry]):
     ) -> None:
         """
         Args:
-            path: of the file.
+            path: path of the file.
             key: digest of everything that decides the results.
-            model: of what is kept of a query.
-            parts: digests of what the data set is made of, to tell a later run what changed.
-
-        Attributes:
-            done: finished queries by name.
-            dropped: the parts of the data set whose finished queries were not taken; None where
-                there were none, or nobody knows.
+            model: class of the entries.
+            parts: digests of the parts of the data set, which tell a later run what changed.
         """
         self.path = path
         self.done: dict[str, Entry] = {}
@@ -54,10 +56,10 @@ class Journal(Generic[Entry]):
         self._key, self._model, self._parts = key, model, dict(parts or {})
 
     def __enter__(self) -> Journal[Entry]:
-        """Read what is there.
+        """Open the file and read the entries of an earlier run.
 
         Raises:
-            InputError: it cannot be written, or another run is writing it.
+            InputError: the file cannot be written, or another run is writing it.
         """
         above = (self.path.parent, self.path.parent.parent)
         self._made = [folder for folder in above if not folder.exists()]
@@ -66,10 +68,10 @@ class Journal(Generic[Entry]):
         except OSError as error:
             raise WriteError(f"cannot write {self.path}: {error.strerror}") from None
         with ExitStack() as opened:
-            lock = self.path.with_name(f"{MARK}lock-{self.path.name}")
-            opened.enter_context(locked(lock, self.path))
+            lock = self.path.with_name(f"{TEMPORARY_PREFIX}lock-{self.path.name}")
+            opened.enter_context(hold_lock(lock, self.path))
             try:
-                # A damaged byte ends what is good, as any damage does.
+                # A damaged byte makes its line invalid, and lines after it are dropped.
                 self._file = opened.enter_context(
                     self.path.open("a+", encoding="utf-8", errors="surrogateescape", newline="\n")
                 )
@@ -80,8 +82,9 @@ class Journal(Generic[Entry]):
         return self
 
     def _begin(self) -> None:
+        """Take over the entries of an earlier run with the same key, and drop everything else."""
         self._file.seek(0)
-        # Names may hold what Python takes for ends of lines, too.
+        # str.splitlines would also split at characters that names may contain.
         lines = re.findall("[^\n]*\n|[^\n]+$", self._file.read())
         good = 0
         header = _header(lines[0]) if lines else {}
@@ -92,7 +95,7 @@ class Journal(Generic[Entry]):
             good = sum(
                 len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(self.done)]
             )
-        # What follows was cut short, or belongs to another run.
+        # The rest was cut short by a crash, or belongs to another run.
         self._file.truncate(good)
         if not good:
             self._put(json.dumps({"key": self._key, "parts": self._parts}))
@@ -103,16 +106,16 @@ class Journal(Generic[Entry]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close; the file stays when a run ends badly after its first query."""
+        """Close the file, and remove it unless the run failed after its first query."""
         if kind is None or not self.done:
             self.path.unlink(missing_ok=True)
         self._opened.close()
         for folder in self._made:
-            with suppress(OSError):  # it holds something
+            with suppress(OSError):  # the folder is not empty
                 folder.rmdir()
 
     def add(self, result: Entry) -> None:
-        """Note a finished query.
+        """Append a finished query.
 
         Raises:
             WriteError: the disk is full.
@@ -123,7 +126,7 @@ class Journal(Generic[Entry]):
     def _put(self, line: str) -> None:
         data = (line + "\n").encode()
         try:
-            # Past the buffer, which would try again when the file is closed.
+            # A buffered write that failed would be tried again when the file is closed.
             if os.write(self._file.fileno(), data) < len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
@@ -131,6 +134,7 @@ class Journal(Generic[Entry]):
 
 
 def _header(line: str) -> dict[str, object]:
+    """Return the first line of a journal as a dictionary; empty where it is damaged."""
     try:
         header = parse_json(line)
     except ValueError:
@@ -139,6 +143,7 @@ def _header(line: str) -> dict[str, object]:
 
 
 def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
+    """Return the parts of the data set in a header; None where they are missing or damaged."""
     parts = header.get("parts")
     if not isinstance(parts, dict) or not all(isinstance(of, str) for of in parts.values()):
         return None
@@ -146,7 +151,7 @@ def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
 
 
 def _finished(lines: list[str], model: type[Entry]) -> dict[str, Entry]:
-    """Queries up to the first line that is none: the process died while writing it."""
+    """Return the entries up to the first line that is incomplete or invalid."""
     done: dict[str, Entry] = {}
     for line in lines:
         try:

@@ -1,4 +1,4 @@
-"""``localize``: poses for new photographs, the everyday job."""
+"""The command ``localize``, which finds the poses of new photographs in a map."""
 
 from __future__ import annotations
 
@@ -31,19 +31,20 @@ from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
 from scene.maps.colmap_files import read_model
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
+from scene.storage.atomic import write_text
 from scene.storage.digests import digests
-from scene.storage.files import parse_json, read_text, sha256_of, write_text
+from scene.storage.files import parse_json, read_text, sha256_of
 from scene.storage.images import read_exif, read_rgb
-from scene.storage.listing import PHOTOGRAPHS, files_in
-from scene.storage.names import written, written_cell
-from scene.storage.outputs import Output, claim
-from scene.storage.scratch import kept_or_scratch
+from scene.storage.listing import PHOTOGRAPHS, list_files
+from scene.storage.names import quote_cell, quote_name
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.scratch import cache_or_scratch
 
 log = logging.getLogger(__name__)
 
-# First line of the poses, and header of the table: without them a file is none of ours.
+# First line of the poses and header of the table, by which files of this command are recognized.
 _HEADER = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
 _TABLE = ".csv"
 _WHERE = ("e", "n", "u", "latitude", "longitude", "altitude")
@@ -52,7 +53,7 @@ _COLUMNS = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
 
 @dataclass(frozen=True)
 class Place:
-    """A map, its photographs, and where on earth its origin lies (None when nobody knows)."""
+    """A map, its photographs, and the position of its origin on earth (None if unknown)."""
 
     sparse_map: SparseMap
     images: Path
@@ -61,7 +62,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Located:
-    """One photograph, the answer for it, and the camera's place where the origin is known."""
+    """A photograph, its estimate, and the camera's position on earth (None if unknown)."""
 
     name: str
     estimate: Estimate
@@ -69,15 +70,15 @@ class Located:
 
     @property
     def found(self) -> bool:
-        """Whether the photograph was localized; a fallback is not."""
+        """Whether the photograph was localized; a fallback pose does not count."""
         return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
 
 
 def open_place(path: Path) -> Place:
-    """Open what new photographs are localized in: a scene with its map, or a flight.
+    """Open a scene with its map, or a flight, to localize photographs in it.
 
     Raises:
-        InputError: neither, or its map is missing, damaged or empty.
+        InputError: the path is neither, or its map is missing, damaged or empty.
     """
     if is_scene(path):
         scene = Scene.open(path)
@@ -99,45 +100,48 @@ def localize(
     gimbal_sigma_deg: float = 5.0,
     cache: Path | None = None,
 ) -> list[Located]:
-    """Localize every photograph of a folder and write ``out`` and, beside it, ``out`` as CSV.
+    """Localize every photograph of a folder and write the poses as a text file and a CSV file.
 
     The text file has a line ``name qw qx qy qz tx ty tz`` (world to camera, metres) for each
-    photograph found; the CSV has a row for each photograph: status, camera centre in the map's
-    frame, latitude, longitude, altitude, sigma and the reason of a failure. A photograph that
-    cannot be read, or has no camera, has failed for that reason. Answers are kept in a hidden
-    journal until the end: the same run, interrupted, goes on there.
+    localized photograph. The CSV file beside it has a row for each photograph: status, camera
+    centre in the map's frame, latitude, longitude, altitude, sigma and the reason of a failure. A
+    photograph that cannot be read, or has no camera, fails with that reason. Answers are kept in a
+    hidden journal until the end, so that an interrupted run goes on where it stopped.
 
     Args:
-        place: the map.
-        photographs: folder.
-        localizer: method.
-        out: text file of the poses; it and the CSV replace nothing but files of this command.
-        camera: of the photographs; None takes the map's own where it has one of their size.
-        priors: CSV of positions and attitudes; None takes positions from EXIF and the gimbal's
-            attitudes from XMP, where there are any.
-        gps_sigma_m: standard deviation of EXIF positions, per axis.
-        gimbal_sigma_deg: standard deviation of the gimbal's attitudes, per axis.
-        cache: folder for the method's per-map state; None keeps none.
+        place: map to localize in.
+        photographs: folder of the photographs.
+        localizer: method to run.
+        out: text file of the poses. It and the CSV file replace only files of this command.
+        camera: camera of all photographs; None takes the map's camera of each photograph's size.
+        priors: CSV file of positions and attitudes; None takes positions from EXIF and attitudes of
+            the gimbal from XMP, where a photograph has them.
+        gps_sigma_m: standard deviation of EXIF positions per axis, metres.
+        gimbal_sigma_deg: standard deviation of gimbal attitudes per axis, degrees.
+        cache: folder for what the method keeps per map; None for a scratch folder beside ``out``.
+
+    Returns:
+        One entry for each photograph.
 
     Raises:
-        InputError: no photograph, or none that can be read and has a camera; priors that cannot be
-            read or are of none of the photographs; outputs that would replace somebody else's file
-            or cannot be written.
+        InputError: there is no photograph that can be read and has a camera, the priors cannot be
+            read or name none of the photographs, or an output cannot be written or would replace
+            a file of another program.
     """
     paths = {path.name: path for path in _photographs(photographs)}
     table = _outputs(out, [*paths.values(), *([] if priors is None else [priors])])
-    asker = _Asker(place, camera, _priors(priors, paths), gps_sigma_m, gimbal_sigma_deg)
-    _require_one(asker, paths, photographs)
+    reader = _QueryReader(place, camera, _priors(priors, paths), gps_sigma_m, gimbal_sigma_deg)
+    _require_one(reader, paths, photographs)
     located: list[Located] = []
     with (
         Journal(journal_path(out), _key(place, localizer), Answer) as journal,
-        # Beside the output, where there is room for what is made per map.
-        kept_or_scratch(cache, out.parent) as kept,
+        # The disk of the output has room for what the method keeps per map.
+        cache_or_scratch(cache, out.parent) as kept,
     ):
         localizer.prepare(place.sparse_map, place.images, kept)
         with progress_bar(f"localize with {localizer.name}", len(paths)) as advance:
             for name, path in paths.items():
-                estimate = _answered(asker, localizer, journal, name, path)
+                estimate = _localize_one(reader, localizer, journal, name, path)
                 located.append(Located(name, estimate, _geodetic(estimate, place)))
                 advance(len(located))
         write_text(out, _pose_lines(located))
@@ -146,12 +150,17 @@ def localize(
 
 
 class Answer(Named):
-    """What the journal keeps of a photograph.
+    """The journal's entry of a photograph.
 
     Attributes:
-        name: as ``scene.storage.names.written`` has it: JSON cannot hold every name of a file.
+        name: file name, escaped by ``quote_name`` because JSON cannot hold every
+            file name.
         asked: digest of the photograph, its camera and its prior.
-        status: and the rest: of the estimate.
+        status: status of the estimate.
+        reason: reason of the estimate.
+        cam_from_world: estimated pose as qw qx qy qz tx ty tz; None without a pose.
+        covariance: 36 numbers of the covariance by rows; None if unknown or not finite.
+        inliers: number of inliers.
     """
 
     asked: str
@@ -163,14 +172,14 @@ class Answer(Named):
 
     @staticmethod
     def of(name: str, asked: str, estimate: Estimate) -> Answer:
-        """To an estimate; a covariance with a number that is none says nothing."""
+        """Return the entry of an estimate."""
         pose, covariance = estimate.cam_from_world, estimate.covariance
         known = covariance is not None and np.isfinite(covariance).all()
         return Answer(
-            name=written(name),
+            name=quote_name(name),
             asked=asked,
             status=estimate.status,
-            reason=printed(estimate.reason),
+            reason=for_terminal(estimate.reason),
             cam_from_world=None
             if pose is None
             else (*pose.quaternion().tolist(), *pose.translation.tolist()),
@@ -181,7 +190,7 @@ class Answer(Named):
         )
 
     def estimate(self) -> Estimate:
-        """The answer as it was given."""
+        """Return the estimate of this entry."""
         numbers, covariance = self.cam_from_world, self.covariance
         return Estimate(
             self.status,
@@ -193,8 +202,8 @@ class Answer(Named):
 
 
 @dataclass(frozen=True)
-class _Asker:
-    """How photographs are put to a method."""
+class _QueryReader:
+    """Reads photographs as queries, with their camera and their prior."""
 
     place: Place
     camera: Camera | None
@@ -203,15 +212,21 @@ class _Asker:
     gimbal_sigma_deg: float
 
     def __call__(self, name: str, path: Path) -> Query:
-        """InputError: the photograph cannot be read, or has no camera."""
+        """Read a photograph as a query.
+
+        Raises:
+            InputError: the photograph cannot be read, or has no camera.
+        """
         image = read_rgb(path, self.camera)
         camera = self.camera or self._camera(path, image.shape[1], image.shape[0])
         prior = self._exif_prior(path) if self.priors is None else self.priors.get(name)
         return Query(name, image, camera, prior)
 
     def without_gimbal(self, query: Query) -> Query | None:
-        """The query without its gimbal's attitude; None where it has none. A picture that somebody
-        turned over since is not as its gimbal held the camera."""
+        """Return the query without the attitude of its gimbal; None where it has none.
+
+        The attitude is wrong for a picture that was rotated after it was taken.
+        """
         prior = query.prior
         if prior is None or prior.cam_from_world_rotation is None or self.priors is not None:
             return None
@@ -220,7 +235,7 @@ class _Asker:
         )
 
     def _camera(self, path: Path, width: int, height: int) -> Camera:
-        """The map's camera of the photograph's size."""
+        """Return the map's camera of the photograph's size."""
         cameras = {image.camera for image in self.place.sparse_map.images.values()}
         fitting = [camera for camera in cameras if (camera.width, camera.height) == (width, height)]
         if len(fitting) != 1:
@@ -231,7 +246,7 @@ class _Asker:
         return fitting[0]
 
     def _exif_prior(self, path: Path) -> Prior | None:
-        """Where the aircraft believed it was, and how its gimbal held the camera."""
+        """Return the position in EXIF, with the attitude of the gimbal in XMP."""
         exif, origin = read_exif(path), self.place.origin
         if exif.position is None or origin is None:
             return None
@@ -248,25 +263,27 @@ class _Asker:
 def _photographs(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
-    paths = files_in(folder, PHOTOGRAPHS)
+    paths = list_files(folder, PHOTOGRAPHS)
     if not paths:
         raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)})")
     return paths
 
 
 def _outputs(out: Path, inputs: Sequence[Path]) -> Path:
-    """The table beside the poses, when both may be written."""
+    """Return the path of the CSV file, after checking that both outputs may be written."""
     if not out.name or out.suffix.lower() == _TABLE:
         raise InputError(
             f"{out} cannot name the poses, for a table lies beside: let it end in .txt"
         )
     table = out.with_suffix(_TABLE)
-    claim([Output(out, _HEADER.encode()), Output(table, ",".join(_COLUMNS).encode())], inputs)
+    check_outputs(
+        [OutputFile(out, _HEADER.encode()), OutputFile(table, ",".join(_COLUMNS).encode())], inputs
+    )
     return table
 
 
 def _priors(path: Path | None, photographs: Mapping[str, Path]) -> dict[str, Prior] | None:
-    """Those of a table; None without one."""
+    """Read the priors of a table; None without a table."""
     if path is None:
         return None
     priors = read_priors(path)
@@ -279,12 +296,16 @@ def _priors(path: Path | None, photographs: Mapping[str, Path]) -> dict[str, Pri
     return priors
 
 
-def _require_one(asker: _Asker, paths: Mapping[str, Path], folder: Path) -> None:
-    """InputError where not one photograph can be asked: nothing would come of the work."""
+def _require_one(reader: _QueryReader, paths: Mapping[str, Path], folder: Path) -> None:
+    """Refuse, before any work, a folder without a photograph that can be localized.
+
+    Raises:
+        InputError: no photograph can be read and has a camera.
+    """
     reason = ""
     for name, path in paths.items():
         try:
-            asker(name, path)
+            reader(name, path)
             return
         except InputError as error:
             reason = reason or str(error)
@@ -292,45 +313,46 @@ def _require_one(asker: _Asker, paths: Mapping[str, Path], folder: Path) -> None
     raise InputError((several if len(paths) > 1 else "") + reason)
 
 
-def _answered(
-    asker: _Asker, localizer: Localizer, journal: Journal[Answer], name: str, path: Path
+def _localize_one(
+    reader: _QueryReader, localizer: Localizer, journal: Journal[Answer], name: str, path: Path
 ) -> Estimate:
-    """The method's answer, now or before an interruption; or why it cannot be asked.
+    """Localize a photograph, or return the estimate that the journal has for it.
 
-    A photograph that is not found with its gimbal's attitude is asked again without.
+    A photograph that is not found with the attitude of its gimbal is tried again without it. A
+    photograph that cannot be read is a failure with the reason.
     """
     try:
-        query = asker(name, path)
+        query = reader(name, path)
         asked = _digest(query, path)
     except InputError as error:
         return Estimate(Status.FAILED, reason=str(error))
     except OSError as error:
         return Estimate(Status.FAILED, reason=f"cannot read {path}: {error.strerror}")
-    before = journal.done.get(written(name))
+    before = journal.done.get(quote_name(name))
     if before is not None and before.asked == asked:
         return before.estimate()
     estimate = localize_safely(localizer, query)
-    if estimate.status is not Status.OK and (unturned := asker.without_gimbal(query)) is not None:
-        again = localize_safely(localizer, unturned)
-        estimate = again if again.status is Status.OK else estimate
+    if estimate.status is not Status.OK and (other := reader.without_gimbal(query)) is not None:
+        second = localize_safely(localizer, other)
+        estimate = second if second.status is Status.OK else estimate
     answer = Answer.of(name, asked, estimate)
     journal.add(answer)
     return answer.estimate()
 
 
 def _digest(query: Query, path: Path) -> str:
-    """Of the photograph's bytes and of all that the method is told beside them."""
+    """Return the digest of a photograph, its camera and its prior."""
     words = [sha256_of(path), str(query.camera)]
     prior = query.prior
     if prior is not None:
-        told = (prior.position, prior.position_sigma, prior.cam_from_world_rotation)
-        words += ["" if numbers is None else str(numbers.tolist()) for numbers in told]
+        arrays = (prior.position, prior.position_sigma, prior.cam_from_world_rotation)
+        words += ["" if numbers is None else str(numbers.tolist()) for numbers in arrays]
         words.append(str(prior.attitude_sigma_deg))
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
 def _key(place: Place, localizer: Localizer) -> str:
-    """Digest of all that decides the answers but the photographs."""
+    """Return the digest of everything but the photographs that decides the answers."""
     words = [method_of(localizer).model_dump_json(), place.sparse_map.sha256]
     words += digests((place.images / name for name in place.sparse_map.names), "missing")
     words.append(Environment.current().model_dump_json())
@@ -338,6 +360,7 @@ def _key(place: Place, localizer: Localizer) -> str:
 
 
 def _geodetic(estimate: Estimate, place: Place) -> Geodetic | None:
+    """Return the camera's position on earth; None without a pose or an origin."""
     if estimate.cam_from_world is None or place.origin is None:
         return None
     return geodetic_from_enu(_centre(estimate), place.origin)
@@ -349,6 +372,7 @@ def _centre(estimate: Estimate) -> NDArray[np.float64]:
 
 
 def _pose_lines(located: Sequence[Located]) -> str:
+    """Return the content of the text file."""
     lines = [_HEADER]
     for item in located:
         pose = item.estimate.cam_from_world
@@ -358,6 +382,7 @@ def _pose_lines(located: Sequence[Located]) -> str:
 
 
 def _table(located: Sequence[Located]) -> str:
+    """Return the content of the CSV file."""
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -366,10 +391,11 @@ def _table(located: Sequence[Located]) -> str:
 
 
 def _rows(located: Sequence[Located]) -> Iterator[Mapping[str, Any]]:
+    """Yield the rows of the CSV file; columns that are unknown are missing."""
     for item in located:
         estimate = item.estimate
-        row = {"name": written_cell(item.name), "status": estimate.status.value}
-        row |= {"inliers": str(estimate.inliers), "reason": printed(estimate.reason)}
+        row = {"name": quote_cell(item.name), "status": estimate.status.value}
+        row |= {"inliers": str(estimate.inliers), "reason": for_terminal(estimate.reason)}
         if estimate.cam_from_world is not None:
             row |= {k: f"{x:.4f}" for k, x in zip("enu", _centre(estimate), strict=True)}
             sigma = estimate.sigma_position()
@@ -384,7 +410,11 @@ def _rows(located: Sequence[Located]) -> Iterator[Mapping[str, Any]]:
 
 
 def _origin(path: Path) -> Geodetic | None:
-    """The flight's ``origin.json``, when it has one."""
+    """Read the flight's ``origin.json``; None where there is no such file.
+
+    Raises:
+        InputError: the file cannot be read or holds no finite position.
+    """
     file = path / "origin.json"
     if not os.path.lexists(file):
         return None

@@ -1,4 +1,4 @@
-"""Statistics of two runs over the same queries."""
+"""Statistics of two runs on the same queries."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from benchmark.score import Z_95
 
 
 class PairedChange(NamedTuple):
-    """How recall changed between two runs over the same n queries.
+    """The change of recall between two runs on the same n queries.
 
     Attributes:
         queries: n.
-        lost: right before, wrong now.
-        won: wrong before, right now.
-        p_drop: probability of at least so many losses among the changed queries were a loss and a
-            win equally likely: McNemar's exact test, one-sided.
-        change: in percentage points; negative is a drop.
-        low: lower end of its 95 % interval.
-        high: upper end.
+        lost: number of queries that were correct before and are wrong now.
+        won: number of queries that were wrong before and are correct now.
+        p_drop: one-sided p value of McNemar's exact test: the probability of at least this many
+            losses among the changed queries if losses and wins were equally likely.
+        change: change of recall in percentage points; a drop is negative.
+        low: lower end of the 95 % interval of the change.
+        high: upper end of the 95 % interval of the change.
     """
 
     queries: int
@@ -35,15 +35,15 @@ class PairedChange(NamedTuple):
 def compare(before: Sequence[bool], after: Sequence[bool]) -> PairedChange:
     """Compare two runs, query by query.
 
-    The interval is Bonett and Price's adjusted Wald interval for paired proportions (J. Educ.
-    Behav. Stat. 37, 2012), which keeps its coverage also for small n.
+    The interval is the adjusted Wald interval of Bonett and Price for paired proportions (J. Educ.
+    Behav. Stat. 37, 2012), which keeps its coverage for small n.
 
     Args:
-        before: whether each query was right.
-        after: the same queries in the same order.
+        before: whether each query was correct in the first run.
+        after: whether it was correct in the second run, in the same order.
 
     Raises:
-        ValueError: the runs have different lengths or none.
+        ValueError: the runs have different lengths or no query.
     """
     if len(before) != len(after) or not before:
         raise ValueError(f"runs of {len(before)} and {len(after)} queries cannot be paired")
@@ -64,11 +64,11 @@ def compare(before: Sequence[bool], after: Sequence[bool]) -> PairedChange:
 
 
 def mcnemar(lost: int, won: int) -> float:
-    """Two-sided p value of McNemar's exact test: do the two runs differ at all?"""
+    """Return the two-sided p value of McNemar's exact test of whether two runs differ."""
     return min(1.0, 2 * _upper_tail(max(lost, won), lost + won))
 
 
 def _upper_tail(k: int, n: int) -> float:
-    """P(X >= k) of a fair coin thrown n times."""
+    """Return P(X >= k) for the number X of heads in n throws of a fair coin."""
     favourable = sum(math.comb(n, i) for i in range(k, n + 1))
     return favourable / float(2**n)

@@ -1,4 +1,4 @@
-"""``regress``: did recall drop by more than chance since the baseline was recorded?"""
+"""The command ``regress``, which tests whether recall dropped since a baseline was recorded."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from benchmark.report.tables import ALL
 from benchmark.results import Results, load, method_in, results_files
 from benchmark.score import THRESHOLDS, is_correct
 from scene.errors import InputError
-from scene.runtime.printed import printed
-from scene.storage.files import written_whole
-from scene.storage.outputs import claim, claim_folder
+from scene.runtime.escaping import for_terminal
+from scene.storage.atomic import atomic_write
+from scene.storage.outputs import check_output_folder, check_outputs
 
-# Probability of a false alarm per baseline file, shared out among its comparisons (Bonferroni).
+# Probability of a false alarm per baseline file, divided among its comparisons (Bonferroni).
 _ALPHA: Final = 0.05
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One method on one data set, at one threshold, over all queries or those of a condition.
+    """The comparison of one method on one data set at one threshold.
 
     Attributes:
-        method: that was run.
-        track: of the data set.
-        dataset: its name.
-        condition: of the queries, or "all".
-        threshold: as "0.5m_5deg".
-        change: of recall, paired by query.
-        vanished: queries of the baseline that the results lack; they count as wrong.
-        dropped: recall fell by more than chance, or a query vanished, which is not chance at all.
+        method: name of the method.
+        track: track of the data set.
+        dataset: name of the data set.
+        condition: condition of the compared queries, or "all".
+        threshold: key of the threshold, such as "0.5m_5deg".
+        change: change of recall, paired by query.
+        vanished: number of baseline queries that the results lack; they count as wrong.
+        dropped: whether recall fell by more than chance explains, or a query vanished.
     """
 
     method: str
@@ -46,10 +46,10 @@ class Comparison:
     dropped: bool
 
     def text(self) -> str:
-        """One line for a person."""
+        """Return the comparison as one line for a person."""
         c = self.change
         verdict = "DROP" if self.dropped else "ok  "
-        return printed(
+        return for_terminal(
             f"{verdict} {self.method} on {self.dataset} ({self.track}), {self.condition}, "
             f"{self.threshold}: {c.change:+.1f} points [{c.low:+.1f}, {c.high:+.1f}], "
             f"{c.lost} lost and {c.won} won of {c.queries}, p = {c.p_drop:.2g}"
@@ -57,12 +57,12 @@ class Comparison:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """For a program."""
+        """Return the comparison for a program."""
         return asdict(self) | {"change": self.change._asdict()}
 
 
 def regress(results: Path, baseline: Path) -> list[Comparison]:
-    """Compare every results file of a baseline with the one of the same place in ``results``.
+    """Compare every results file of a baseline with the file of the same name in ``results``.
 
     A query that the new results lack counts as wrong.
 
@@ -71,8 +71,8 @@ def regress(results: Path, baseline: Path) -> list[Comparison]:
         baseline: folder that ``update`` wrote.
 
     Raises:
-        InputError: no baseline, a results file missing or damaged, or made from other data or
-            another start.
+        InputError: there is no baseline, or a results file is missing, damaged, or from other data
+            or another start than the baseline.
     """
     comparisons: list[Comparison] = []
     for name in _files(baseline):
@@ -83,29 +83,33 @@ def regress(results: Path, baseline: Path) -> list[Comparison]:
 
 
 def update(results: Path, baseline: Path) -> list[Path]:
-    """Make the results the baseline: copies every results file; returns those written.
+    """Copy every results file to the baseline.
+
+    Returns:
+        The files that were written.
 
     Raises:
-        InputError: no results, or one of them is damaged or cannot be written.
+        InputError: there are no results, or one of them is damaged or cannot be written.
     """
     names = _files(results)
-    claim_folder(baseline, [results])
-    claim([baseline / name for name in names], [results / name for name in names])
+    check_output_folder(baseline, [results])
+    check_outputs([baseline / name for name in names], [results / name for name in names])
     for name in names:
         method_in(baseline / name)
-        load(results / name)  # a damaged file must not become the measure of others
+        load(results / name)  # a damaged file must not become the baseline
     for name in names:
-        with written_whole(baseline / name) as partial:
+        with atomic_write(baseline / name) as partial:
             shutil.copyfile(results / name, partial)
     return [baseline / name for name in names]
 
 
 def _files(folder: Path) -> list[Path]:
-    """Results files below a folder, relative to it."""
+    """Return the results files below a folder, relative to it."""
     return [path.relative_to(folder) for path in results_files(folder)]
 
 
 def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]:
+    """Yield the comparisons of one results file, by condition and threshold."""
     if before.dataset.sha256 != after.dataset.sha256:
         raise InputError(
             f"{name}: the results are of data set {after.dataset.sha256[:12]}, the baseline of "
@@ -124,10 +128,12 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
     for scope in scopes:
         queries = [q for q in before.queries if scope in (ALL, q.condition)]
         for threshold in THRESHOLDS:
-            was = [is_correct(query, threshold) for query in queries]
-            found = [by_name.get(query.name) for query in queries]
-            now = [query is not None and is_correct(query, threshold) for query in found]
-            change = compare(was, now)
+            correct_before = [is_correct(query, threshold) for query in queries]
+            counterparts = [by_name.get(query.name) for query in queries]
+            correct_after = [
+                query is not None and is_correct(query, threshold) for query in counterparts
+            ]
+            change = compare(correct_before, correct_after)
             yield Comparison(
                 method=before.method.name,
                 track=before.dataset.track,
@@ -135,6 +141,6 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
                 condition=scope,
                 threshold=threshold.key,
                 change=change,
-                vanished=found.count(None),
-                dropped=change.p_drop < level or None in found,
+                vanished=counterparts.count(None),
+                dropped=change.p_drop < level or None in counterparts,
             )

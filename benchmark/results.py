@@ -1,4 +1,4 @@
-"""The results file: one method on one data set, complete enough to be scored again."""
+"""The results file of one method on one data set, from which every figure can be recomputed."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from benchmark.score import THRESHOLDS, median_errors, recall
 from benchmark.uncertainty import consistency
 from scene.bundle.manifest import Condition, read_json
 from scene.errors import InputError
-from scene.geometry.pose import FARTHEST_M
+from scene.geometry.geodesy import FARTHEST_M
 from scene.localizer import Status
-from scene.storage.files import parse_json, write_text
-from scene.storage.listing import files_in
-from scene.storage.outputs import another_file, claim
+from scene.storage.atomic import write_text
+from scene.storage.files import parse_json
+from scene.storage.listing import list_files
+from scene.storage.outputs import check_outputs, foreign_file_error
 
-# Beyond these a file's numbers are damage, and sums of them soon no numbers at all.
+# Larger numbers in a file are damage; sums of them could overflow.
 _MOST: Final = 10**12
 LARGEST_NEES: Final = 1e100
-# Half a turn, and the last bits of a quaternion.
+# 180 degrees, with room for the rounding errors of a quaternion.
 _MOST_DEG: Final = 180.001
 _Number = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 _Length = Annotated[float, Field(ge=-10 * FARTHEST_M, le=10 * FARTHEST_M)]
@@ -33,20 +34,20 @@ _Count = Annotated[int, Field(ge=0, le=_MOST)]
 _Time = Annotated[float, Field(ge=0, le=_MOST)]
 PoseNumbers = tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Number]
 
-# The stage that holds the whole time of a query, measured from outside the method.
+# The stage with the whole time of a query, measured outside the method.
 TOTAL = "total"
 
-# How files beside ``<method>.json`` end that are no results; see ``benchmark.basin``.
+# Ending of basin files, which lie beside results but are not results; see ``benchmark.basin``.
 BASIN: Final = ".basin.json"
 
-# First bytes of results and of basins as they are written here.
+# The first bytes of every results file and basin file.
 _HEAD: Final = b'{\n "schema": 1,\n "method": {'
 
-# Stored and recomputed figures agree to this relative difference, or the file was changed.
+# Stored and recomputed figures that differ relatively by more show that the file was changed.
 _TOLERANCE = 1e-9
-# Width of a band of altitude.
+# Width of an altitude band, metres.
 _BAND_M = 30
-# What a method of another program is configured by.
+# The only key in the configuration of an external method.
 _POSES = "poses"
 
 
@@ -55,13 +56,13 @@ class _File(BaseModel):
 
 
 class Named(_File):
-    """What a journal keeps: an answer, by the name of its photograph."""
+    """An entry of a journal, which is identified by the name of its photograph."""
 
     name: str
 
 
 class Method(_File):
-    """What was run. ``config`` is everything that changes its result."""
+    """The method that was run. ``config`` holds everything that changes its result."""
 
     name: str
     config: dict[str, Any]
@@ -69,17 +70,17 @@ class Method(_File):
 
     @staticmethod
     def external(name: str, poses_sha256: str) -> Method:
-        """Another program, of which the poses are all that is known."""
+        """Return the method of another program, of which only the poses are known."""
         return Method(name=name, config={_POSES: poses_sha256}, weights_sha256=None)
 
     @property
-    def is_elsewhere(self) -> bool:
-        """Whether another program was run."""
+    def is_external(self) -> bool:
+        """Whether the poses came from another program."""
         return set(self.config) == {_POSES}
 
 
 class DatasetId(_File):
-    """What it was run on. ``map_conditions`` are those of the map's photographs."""
+    """The data set of the results. ``map_conditions`` are those of the map's photographs."""
 
     name: str
     track: str
@@ -88,7 +89,7 @@ class DatasetId(_File):
 
 
 class Environment(_File):
-    """Versions of what computes the numbers."""
+    """Versions of the packages that compute the poses."""
 
     objconnect: str
     python: str
@@ -98,20 +99,22 @@ class Environment(_File):
 
     @staticmethod
     def current() -> Environment:
-        """Of this process; "unknown" for a package that is not installed as one."""
+        """Return the versions in this process; "unknown" for a package that is not installed."""
 
-        def of(package: str) -> str:
+        def version_of(package: str) -> str:
             try:
                 return version(package)
             except PackageNotFoundError:
                 return "unknown"
 
         names = ("objconnect", "numpy", "torch", "pycolmap")
-        return Environment(python=platform.python_version(), **{name: of(name) for name in names})
+        return Environment(
+            python=platform.python_version(), **{name: version_of(name) for name in names}
+        )
 
 
 class Recall(_File):
-    """Percent of queries, with the ends of its Wilson 95 % interval in percent."""
+    """A percentage of queries with the ends of its Wilson 95 % interval in percent."""
 
     value: float
     low: float
@@ -119,11 +122,11 @@ class Recall(_File):
 
 
 class Seconds(_File):
-    """Wall-clock time.
+    """Wall-clock seconds of a method.
 
     Attributes:
-        prepare: once per run.
-        per_query: mean over all queries by stage; a stage that a query did not reach counts as
+        prepare: seconds of the preparation, once per run.
+        per_query: mean over all queries by stage. A stage that a query did not reach counts as
             zero, and "total" is the whole call.
     """
 
@@ -132,7 +135,10 @@ class Seconds(_File):
 
 
 class Uncertainty(_File):
-    """How errors compare with predicted covariances: ``benchmark.uncertainty.Consistency``."""
+    """Figures that compare errors with predicted covariances.
+
+    See ``benchmark.uncertainty.Consistency``.
+    """
 
     queries: int
     nees_mean: float
@@ -144,16 +150,18 @@ class Summary(_File):
     """Figures of a set of queries.
 
     Attributes:
-        queries: how many are listed; all of them are in every denominator.
-        recall: by threshold, as "0.25m_2deg".
-        median_t_m: over queries with a pose, metres; None when there is none.
-        median_r_deg: likewise, degrees.
-        failed: without a pose.
-        uncertainty: of the localized queries with a covariance; None when there is none.
-        fallback: with a pose that is only the prior's or a reference's; counted as wrong.
-        seconds: ``prepare`` is of the whole run, also when the queries are only a part of it.
-        peak_memory_mb: of the process during the whole run (1e6 bytes); None where the system does
-            not tell.
+        queries: number of queries; all of them are in every denominator.
+        recall: recall by the key of a threshold, such as "0.25m_2deg".
+        median_t_m: median position error of the queries with a pose, metres; None without any.
+        median_r_deg: median rotation error of the queries with a pose, degrees; None without any.
+        failed: number of queries without a pose.
+        uncertainty: figures of the localized queries with a covariance; None without any.
+        fallback: number of queries whose pose is only the prior's or that of a map photograph; they
+            count as wrong.
+        seconds: times; ``prepare`` belongs to the whole run, also where the queries are a part of
+            it.
+        peak_memory_mb: peak memory of the process during the whole run (1e6 bytes); None where the
+            system does not measure it.
     """
 
     queries: int
@@ -168,23 +176,23 @@ class Summary(_File):
 
 
 class QueryResult(Named):
-    """One query.
+    """The result of one query.
 
     Attributes:
-        name: of the photograph.
-        condition: it was taken under.
-        group: flight or drive it belongs to.
-        altitude_m: height of the reference position above the map's points.
-        status: how it ended.
-        reason: in words, when not ``ok``.
-        t_err_m: distance of the camera centres, metres; None without a pose.
+        name: name of the photograph.
+        condition: condition that it was taken under.
+        group: flight or drive that it belongs to.
+        altitude_m: height of the reference position above the map's points, metres.
+        status: status of the estimate.
+        reason: why the status is not ``ok``.
+        t_err_m: distance between the camera centres, metres; None without a pose.
         r_err_deg: angle between the rotations, degrees; None without a pose.
-        cam_from_world: qw qx qy qz tx ty tz, the estimate; None without a pose.
-        sigma_t_m: predicted standard deviation of the camera centre, metres; None when unknown.
+        cam_from_world: estimated pose as qw qx qy qz tx ty tz; None without a pose.
+        sigma_t_m: predicted standard deviation of the camera centre, metres; None if unknown.
         nees: normalised estimation error squared, 6 degrees of freedom; None without covariance.
-        iterations: of the method.
-        inliers: of the method.
-        seconds: by stage.
+        iterations: number of iterations that the method reports.
+        inliers: number of inliers that the method reports.
+        seconds: wall-clock seconds by stage.
     """
 
     condition: Condition
@@ -203,14 +211,20 @@ class QueryResult(Named):
 
 
 class Results(_File):
-    """One method on one data set.
+    """The results of one method on one data set.
 
     Attributes:
-        start: name of the starting information, see ``benchmark.starts``; "prior" when at least
-            one query came with one.
-        by_condition: the same figures for the queries of each condition.
-        by_group: of each flight or drive.
-        by_altitude: of each band of height above the map's points.
+        schema_version: version of the file format.
+        method: method that was run.
+        dataset: data set that it was run on.
+        start: name of the starting information, see ``benchmark.starts``; "prior" if at least one
+            query has a prior.
+        environment: versions of the packages.
+        summary: figures of all queries.
+        by_condition: figures of the queries of each condition.
+        by_group: figures of the queries of each flight or drive.
+        by_altitude: figures of the queries of each band of height above the map's points.
+        queries: result of each query.
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -233,7 +247,16 @@ class Results(_File):
         prepare: float = 0.0,
         peak_memory_mb: float | None = None,
     ) -> Results:
-        """Results with every figure computed from the list of queries."""
+        """Return results whose figures are computed from the list of queries.
+
+        Args:
+            method: method that was run.
+            dataset: data set that it was run on.
+            start: name of the starting information.
+            queries: result of each query; at least one.
+            prepare: seconds of the preparation.
+            peak_memory_mb: peak memory (1e6 bytes); None if unknown.
+        """
         run = prepare, peak_memory_mb
         return Results(
             method=method,
@@ -241,12 +264,12 @@ class Results(_File):
             start=start,
             environment=Environment.current(),
             summary=summarize(queries, *run),
-            **{f"by_{part}": found for part, found in summarize_parts(queries, *run).items()},
+            **{f"by_{part}": figures for part, figures in summarize_parts(queries, *run).items()},
             queries=tuple(queries),
         )
 
     def write(self, path: Path) -> None:
-        """Write atomically.
+        """Write the file atomically.
 
         Raises:
             InputError: the folder cannot be written.
@@ -255,11 +278,12 @@ class Results(_File):
 
 
 def method_in(path: Path) -> Method | None:
-    """The method of the results or the basin that stands somewhere; None where there is nothing, or
-    what is left of a file of ours.
+    """Return the method of the results file or basin file at a path.
+
+    The answer is None where there is no file, or a damaged one that this program wrote.
 
     Raises:
-        WriteError: somebody else's file stands there.
+        WriteError: the file is neither of these.
     """
     if not path.is_file():
         return None
@@ -268,40 +292,46 @@ def method_in(path: Path) -> Method | None:
         return Method.model_validate(parse_json(content.decode())["method"])
     except (ValueError, KeyError, TypeError):
         if content and not content.startswith(_HEAD):
-            raise another_file(path) from None
+            raise foreign_file_error(path) from None
     return None
 
 
 def claim_results(path: Path, method: Method, out: Path) -> None:
-    """Refuse, before any work, results that would replace what they must not.
+    """Refuse, before any work, to replace a file that is not an older version of these results.
 
-    Results of the same name are replaced only by those of the same command: what was measured here
-    never by poses from elsewhere, nor these by it.
+    Results of ``evaluate`` are replaced only by ``evaluate``, and those of ``score`` by ``score``.
 
     Args:
-        path: of the results to be.
-        method: they are of.
+        path: path of the results that will be written.
+        method: their method.
         out: folder of all results.
 
     Raises:
-        InputError: another command wrote the results there, or as ``scene.storage.outputs.claim``.
+        InputError: another command wrote the file there, or ``check_outputs`` refuses
+            the path.
     """
-    claim([path], within=out)
+    check_outputs([path], within=out)
     before = method_in(path)
     if before is None:
         return
-    if before.is_elsewhere != method.is_elsewhere:
-        writer = "score" if before.is_elsewhere else "evaluate"
-        mend = "remove it" if before.is_elsewhere else "choose another --method"
+    if before.is_external != method.is_external:
+        writer = "score" if before.is_external else "evaluate"
+        remedy = "remove it" if before.is_external else "choose another --method"
         raise InputError(
-            f"{path} holds results that {writer} wrote: {mend}, or choose another --out"
+            f"{path} holds results that {writer} wrote: {remedy}, or choose another --out"
         )
 
 
 def summarize(
     queries: Sequence[QueryResult], prepare: float, peak_memory_mb: float | None
 ) -> Summary:
-    """The figures of some queries of a run that took ``prepare`` seconds before the first."""
+    """Return the figures of queries.
+
+    Args:
+        queries: queries of a run; at least one.
+        prepare: seconds that the run took before its first query.
+        peak_memory_mb: peak memory of the run (1e6 bytes); None if unknown.
+    """
     median_t, median_r = median_errors(queries)
     stages = dict.fromkeys(stage for query in queries for stage in query.seconds)
     return Summary(
@@ -329,7 +359,11 @@ def summarize(
 def summarize_parts(
     queries: Sequence[QueryResult], prepare: float, peak_memory_mb: float | None
 ) -> dict[str, dict[str, Summary]]:
-    """The same by condition, group and altitude: each a summary by name."""
+    """Return the figures of the queries by condition, group and altitude.
+
+    Returns:
+        For each of "condition", "group" and "altitude" the summaries by name.
+    """
     parts: dict[str, dict[str, Summary]] = {}
     for part, name_of in _PARTS.items():
         names = sorted({name_of(query) for query in queries}, key=_natural)
@@ -343,15 +377,15 @@ def summarize_parts(
 
 
 def _band(query: QueryResult) -> str:
-    """The query's band of altitude, as "60-90 m"."""
+    """Return the altitude band of a query, such as "60-90 m"."""
     low = _BAND_M * math.floor(query.altitude_m / _BAND_M)
     return f"{low}-{low + _BAND_M} m"
 
 
 def _natural(name: str) -> tuple[int, str]:
-    """Bands of altitude by height, other names by themselves."""
-    found = re.match(r"(-?[0-9]+)-", name) if name.endswith(" m") else None
-    return int(found.group(1)) if found else 0, name
+    """Return a key that sorts altitude bands by height and other names alphabetically."""
+    match = re.match(r"(-?[0-9]+)-", name) if name.endswith(" m") else None
+    return int(match.group(1)) if match else 0, name
 
 
 _PARTS: Final[dict[str, Callable[[QueryResult], str]]] = {
@@ -362,48 +396,52 @@ _PARTS: Final[dict[str, Callable[[QueryResult], str]]] = {
 
 
 def _uncertainty(queries: Sequence[QueryResult]) -> Uncertainty | None:
-    found = consistency(queries)
-    if found is None:
+    figures = consistency(queries)
+    if figures is None:
         return None
-    inside = Recall(**found.within_95._asdict())
     return Uncertainty(
-        queries=found.queries, nees_mean=found.mean, nees_median=found.median, within_95=inside
+        queries=figures.queries,
+        nees_mean=figures.mean,
+        nees_median=figures.median,
+        within_95=Recall(**figures.within_95._asdict()),
     )
 
 
 def rescore(results: Results) -> Results:
-    """The same results with every figure recomputed from the list of queries."""
+    """Return the results with every figure recomputed from the list of queries."""
     run = results.summary.seconds.prepare, results.summary.peak_memory_mb
     return results.model_copy(
         update={
             "summary": summarize(results.queries, *run),
+            **{f"by_{part}": by for part, by in summarize_parts(results.queries, *run).items()},
         }
-        | {f"by_{part}": found for part, found in summarize_parts(results.queries, *run).items()}
     )
 
 
 def results_files(path: Path) -> list[Path]:
-    """The results files of ``RESULTS`` or ``RESULTS/<dataset>``, or the one file.
+    """Return the results files in a folder ``RESULTS`` or ``RESULTS/<dataset>``, or the one file.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no results file.
     """
     if path.is_file():
         return [path]
     if not path.is_dir():
         raise InputError(f"results {path} do not exist")
-    found = [file for file in files_in(path, (".json",), depth=2) if not file.name.endswith(BASIN)]
-    if not found:
+    files = [
+        file for file in list_files(path, (".json",), depth=2) if not file.name.endswith(BASIN)
+    ]
+    if not files:
         raise InputError(f"{path} holds no results file (<dataset>/<method>.json)")
-    return found
+    return files
 
 
 def load(path: Path) -> Results:
-    """Read a results file; its figures are the recomputed ones.
+    """Read a results file and recompute its figures.
 
     Raises:
-        InputError: unreadable, not a results file, queries that contradict themselves, or figures
-            that do not follow from the queries.
+        InputError: the file cannot be read or is not a results file, a query contradicts itself, or
+            the figures do not follow from the queries.
     """
     results = read_json(path, Results, "results file")
     seen: set[str] = set()
@@ -429,13 +467,14 @@ def load(path: Path) -> Results:
 
 
 def _difference(stored: object, computed: object, where: str) -> str | None:
-    """Where two trees of figures differ, or None."""
+    """Return the dotted name of the first figure that differs, or None."""
     if isinstance(stored, dict) and isinstance(computed, dict):
         for key in sorted(stored.keys() | computed.keys()):
             if key not in stored or key not in computed:
                 return f"{where}.{key}"
-            if (found := _difference(stored[key], computed[key], f"{where}.{key}")) is not None:
-                return found
+            difference = _difference(stored[key], computed[key], f"{where}.{key}")
+            if difference is not None:
+                return difference
         return None
     if isinstance(stored, float) and isinstance(computed, float):
         return None if math.isclose(stored, computed, rel_tol=_TOLERANCE) else where

@@ -1,6 +1,6 @@
 """Starting information: what a method is told about a query besides its image.
 
-It is declared with the results, and methods are compared only within the same.
+Results record it, and methods are compared only where it is the same.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from baselines.sift import Sift, SiftConfig
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.textfiles import read_pairs
 from scene.errors import InputError
-from scene.geometry.pose import FARTHEST_M, Pose, so3_exp
+from scene.geometry.geodesy import FARTHEST_M
+from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior, Query
 from scene.maps.sparse_map import SparseMap
 from scene.storage.files import read_text
@@ -31,11 +32,11 @@ from scene.storage.images import read_rgb
 _ERROR: Final = re.compile(r"error=([0-9.]+)m,([0-9.]+)deg")
 _TOP: Final = re.compile(r"retrieval(?:=([1-9][0-9]{0,8}))?")
 _USUAL_TOP: Final = 10
-# No rotation turns further.
+# No rotation has a larger angle.
 _MOST_DEG: Final = 180.0
 
-Ask = Callable[[BenchmarkQuery], Query]
-"""Loads a query with what its start allows."""
+LoadQuery = Callable[[BenchmarkQuery], Query]
+"""Reads the photograph of a query and adds the starting information to it."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +44,15 @@ class Start:
     """A kind of starting information.
 
     Attributes:
-        name: as in results, enough to tell starts apart.
-        kind: "prior" is the data set's own, "none" nothing at all, "retrieval" the ``top`` map
-            photographs that look most like the query, "pairs" map photographs from a file, and
-            "error" the reference pose moved by exactly ``metres`` and turned by ``degrees``, each
-            in a random direction.
-        top: see kind.
-        metres: see kind.
-        degrees: see kind.
-        pairs: map photographs by query.
+        name: name in the results; different starts have different names.
+        kind: "prior" gives the prior pose of the data set, "none" gives nothing, "retrieval" gives
+            the ``top`` map photographs that look most like the query, "pairs" gives map photographs
+            from a file, and "error" gives the reference pose, shifted by exactly ``metres`` and
+            rotated by exactly ``degrees`` in random directions.
+        top: number of map photographs of "retrieval".
+        metres: position error of "error".
+        degrees: attitude error of "error".
+        pairs: names of map photographs by the name of the query, for "pairs".
     """
 
     name: str
@@ -61,16 +62,18 @@ class Start:
     degrees: float = 0.0
     pairs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def asker(self, dataset: Dataset, sparse_map: SparseMap, cache: Path | None = None) -> Ask:
-        """How the queries of a data set are put to a method.
+    def loader(
+        self, dataset: Dataset, sparse_map: SparseMap, cache: Path | None = None
+    ) -> LoadQuery:
+        """Return the function that loads a query with this starting information.
 
         Args:
-            dataset: whose queries.
+            dataset: data set of the queries.
             sparse_map: its map.
-            cache: folder where what retrieval needs is kept.
+            cache: folder for the features that retrieval needs; None keeps none.
 
         Raises:
-            InputError: a query without a pair, or a pair with a photograph the map does not have.
+            InputError: a query has no pair, or a pair names a photograph that the map lacks.
         """
         if self.kind == "prior":
             return lambda query: query.load(query.prior)
@@ -107,16 +110,16 @@ def parse_start(text: str) -> Start:
     A pair list is hloc's: lines "query reference".
 
     Raises:
-        InputError: none of these, or a pair list that cannot be read.
+        InputError: the text is none of these, or the pair list cannot be read.
     """
     if text in ("prior", "none"):
         return PRIOR if text == "prior" else NONE
-    if found := _TOP.fullmatch(text):
-        top = int(found.group(1) or _USUAL_TOP)
+    if match := _TOP.fullmatch(text):
+        top = int(match.group(1) or _USUAL_TOP)
         return Start(f"retrieval={top}", "retrieval", top=top)
-    if found := _ERROR.fullmatch(text):
+    if match := _ERROR.fullmatch(text):
         try:
-            metres, degrees = float(found.group(1)), float(found.group(2))
+            metres, degrees = float(match.group(1)), float(match.group(2))
         except ValueError:
             raise InputError(f"start {text!r}: not a number of metres and degrees") from None
         if metres > FARTHEST_M or degrees > _MOST_DEG:
@@ -124,7 +127,7 @@ def parse_start(text: str) -> Start:
                 f"start {text!r}: an error is at most {FARTHEST_M:g} metres and {_MOST_DEG:g} "
                 "degrees"
             )
-        # Never as 1e+06, which is no word of a start.
+        # A name such as 1e+06 could not be read again.
         size = [np.format_float_positional(value, trim="-") for value in (metres, degrees)]
         name = "error={}m,{}deg".format(*size)
         return Start(name, "error", metres=metres, degrees=degrees)
@@ -136,24 +139,25 @@ def parse_start(text: str) -> Start:
 
 
 def moved_prior(reference: Pose, name: str, metres: float, degrees: float) -> Prior:
-    """A prior that is wrong by exactly so much, in directions that the query's name decides.
+    """Return a prior with an error of exactly this size, in directions that the name decides.
 
-    Its stated sigmas are those of the error: per axis of the position, and of the attitude.
+    Its stated standard deviations are those of the error: per axis of the position, and of the
+    attitude.
 
     Args:
-        reference: ``cam_from_world``, float64.
-        name: of the query.
+        reference: true pose ``cam_from_world``, float64.
+        name: name of the query, which seeds the directions.
         metres: distance of the prior's position from the camera centre.
-        degrees: angle of the prior's attitude to the camera's.
+        degrees: angle between the attitudes of the prior and the camera.
     """
     digest = hashlib.sha256(name.encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
-    way, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-    turn = so3_exp(torch.from_numpy(np.radians(degrees) * axis))
+    direction, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+    rotation = so3_exp(torch.from_numpy(np.radians(degrees) * axis))
     return Prior(
-        position=reference.centre().numpy() + metres * way,
+        position=reference.centre().numpy() + metres * direction,
         position_sigma=np.full(3, max(metres / np.sqrt(3), 0.01)),
-        cam_from_world_rotation=(turn @ reference.rotation).numpy(),
+        cam_from_world_rotation=(rotation @ reference.rotation).numpy(),
         attitude_sigma_deg=max(degrees, 0.01),
     )
 
@@ -161,7 +165,10 @@ def moved_prior(reference: Pose, name: str, metres: float, degrees: float) -> Pr
 def _similar(
     dataset: Dataset, sparse_map: SparseMap, top: int, cache: Path | None
 ) -> Callable[[BenchmarkQuery], tuple[str, ...]]:
-    """Retrieval in the map itself, the same for every method: VLAD of SIFT."""
+    """Return the function that retrieves the ``top`` map photographs most like a query.
+
+    It compares VLAD descriptors of SIFT features, and is the same for every method.
+    """
     sift = Sift(SiftConfig().max_features)
     features = map_features(sparse_map, dataset.images, sift, cache)
     names = sparse_map.names
@@ -179,6 +186,7 @@ def _similar(
 
 
 def _pairs(path: Path) -> Start:
+    """Return the start of a pair list, named by the digest of the file."""
     pairs = read_pairs(path)
     digest = hashlib.sha256(read_text(path, "pair list").encode()).hexdigest()
     return Start(f"pairs={digest[:12]}", "pairs", pairs=pairs)

@@ -1,4 +1,4 @@
-"""``submit``: the file of poses that visuallocalization.net scores on the hidden query poses."""
+"""The command ``submit``, which writes the file of poses that visuallocalization.net scores."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from scene.errors import InputError, WriteError
 from scene.localizer import Localizer, Query, Status
 from scene.maps.colmap_files import read_model
 from scene.runtime.progress import progress_bar
+from scene.storage.atomic import write_text
 from scene.storage.digests import digests
-from scene.storage.files import read_text, write_text
+from scene.storage.files import read_text
 from scene.storage.images import read_rgb
-from scene.storage.outputs import Output, claim, claim_folder
-from scene.storage.scratch import kept_or_scratch
+from scene.storage.outputs import OutputFile, check_output_folder, check_outputs
+from scene.storage.scratch import cache_or_scratch
 
 SUBMISSION: Final = "submission.txt"
 _DECIMALS: Final = 6
-# Every finished slice begins so.
+# The first bytes of the file of a finished slice.
 _HEAD: Final = b"# finished by objconnect: "
 
 
@@ -30,30 +31,30 @@ def submit(
 ) -> tuple[int, int]:
     """Localize every query image of Extended CMU Seasons and write ``OUT/submission.txt``.
 
-    Its lines are ``name qw qx qy qz tx ty tz`` with bare file names of all slices: the translation
-    of world to camera, not its centre, although the data set's own files hold centres. Images that
-    were not found are left out, as the server asks. Finished slices are kept in ``OUT/slices``: the
-    same command goes on after them.
+    Its lines are ``name qw qx qy qz tx ty tz`` for the images of all slices, with names without a
+    folder. The translation is that of the pose from world to camera, although the data set's own
+    files hold camera centres. Images that were not found are left out, as the server asks. Finished
+    slices are kept in ``OUT/slices``, and an interrupted run goes on after them.
 
     Args:
-        path: the data set, or one of its slices.
-        localizer: what to run.
-        out: folder.
-        cache: folder for the method's per-map state.
+        path: folder of the data set, or of one of its slices.
+        localizer: method to run.
+        out: folder of the submission.
+        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
 
     Returns:
-        How many images were found, and of how many.
+        The number of images that were found, and the number of all images.
 
     Raises:
-        InputError: a file of the data set is missing or wrong, two slices share an image name, or
+        InputError: a file of the data set is missing or damaged, two slices share an image name, or
             ``out`` cannot be written.
     """
     chosen = open_slices(path)
-    claim_folder(out, [path, *(part.folder for part in chosen)])
+    check_output_folder(out, [path, *(part.folder for part in chosen)])
     finished = [out / "slices" / f"{part.folder.name}.txt" for part in chosen]
-    claim([*(Output(file, _HEAD) for file in finished), out / SUBMISSION], within=out)
+    check_outputs([*(OutputFile(file, _HEAD) for file in finished), out / SUBMISSION], within=out)
     if (out / SUBMISSION).exists() and not any(file.is_file() for file in finished):
-        # The server takes no line but poses, so that a submission can carry no mark.
+        # A submission can hold nothing but poses, so no mark in it tells who wrote it.
         raise WriteError(
             f"cannot write {out / SUBMISSION}: it stands there without the slices of an earlier "
             "run: choose another --out"
@@ -75,7 +76,7 @@ def submit(
 
 
 def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) -> list[str]:
-    """Lines of one slice, read from ``path`` when they are there already."""
+    """Return the pose lines of one slice; a finished slice is read from ``path``."""
     sparse_map = read_model(part.folder / "sparse")
     words = [localizer.name, localizer.config.model_dump_json(), str(localizer.weights_sha256)]
     words += [sparse_map.sha256, *digests(part.folder / "database" / n for n in sparse_map.names)]
@@ -86,7 +87,7 @@ def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) ->
         first, *lines = read_text(path, "finished slice").splitlines() or [""]
         if first == header:
             return lines
-    with kept_or_scratch(cache, path.parent) as kept:
+    with cache_or_scratch(cache, path.parent) as kept:
         localizer.prepare(sparse_map, part.folder / "database", kept)
     lines = []
     with progress_bar(f"{part.folder.name} {localizer.name}", len(part.queries)) as advance:

@@ -1,4 +1,4 @@
-"""Is the predicted covariance honest, and does it tell good poses from bad ones?"""
+"""Tests of predicted covariances: whether they match the errors, and whether they rank poses."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from benchmark.score import Interval, Outcome, Threshold, is_correct, wilson
 from scene.geometry.pose import Pose
 
 DEGREES_OF_FREEDOM: Final = 6
-# 95 % quantile of chi-square with 6 degrees of freedom.
+# 95 % quantile of the chi-square distribution with 6 degrees of freedom.
 _CHI2_95: Final = 12.591587243743977
 
 
 class Predicted(Outcome, Protocol):
-    """A scored query with what the method believed about its pose."""
+    """A scored query with the uncertainty that the method predicted for its pose."""
 
     @property
     def nees(self) -> float | None: ...
@@ -27,13 +27,13 @@ class Predicted(Outcome, Protocol):
 
 
 class Consistency(NamedTuple):
-    """How the errors compare with the predicted covariances.
+    """Figures that compare the errors with the predicted covariances.
 
     Attributes:
-        queries: localized queries with a covariance.
-        mean: of the normalised estimation error squared; 6 when the covariance is right.
-        median: likewise, 5.35.
-        within_95: percent inside the 95 % ellipsoid, with its Wilson interval.
+        queries: number of localized queries with a covariance.
+        mean: mean normalised estimation error squared (NEES); 6 if the covariances are right.
+        median: median NEES; 5.35 if the covariances are right.
+        within_95: percentage of errors inside the 95 % ellipsoid, with its Wilson interval.
     """
 
     queries: int
@@ -45,19 +45,19 @@ class Consistency(NamedTuple):
 def normalised_error(
     estimate: Pose, reference: Pose, covariance: NDArray[np.float64] | None
 ) -> float | None:
-    """Normalised estimation error squared (NEES) of a pose.
+    """Return the normalised estimation error squared (NEES) of a pose.
 
     With the error e in the left tangent, ``reference = exp(e) @ estimate``, it is e' S^-1 e, which
     follows chi-square with 6 degrees of freedom when S is right (Bar-Shalom, Li and Kirubarajan,
     "Estimation with Applications to Tracking and Navigation", 2001, 5.4.2).
 
     Args:
-        estimate: ``cam_from_world``.
-        reference: the truth.
-        covariance: (6, 6), rotation (rad) then translation (m), or None.
+        estimate: estimated pose ``cam_from_world``.
+        reference: true pose ``cam_from_world``.
+        covariance: (6, 6) covariance of rotation (rad), then translation (m), or None.
 
     Returns:
-        None without a covariance, or with one that is not positive definite.
+        The NEES; None without a covariance, or where it is not positive definite.
     """
     if covariance is None or not np.isfinite(covariance).all():
         return None
@@ -71,7 +71,7 @@ def normalised_error(
 
 
 def consistency(outcomes: Sequence[Predicted]) -> Consistency | None:
-    """Over the queries of status ``ok`` with a NEES; None when there is none."""
+    """Return the consistency over the queries of status ``ok`` with a NEES; None without any."""
     values = [o.nees for o in outcomes if o.status == "ok" and o.nees is not None]
     if not values:
         return None
@@ -82,22 +82,23 @@ def consistency(outcomes: Sequence[Predicted]) -> Consistency | None:
 
 
 def risk_coverage(outcomes: Sequence[Predicted], threshold: Threshold) -> list[tuple[float, float]]:
-    """How often answers are wrong when only the surest are believed.
+    """Return the risk-coverage curve (Geifman and El-Yaniv, NeurIPS 2017).
 
-    Queries are sorted by predicted sigma of the position, surest first; those that have none come
-    last, and so do failures (Geifman and El-Yaniv, NeurIPS 2017).
+    Queries are sorted by the predicted standard deviation of the position, smallest first. Queries
+    without one and failed queries come last.
 
     Returns:
-        (coverage, risk) in percent after each query: the share believed, and of these the share
-        that is wrong.
+        One pair (coverage, risk) in percent for each query: the share of queries up to this one,
+        and the share of wrong poses among them.
     """
 
-    def doubt(outcome: Predicted) -> float:
-        known = outcome.status == "ok" and outcome.sigma_t_m is not None
-        return outcome.sigma_t_m if known and outcome.sigma_t_m is not None else np.inf
+    def predicted_sigma(outcome: Predicted) -> float:
+        if outcome.status != "ok" or outcome.sigma_t_m is None:
+            return np.inf
+        return outcome.sigma_t_m
 
     wrong, curve = 0, []
-    for count, outcome in enumerate(sorted(outcomes, key=doubt), 1):
+    for count, outcome in enumerate(sorted(outcomes, key=predicted_sigma), 1):
         wrong += not is_correct(outcome, threshold)
         curve.append((100 * count / len(outcomes), 100 * wrong / count))
     return curve

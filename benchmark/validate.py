@@ -1,4 +1,4 @@
-"""``validate`` for whatever ``evaluate`` reads: scenes, and flights of real photographs."""
+"""The command ``validate``, which checks scenes and flights of real photographs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from benchmark.datasets.simulated import is_scene
 from benchmark.registry import create
 from scene.checks.conventions import OURS, POSE_READINGS, Reading
@@ -19,11 +20,11 @@ from scene.checks.validate import validate as validate_scene
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import SparseMap
 
-# Queries whose reference pose is held against what their photograph says.
+# Number of queries whose reference poses are compared with poses that SIFT finds.
 _PROBES = 5
-# Reference and photograph tell of one place when they differ by less; the coarsest threshold.
+# A reference pose agrees with SIFT below these errors, the largest threshold of recall.
 _SAME_METRES, _SAME_DEGREES = 5.0, 10.0
-# Another reading explains the poses when its metres and degrees are this much smaller than ours.
+# Another convention explains the poses if its errors are smaller than ours by this factor.
 _EXPLAINS = 0.5
 
 
@@ -31,11 +32,11 @@ def validate(path: Path, cache: Path | None = None) -> Report:
     """Check the conventions of a scene or of a flight, and name what is wrong.
 
     Args:
-        path: of the scene or flight.
-        cache: folder for the features of a flight's map, or None to keep none.
+        path: folder of the scene or flight.
+        cache: folder for the features of a flight's map; None keeps none.
 
     Raises:
-        InputError: neither a scene nor a flight, or a file of it cannot be read at all.
+        InputError: the path is neither a scene nor a flight, or a file cannot be read.
     """
     if is_scene(path):
         return validate_scene(path)
@@ -43,6 +44,7 @@ def validate(path: Path, cache: Path | None = None) -> Report:
 
 
 def _checks(dataset: Dataset, cache: Path | None) -> Iterator[Check]:
+    """Yield the checks of a data set that is not a scene."""
     sparse_map = dataset.load_map()
     cameras = [query.camera for query in dataset.queries]
     for check in (
@@ -54,37 +56,46 @@ def _checks(dataset: Dataset, cache: Path | None) -> Iterator[Check]:
 
 
 def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap, cache: Path | None) -> Check:
-    """Localize a few queries and see which reading of their reference poses agrees."""
+    """Localize a few queries and find the convention in which their reference poses agree."""
     name = "reference poses agree with the photographs"
     localizer = create("sift", {})
     localizer.prepare(sparse_map, dataset.images, cache)
     chosen = np.linspace(0, len(dataset.queries) - 1, min(_PROBES, len(dataset.queries)))
-    found, written = [], []
+    localized, written = [], []
     for query in (dataset.queries[int(k)] for k in chosen):
         pose = localizer.localize(query.load()).cam_from_world
         if pose is not None:
-            found.append(pose)
+            localized.append(pose)
             written.append(query.reference.matrix().numpy())
-    if not found:
+    if not localized:
         return Check(name, True, "not decided: SIFT localizes none of the queries tried")
     matrices = np.stack(written)
-    metres, degrees = _difference(found, matrices, OURS)
-    figures = {"median_m": metres, "median_deg": degrees, "queries": float(len(found))}
-    # Looking straight down, a rotation is nearly its own transpose: the best reading decides.
-    others = [(sum(_difference(found, matrices, reading)), reading) for reading in POSE_READINGS]
+    metres, degrees = _difference(localized, matrices, OURS)
+    figures = {"median_m": metres, "median_deg": degrees, "queries": float(len(localized))}
+    # The rotation of a camera that looks straight down is nearly its own transpose, so that several
+    # conventions may fit; the best one decides.
+    others = [
+        (sum(_difference(localized, matrices, reading)), reading) for reading in POSE_READINGS
+    ]
     best, reading = min(others, key=lambda item: item[0])
     if best < _EXPLAINS * (metres + degrees):
         return Check(name, False, reading.fault, figures)
-    detail = f"median {metres:.2f} m, {degrees:.2f}° from where SIFT finds {len(found)} queries"
+    detail = f"median {metres:.2f} m, {degrees:.2f}° from where SIFT finds {len(localized)} queries"
     ok = metres < _SAME_METRES and degrees < _SAME_DEGREES
     return Check(name, ok, detail, figures)
 
 
 def _difference(
-    found: Sequence[Pose], written: NDArray[np.float64], reading: Reading
+    localized: Sequence[Pose], written: NDArray[np.float64], reading: Reading
 ) -> tuple[float, float]:
-    """Median distance (m) and angle (deg) of poses found from poses as a reading takes them."""
+    """Return the median distance (m) and angle (deg) between two lists of poses.
+
+    Args:
+        localized: poses ``cam_from_world`` that SIFT found.
+        written: (N, 4, 4) matrices of the data set.
+        reading: convention by which the matrices are read.
+    """
     read = [Pose.from_matrix(matrix) for matrix in reading.poses(written)]
-    errors = [pose.error_to(other) for pose, other in zip(found, read, strict=True)]
+    errors = [pose.error_to(other) for pose, other in zip(localized, read, strict=True)]
     metres, degrees = np.median(np.array([[float(m), float(d)] for m, d in errors]), axis=0)
     return float(metres), float(degrees)

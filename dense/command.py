@@ -10,7 +10,6 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,12 +22,12 @@ from dense.consistency import agreeing
 from dense.patchmatch import consistent_estimate, first_estimate
 from dense.pictures import draw_cloud, draw_maps
 from dense.planes import normals_of, planes_of
-from dense.report import DenseReport, read_truth, report
+from dense.report import DenseReport, Fused, read_truth, report
 from dense.sources import choose_sources, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
 from dense.warp import StereoView
 from dense.workspace import KINDS, Stage, Workspace
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.colmap.models import write_posed
 from scene.colmap.stereo import fuse_depth_maps, patch_match_stereo
 from scene.errors import InputError
@@ -38,22 +37,16 @@ from scene.maps.photographs import PosedImage
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.cluster import worker_pool
 from scene.runtime.progress import progress_bar
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder, link_or_copy, replace_folder
 from scene.storage.digests import digests, require_unchanged
-from scene.storage.files import (
-    MARK,
-    folder_written_whole,
-    link_or_copy,
-    read_text,
-    remove_partial,
-    replace_folder,
-    require_room,
-    sole_writer,
-    write_text,
-)
+from scene.storage.files import read_text, require_disk_space
 from scene.storage.images import read_rgb
+from scene.storage.locks import write_lock
+from scene.storage.lru_cache import LruCache
+from scene.storage.resumable import ResumableFolder
 
 DENSE = "dense"
-UNFINISHED = f"{MARK}dense"
+UNFINISHED = f"{TEMPORARY_PREFIX}dense"
 KEY = "dense.json"
 Stereo = Literal["own", "colmap"]
 
@@ -69,7 +62,7 @@ _POINT_BYTES, _LISTED_BYTES = 31, 4
 _SHOWN = 3
 # Seconds are told for a map of so many pixels.
 _UNIT = 512 * 512
-# Photographs and maps in memory at once.
+# Photographs, and maps, of the largest size for which there is room in a cache.
 _CACHED = 64
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32) / 255
 
@@ -108,7 +101,7 @@ def dense(
             written.
     """
     scene = Scene.open(path)
-    with sole_writer(path):
+    with write_lock(path):
         return _make(scene, size, sources, stereo, seed, cluster)
 
 
@@ -156,14 +149,15 @@ def _make(
         known += np.count_nonzero(workspace.depth(name, "geometric"))
         workspace.normals(name, "geometric")
     # Nor does it say that the disk is full. A point is of _FUSED pixels or more, each listed once.
-    require_room(workspace.cloud, known // _FUSED * _POINT_BYTES + known * _LISTED_BYTES)
+    require_disk_space(workspace.cloud, known // _FUSED * _POINT_BYTES + known * _LISTED_BYTES)
     xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, _FUSED)
     truth = read_truth(scene, pinhole_map)
     shown = [tuple(pairs)[k] for k in np.linspace(0, len(pairs) - 1, _SHOWN + 2).astype(int)[1:-1]]
     confirmations = {name: maps.confirmations(name) for name in shown}
     draw_maps(workspace, shown, confirmations, truth, path / "pictures" / "dense-maps.png")
     draw_cloud(xyz, rgb, path / "pictures" / "dense-cloud.png")
-    result = report(scene, pinhole_map, workspace, tuple(pairs), len(xyz), seconds, truth)
+    fused = Fused(workspace, tuple(pairs), len(xyz), seconds)
+    result = report(scene, len(pinhole_map.names), fused, truth)
     _finish(scene, workspace)
     return result
 
@@ -191,27 +185,34 @@ def _choose_all(sparse_map: SparseMap, count: int) -> dict[str, list[str]]:
 
 
 def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
-    """The unfinished folder: what an earlier run with the same key left, or an empty one."""
-    unfinished, whole = scene.path / UNFINISHED, scene.path / DENSE
-    wanted = json.dumps(key, indent=1) + "\n"
+    """Return the unfinished folder: what an earlier run with the same key left, or an empty one.
 
-    def holds(folder: Path) -> bool:
-        return (folder / KEY).is_file() and read_text(folder / KEY, "dense key") == wanted
-
+    The record stays in the folder when it is finished: the next run with the same key begins with
+    what is whole, under second names.
+    """
+    unfinished, whole = (_resumable(scene.path / name, key) for name in (UNFINISHED, DENSE))
     try:
-        if not holds(unfinished):
-            shutil.rmtree(unfinished, ignore_errors=True)
-            if holds(whole):
-                _link_finished(whole, unfinished)
-        remove_partial(unfinished)
+        if not unfinished.is_same():
+            shutil.rmtree(unfinished.path, ignore_errors=True)
+            if whole.is_same():
+                _link_finished(whole.path, unfinished.path)
     except OSError as error:
         raise InputError(f"cannot write {scene.path}: {error.strerror or error}") from None
-    write_text(unfinished / KEY, wanted)
-    return Workspace(unfinished)
+    unfinished.begin()
+    return Workspace(unfinished.path)
+
+
+def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
+    request = json.dumps(key, indent=1) + "\n"
+
+    def difference(record: Path) -> str | None:
+        return None if read_text(record, "dense key") == request else "key"
+
+    return ResumableFolder(folder, folder / KEY, request, difference)
 
 
 def owned(workspace: Workspace) -> set[str]:
-    """What we wrote into a folder, for ``folder_written_whole``: photographs
+    """What we wrote into a folder, for ``atomic_folder``: photographs
     and maps of every photograph that has a depth map."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
     found = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
@@ -239,7 +240,7 @@ def _finish(scene: Scene, workspace: Workspace) -> None:
         replace_folder(whole, workspace.path, owned(Workspace(whole)))
     except OSError as error:
         raise InputError(f"cannot write {whole}: {error.strerror or error}") from None
-    finish(scene.path, scene.manifest)
+    finish_scene(scene.path, scene.manifest)
 
 
 def _write_photographs(
@@ -259,7 +260,7 @@ def _write_photographs(
 def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
     images = [sparse_map.images[name] for name in sparse_map.names]
     posed = [PosedImage(image.name, image.camera, image.cam_from_world) for image in images]
-    with folder_written_whole(workspace.sparse, (*MODEL_FILES, *RIG_FILES)) as folder:
+    with atomic_folder(workspace.sparse, (*MODEL_FILES, *RIG_FILES)) as folder:
         write_posed(posed, sparse_map, folder)
 
 
@@ -292,19 +293,23 @@ class _Maps:
         self._pairs = pairs
         self._seed = seed
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self.view = lru_cache(_CACHED)(self._read_view)
-        self.first = lru_cache(_CACHED)(self._read_first)
+        images = sparse_map.images.values()
+        pixels = max(image.camera.width * image.camera.height for image in images)
+        floats = _CACHED * pixels * np.dtype(np.float32).itemsize
+        self.view = LruCache(self._read_view, floats)
+        # Inverse depth and two slopes.
+        self.first = LruCache(self._read_first, 3 * floats)
 
     def __reduce__(self) -> tuple[type[_Maps], tuple[object, ...]]:
-        """To a worker of a cluster, without what was read."""
+        """Pickle for a worker of a cluster, without the caches."""
         return _Maps, (self._map, self._workspace, self._pairs, self._seed)
 
     def missing(self, stage: Stage) -> list[tuple[Stage, str]]:
-        """What is to be made at a stage; the second needs everything of the first."""
+        """List the maps to make at a stage; the second stage needs all maps of the first."""
         return [(stage, name) for name in self._pairs if not self._workspace.has(name, stage)]
 
     def __len__(self) -> int:
-        """Of both stages."""
+        """Count the maps of both stages."""
         return 2 * len(self._pairs)
 
     @torch.inference_mode()
@@ -352,7 +357,7 @@ class _Maps:
         return planes, torch.where(confirmed, 1 / planes[0], 0)
 
     def _generator(self, name: str) -> torch.Generator:
-        """Of the photograph's own, so that the order in which maps are made does not matter."""
+        """Seed by photograph, so that the order in which maps are made does not matter."""
         return torch.Generator().manual_seed(zlib.crc32(f"{self._seed} {name}".encode()))
 
     def _read_view(self, name: str) -> StereoView:

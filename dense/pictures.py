@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dense.report import WITHIN, Truth
 from dense.workspace import Workspace
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 from scene.storage.images import read_rgb
 
 _DPI = 110
@@ -109,5 +109,5 @@ def _known(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=_DPI)

@@ -59,7 +59,7 @@ def planes_of(depth: Tensor, normals: Tensor, camera: Camera) -> Tensor:
 
 
 def planes_at_nearest(seeds: NDArray[np.float64], height: int, width: int) -> Tensor:
-    """At every pixel the depth of the nearest of some points, facing the camera.
+    """Give every pixel the depth of the nearest of some points, facing the camera.
 
     Args:
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of M >= 1 points.
@@ -84,7 +84,7 @@ def planes_at_nearest(seeds: NDArray[np.float64], height: int, width: int) -> Te
 
 
 def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> Tensor:
-    """At every pixel the plane fitted to the nearest of some points.
+    """Fit a plane at every pixel to the nearest of some points.
 
     Points and planes are as those of ``planes_at_nearest``.
     """

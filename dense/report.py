@@ -1,4 +1,4 @@
-"""How good depth maps are, against the truth of the scene they were made in."""
+"""Report on depth maps: their figures against the truth of the scene."""
 
 from __future__ import annotations
 
@@ -87,11 +87,11 @@ class DenseReport:
     accuracy: Mapping[str, Accuracy]
 
     def as_dict(self) -> dict[str, Any]:
-        """For a program."""
+        """Return the figures as a dictionary for JSON."""
         return asdict(self)
 
     def text(self) -> str:
-        """For a person."""
+        """Return the figures as text."""
         lines = [f"{self.maps} depth maps of {self.photographs} photographs, "
                  f"{self.points} points in the cloud"]  # fmt: skip
         if self.cpu_seconds_per_map is not None:
@@ -157,26 +157,33 @@ def _views(
     return count.reshape(depth.shape).numpy()
 
 
-def report(
-    scene: Scene,
-    sparse_map: SparseMap,
-    workspace: Workspace,
-    names: Sequence[str],
-    points: int,
-    cpu_seconds: float | None,
-    truth: Mapping[str, Truth],
-) -> DenseReport:
+@dataclass(frozen=True)
+class Fused:
+    """Depth maps and the cloud that was fused from them.
+
+    Attributes:
+        workspace: of the depth maps.
+        names: photographs that have a depth map.
+        points: of the fused cloud.
+        cpu_seconds: spent on 512 x 512 pixels of depth maps, or None.
+    """
+
+    workspace: Workspace
+    names: Sequence[str]
+    points: int
+    cpu_seconds: float | None
+
+
+def report(scene: Scene, photographs: int, fused: Fused, truth: Mapping[str, Truth]) -> DenseReport:
     """Measure depth maps.
 
     Args:
-        scene: whose objects have size classes.
-        sparse_map: with undistorted cameras.
-        workspace: of the depth maps.
-        names: photographs that have one.
-        points: of the fused cloud.
-        cpu_seconds: spent on 512 x 512 pixels of depth maps, or None.
+        scene: its objects have size classes.
+        photographs: how many photographs the map has.
+        fused: the depth maps.
         truth: by photograph, empty where there is none.
     """
+    workspace, names = fused.workspace, fused.names
     groups = Groups(scene) if truth else None
     parts: dict[str, list[NDArray[np.float64]]] = {name: [] for name in GROUPS}
     for name in names:
@@ -192,10 +199,10 @@ def report(
             parts[label].append(error[judged][group == k])
     errors = {label: np.concatenate(found) for label, found in parts.items() if found}
     return DenseReport(
-        photographs=len(sparse_map.names),
+        photographs=photographs,
         maps=len(names),
-        points=points,
-        cpu_seconds_per_map=cpu_seconds,
+        points=fused.points,
+        cpu_seconds_per_map=fused.cpu_seconds,
         accuracy={label: _accuracy(error) for label, error in errors.items() if len(error)},
     )
 

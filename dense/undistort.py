@@ -15,7 +15,7 @@ from PIL import Image
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import MapImage, SparseMap
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 from scene.storage.images import read_rgb
 
 _GROWTH = 1.02
@@ -72,7 +72,7 @@ def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Pa
         InputError: it is missing, damaged or not of its camera's size, or cannot be written.
     """
     rgb = read_rgb(photograph, camera)
-    with written_whole(out) as partial:
+    with atomic_write(out) as partial:
         if (camera.calibration == pinhole.calibration).all() and not any(camera.distortion):
             partial.write_bytes(photograph.read_bytes())
             return

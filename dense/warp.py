@@ -1,4 +1,4 @@
-"""From a pixel and its inverse depth in one view to the pixel in another, and back again."""
+"""Warps from a pixel and its inverse depth in one view to the pixel in another, and back."""
 
 from __future__ import annotations
 
@@ -28,6 +28,11 @@ class StereoView:
     grey: Tensor
     camera: Camera
     cam_from_world: NDArray[np.float64]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its values."""
+        return self.grey.nbytes
 
 
 class Warped(NamedTuple):

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.storage.files import require_readable, write_text, written_whole
+from scene.storage.atomic import atomic_write, write_text
+from scene.storage.files import require_readable
 
 Stage = Literal["photometric", "geometric"]
 Kind = Literal["depth_maps", "normal_maps"]
@@ -119,7 +120,7 @@ def write_array(path: Path, array: NDArray[np.float32]) -> None:
     """
     channels, height, width = array.shape
     header = f"{width}&{height}&{channels}&".encode()
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_bytes(header + np.ascontiguousarray(array, "<f4").tobytes())
 
 

@@ -1,4 +1,4 @@
-"""From a model of structure from motion to the world: placed by GPS, its lag found, adjusted."""
+"""Place a model of structure from motion in the world by GPS, and adjust it there."""
 
 from __future__ import annotations
 
@@ -10,45 +10,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.georegister import Georegistration, georegister
-from ingest.gps_delay import find_lag, motions, undo_lag
+from ingest.gps_delay import find_delay, motions, undo_delay
 from scene.colmap.structure_from_motion import adjust_to_positions
 from scene.maps.colmap_files import read_model
 from scene.maps.photographs import Photograph
 from scene.maps.sparse_map import SparseMap
-from scene.storage.files import folder_written_whole
+from scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
 # Focal length and height trade against each other over flat ground: where depths within a picture
 # differ by less than this share of them, EXIF knows the focal length better than the pixels do.
 _RELIEF = 0.25
-# A principal point off the middle looks like cameras that stand beside where they do. Only cameras
-# that are turned about tell them apart: the mean of their unit vectors to the right is shorter.
+# A principal point off the middle looks like a shift of all cameras. Only cameras that face several
+# directions tell the two apart: the mean of their unit vectors to the right is shorter than this.
 _ONE_WAY = 0.8
-# It stays in the middle where the pixels agree as well with that: GPS errors would move it.
+# The principal point leaves the middle only where this lowers the reprojection error below this
+# share; otherwise errors of GPS would move it.
 _BETTER = 0.998
-# Standard deviation of an altitude that is not one, metres.
+# Standard deviation of an altitude that counts for nothing (m).
 _NO_ALTITUDE = 1e4
-# Centres move with the lag, and velocities with them, by a few per cent.
+# The delay moves the centres, and these the velocities, by a few per cent; so it is found anew.
 _ROUNDS = 3
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """A model in the world, and how it came there.
+    """A model in the world, and how it was placed there.
 
     Attributes:
-        model: in world metres.
-        placed: where it was before the adjustment.
-        focal: lenses whose focal length was adjusted.
-        lag: seconds that fixes are behind the photographs; 0 where nobody knows.
-        undone: by name the fixes without the lag, (3,) world metres; empty without one.
+        model: The adjusted model, in world metres.
+        placed: Where GPS placed the model before the adjustment.
+        focal: Lenses whose focal length was adjusted.
+        delay: Seconds that fixes are behind the photographs; 0 where it is not known.
+        undone: Fixes (3,) without the delay by name, world metres; empty where there is no delay.
     """
 
     model: SparseMap
     placed: Georegistration
     focal: Collection[str]
-    lag: float
+    delay: float
     undone: Mapping[str, Array]
 
 
@@ -62,29 +63,29 @@ def adjust(
     """Place a model by GPS and adjust it to pixels and GPS.
 
     Args:
-        model_path: folder of the model.
-        taken: its photographs in the order they were taken, and others.
-        fixes: (3,) measured positions by name, world metres.
-        times: seconds since any moment by name.
-        work: folder for the adjusted model.
+        model_path: Folder of the model.
+        taken: The photographs of the model in the order they were taken; there may be others.
+        fixes: Measured positions (3,) by name, world metres.
+        times: Seconds since any one moment, by name.
+        work: Folder for the adjusted model.
 
     Raises:
-        InputError: as ``georegister``.
+        InputError: As ``georegister``.
     """
     raw = read_model(model_path)
     placed = georegister(raw, fixes)
     order = [photograph.name for photograph in taken if photograph.name in raw.images]
-    lag, used = 0.0, fixes
+    delay, used = 0.0, fixes
     for _ in range(_ROUNDS):
         centres = dict(zip(raw.names, placed.apply(raw.centres), strict=True))
         moving = motions(order, centres, times)
         trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
-        lag = find_lag(moving, centres, trusted)
-        if lag == 0:
+        delay = find_delay(moving, centres, trusted)
+        if delay == 0:
             break
-        used = undo_lag(fixes, moving, lag)
+        used = undo_delay(fixes, moving, delay)
         placed = georegister(raw, used)
-    if lag == 0 and used is not fixes:
+    if delay == 0 and used is not fixes:
         placed, used = georegister(raw, fixes), fixes
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
     sigma = placed.sigma.copy()
@@ -97,7 +98,7 @@ def adjust(
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
 
     def adjusted(principal_point: bool) -> SparseMap:
-        with folder_written_whole(work / "adjusted") as folder:
+        with atomic_folder(work / "adjusted") as folder:
             return adjust_to_positions(
                 model_path,
                 taken,
@@ -114,11 +115,11 @@ def adjust(
         off_middle = adjusted(principal_point=True)
         if off_middle.reprojection_error() < _BETTER * model.reprojection_error():
             model = off_middle
-    return Adjusted(model, placed, focal, lag, {} if used is fixes else used)
+    return Adjusted(model, placed, focal, delay, {} if used is fixes else used)
 
 
 def _relief(model: SparseMap) -> float:
-    """How much the depths within a photograph differ, as a share of them: the median photograph."""
+    """Return the range of depths within the median photograph, as a share of its median depth."""
     spread = []
     for image in model.images.values():
         xyz = model.xyz[image.point_rows[image.point_rows >= 0]]
@@ -130,7 +131,7 @@ def _relief(model: SparseMap) -> float:
 
 
 def _turn_about(model: SparseMap, taken: Sequence[Photograph]) -> bool:
-    """Whether the cameras of every lens that is not calibrated are turned about."""
+    """Return whether the cameras of every uncalibrated lens face several directions."""
     right: dict[str, list[Array]] = {}
     for photograph in taken:
         if photograph.name in model.images and not photograph.calibrated:

@@ -1,4 +1,4 @@
-"""From a folder of photographs to a scene; an interrupted run is taken up again."""
+"""Making a scene of a folder of photographs; an interrupted run is resumed."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from ingest.adjustment import Adjusted, adjust
-from ingest.attitude import attitudes, turned_over
+from ingest.adjustment import adjust
+from ingest.attitude import turned_over
 from ingest.georegister import georegister
 from ingest.neighbours import choose_pairs
-from ingest.photographs import SESSION, Roll, Shot, photographs_of, read_roll
+from ingest.outputs import write_lists, write_measurements
+from ingest.photographs import SESSION, Flight, photographs_of, read_flight
 from ingest.picture import draw
 from ingest.positions import FEWEST, local, with_positions
-from ingest.report import REPORT, IngestReport, make_report, residuals
+from ingest.report import REPORT, IngestReport, make_report
 from ingest.split import Split, queries_of
-from scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
-from scene.bundle.frames import Frames, write_frames
-from scene.bundle.manifest import Manifest, Objects, Session, Splits, read_json, write_json
-from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish
+from scene.bundle.manifest import Manifest, Session, read_json, write_json
+from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish_scene
 from scene.colmap.database import match_photographs
 from scene.colmap.sift import SiftOptions
 from scene.colmap.structure_from_motion import Mapper, map_photographs
@@ -35,30 +34,22 @@ from scene.maps.colmap_files import read_model
 from scene.maps.features import write_features
 from scene.maps.photographs import Photograph, PosedImage
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.files import (
-    MARK,
-    folder_written_whole,
-    is_ours,
-    remove_owned,
-    remove_partial,
-    sha256_of,
-    sole_writer,
-)
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder, remove_owned
+from scene.storage.files import sha256_of
 from scene.storage.images import read_rgb, write_resized
+from scene.storage.locks import write_lock
+from scene.storage.resumable import ResumableFolder
 
-_WORK = f"{MARK}ingest"
+_WORK = f"{TEMPORARY_PREFIX}ingest"
 _PLAN = "plan.json"
 _TURNED = "turned.json"
 _DATABASE = Path("database.db")
-# Points of each photograph that tell what it shares with the others.
-_SAMPLED = 200
-_LEAST_SIGMA = 0.02
 
 
 class _Plan(BaseModel):
-    """What an ingest is of; a folder left by another one is not gone on with."""
+    """What was asked for: a folder that was begun with another plan is refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -72,7 +63,7 @@ class _Plan(BaseModel):
 
 
 class _Turned(BaseModel):
-    """Photographs that are turned by 180 degrees in the scene, by name."""
+    """Names of the photographs that are rotated by 180 degrees in the scene."""
 
     names: tuple[str, ...]
 
@@ -109,10 +100,10 @@ def ingest(
     """
     if photographs.resolve() in (out.resolve(), *out.resolve().parents):
         raise InputError(f"{out} lies in the folder of photographs: choose one outside it")
-    roll = read_roll(photographs)
+    flight = read_flight(photographs)
     if gps is not None:
-        roll = with_positions(roll, gps)
-    _require(roll, photographs)
+        flight = with_positions(flight, gps)
+    _require(flight, photographs)
     plan = _Plan(
         size=size,
         mapper=mapper,
@@ -120,38 +111,38 @@ def ingest(
         every=every,
         camera=None if camera is None else str(camera),
         gps=None if gps is None else sha256_of(gps),
-        photographs={shot.file: shot.sha256 for shot in roll.shots},
+        photographs={image.file: image.sha256 for image in flight.images},
     )
-    with sole_writer(out):
-        return _ingest(photographs, out, roll, camera, plan)
+    with write_lock(out):
+        return _ingest(photographs, out, flight, camera, plan)
 
 
 def _ingest(
-    photographs: Path, out: Path, roll: Roll, camera: Camera | None, plan: _Plan
+    photographs: Path, out: Path, flight: Flight, camera: Camera | None, plan: _Plan
 ) -> IngestReport:
-    origin, fixes = local(roll.shots)
-    queries = queries_of([shot.name for shot in roll.shots], fixes, plan.split, plan.every)
-    taken = photographs_of(roll.shots, plan.size, camera)
+    origin, fixes = local(flight.images)
+    queries = queries_of([image.name for image in flight.images], fixes, plan.split, plan.every)
+    taken = photographs_of(flight.images, plan.size, camera)
     if _finished(out, plan):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
-    write_json(out / _WORK / _PLAN, plan)
-    remove_partial(out)
+    unfinished = _resumable(out, plan)
+    unfinished.begin()
     try:
-        report = _build(out, photographs, roll, taken, fixes, queries, plan)
+        report = _build(out, photographs, flight, taken, fixes, queries, plan)
     except WriteError:
         raise  # the same command goes on when there is room
     except InputError:
         # These photographs make no scene: nothing of ours is left to go on with.
-        remove_owned(out, _owned(roll))
+        remove_owned(out, _owned(flight))
         raise
-    finish(out, _manifest(plan, origin))
-    shutil.rmtree(out / _WORK)
+    finish_scene(out, _manifest(plan, origin))
+    unfinished.end()
     return report
 
 
-def _owned(roll: Roll) -> set[str]:
-    """What we write into the folder of a scene, for ``remove_owned``."""
-    copies = [f"sessions/{shot.name}" for shot in roll.shots]
+def _owned(flight: Flight) -> set[str]:
+    """Return the files that we write into the folder of a scene, for ``remove_owned``."""
+    copies = [f"sessions/{image.name}" for image in flight.images]
     frames = f"sessions/{SESSION}/frames.h5"
     lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, "pictures/ingest.png"]
     return {*copies, frames, *lists, *(f"map/{file}" for file in MAP_FILES)}
@@ -160,37 +151,38 @@ def _owned(roll: Roll) -> set[str]:
 def _build(
     out: Path,
     folder: Path,
-    roll: Roll,
+    flight: Flight,
     taken: Sequence[Photograph],
     fixes: Mapping[str, NDArray[np.float64]],
     queries: set[str],
     plan: _Plan,
 ) -> IngestReport:
-    """Everything of the scene but its manifest."""
-    files = {shot.name: shot.file for shot in roll.shots}
-    roll, model_path, turned = _structure(out, folder, roll, taken, fixes, plan)
-    times = {shot.name: shot.exif.time.timestamp() for shot in roll.shots if shot.exif.time}
+    """Write everything of the scene but its manifest."""
+    files = {image.name: image.file for image in flight.images}
+    flight, model_path, turned = _structure(out, folder, flight, taken, fixes, plan)
+    times = {image.name: image.exif.time.timestamp() for image in flight.images if image.exif.time}
     adjusted = adjust(model_path, taken, fixes, times, out / _WORK)
-    model, shots = adjusted.model, roll.shots
-    wrong_attitudes = _write_frames(out, adjusted, shots, fixes, queries)
+    model, images = adjusted.model, flight.images
+    wrong_attitudes = write_measurements(out, adjusted, images, fixes, queries)
     sparse_map = _triangulate(out, model, queries)
-    _write_lists(out, model, shots, queries)
+    write_lists(out, model, images, queries)
     report = make_report(
         taken,
         files,
-        roll.left_out,
+        flight.left_out,
         adjusted,
         fixes,
         sparse_map,
         wrong_attitudes,
-        [shot.file for shot in shots if shot.name in turned],
+        [image.file for image in images if image.name in turned],
     )
     write_json(out / REPORT, report)
     draw(
         out / "pictures" / "ingest.png",
-        f"{printed(out.resolve().name)}: {report.registered} photographs, {report.points} points",
+        f"{for_terminal(out.resolve().name)}: {report.registered} photographs, "
+        f"{report.points} points",
         model,
-        [shot.name for shot in shots],
+        [image.name for image in images],
         queries,
         fixes,
         adjusted.placed.blunders,
@@ -203,23 +195,23 @@ def _build(
 def _structure(
     out: Path,
     folder: Path,
-    roll: Roll,
+    flight: Flight,
     taken: Sequence[Photograph],
     fixes: Mapping[str, NDArray[np.float64]],
     plan: _Plan,
-) -> tuple[Roll, Path, set[str]]:
-    """The photographs of one model, that model, and which of them were turned back for it."""
+) -> tuple[Flight, Path, set[str]]:
+    """Return the photographs of one model, the folder of the model, and the rotated photographs."""
     known = out / _WORK / _TURNED
     turned = set(read_json(known, _Turned, "turned photographs").names) if known.exists() else set()
-    placed = _place(roll, folder, out, plan.size, turned)
+    placed = _place(flight, folder, out, plan.size, turned)
     _require(placed, folder)
-    files = {shot.name: shot.file for shot in placed.shots}
+    files = {image.name: image.file for image in placed.images}
     there = [photograph for photograph in taken if photograph.name in files]
     _match(there, fixes, out)
     model_path, elsewhere = _map(there, out, plan.mapper)
     if not turned:
         raw = read_model(model_path)
-        turned = turned_over(raw, georegister(raw, fixes), placed.shots)
+        turned = turned_over(raw, georegister(raw, fixes), placed.images)
         if turned:
             # Their features are of the pictures as they were: all begins anew.
             for name in turned:
@@ -228,7 +220,7 @@ def _structure(
                 path.unlink()
             shutil.rmtree(model_path.parent)
             write_json(known, _Turned(names=tuple(sorted(turned))))
-            return _structure(out, folder, roll, taken, fixes, plan)
+            return _structure(out, folder, flight, taken, fixes, plan)
     return (
         placed.without({files[name]: reason for name, reason in elsewhere.items()}),
         model_path,
@@ -236,58 +228,63 @@ def _structure(
     )
 
 
-def _require(roll: Roll, folder: Path) -> None:
-    """Refuse a roll too short for a scene."""
-    if len(roll.shots) < FEWEST:
-        reasons = "".join(f"; {file}: {why}" for file, why in list(roll.left_out.items())[:3])
+def _require(flight: Flight, folder: Path) -> None:
+    """Refuse a flight with too few photographs for a scene."""
+    if len(flight.images) < FEWEST:
+        reasons = "".join(f"; {file}: {why}" for file, why in list(flight.left_out.items())[:3])
         raise InputError(
-            f"{folder} has {len(roll.shots)} usable photographs, {FEWEST} are the fewest that "
+            f"{folder} has {len(flight.images)} usable photographs, {FEWEST} are the fewest that "
             f"make a scene{reasons}"
         )
 
 
+def _resumable(out: Path, plan: _Plan) -> ResumableFolder:
+    """Return the folder of a scene, whose record is the plan while the scene is unfinished."""
+
+    def difference(record: Path) -> str | None:
+        recorded = read_json(record, _Plan, "plan of the unfinished scene")
+        return None if recorded == plan else "photographs or options"
+
+    request = plan.model_dump_json(indent=1, by_alias=True) + "\n"
+    return ResumableFolder(out, out / _WORK / _PLAN, request, difference)
+
+
 def _finished(out: Path, plan: _Plan) -> bool:
-    """Whether the folder holds this very flight already; refuse one that holds something else."""
+    """Return whether the folder holds this very flight already; refuse any other content."""
+    unfinished = _resumable(out, plan)
     if (out / MANIFEST).is_file():
         if Scene.open(out).manifest.config != plan.model_dump(mode="json"):
             raise InputError(
                 f"{out} holds a scene of other photographs or options: choose another folder or "
                 "remove it"
             )
-        shutil.rmtree(out / _WORK, ignore_errors=True)  # left by a run killed at its very end
+        unfinished.end()  # a run killed at its very end left its folder of intermediate results
         return True
-    if (out / _WORK / _PLAN).is_file():
-        if read_json(out / _WORK / _PLAN, _Plan, "plan of the unfinished scene") != plan:
-            raise InputError(
-                f"{out} holds an unfinished scene of other photographs or options: choose another "
-                "folder or remove it"
-            )
-        return False
-    try:
-        # A run killed while it claimed the folder left nothing but its own folder.
-        occupied = out.exists() and any(not is_ours(item.name) for item in out.iterdir())
-    except OSError as error:
-        raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
-    if occupied:
-        raise InputError(f"{out} is not empty and not a scene: choose another folder")
+    if not unfinished.resume(
+        lambda difference: (
+            f"{out} holds an unfinished scene of other {difference}: choose another folder or "
+            "remove it"
+        )
+    ):
+        unfinished.require_empty("scene")
     return False
 
 
-def _place(roll: Roll, folder: Path, out: Path, size: int, turned: set[str]) -> Roll:
-    """Copy photographs into the scene, some turned back; damaged ones are left out."""
+def _place(flight: Flight, folder: Path, out: Path, size: int, turned: set[str]) -> Flight:
+    """Copy photographs into the scene, rotating some; leave damaged ones out."""
     damaged = {}
-    with progress_bar("copy photographs", len(roll.shots)) as advance:
-        for done, shot in enumerate(roll.shots, 1):
-            target = out / "sessions" / shot.name
+    with progress_bar("copy photographs", len(flight.images)) as advance:
+        for done, image in enumerate(flight.images, 1):
+            target = out / "sessions" / image.name
             if not target.is_file():
                 try:
-                    read_rgb(folder / shot.file)
+                    read_rgb(folder / image.file)
                 except InputError as error:
-                    damaged[shot.file] = str(error)
+                    damaged[image.file] = str(error)
                 else:
-                    write_resized(folder / shot.file, target, size, over=shot.name in turned)
+                    write_resized(folder / image.file, target, size, over=image.name in turned)
             advance(done)
-    return roll.without(damaged)
+    return flight.without(damaged)
 
 
 def _match(
@@ -301,13 +298,13 @@ def _match(
 
 
 def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, dict[str, str]]:
-    """The model of most photographs, and why the photographs that are not in it are not."""
+    """Return the model of most photographs, and the reasons why others are not in it."""
     models = out / _WORK / "models"
-    with progress_bar("map", len(taken)) as advance, folder_written_whole(models) as folder:
-        found = map_photographs(
+    with progress_bar("map", len(taken)) as advance, atomic_folder(models) as folder:
+        models_by_size = map_photographs(
             out / "sessions", taken, out / _WORK / _DATABASE, folder, mapper, advance
         )
-        members = [read_model(path).names for path in found]
+        members = [read_model(path).names for path in models_by_size]
     if not members or len(members[0]) < FEWEST:
         raise InputError(
             f"no {FEWEST} of the {len(taken)} photographs hang together: they need overlap and "
@@ -316,42 +313,9 @@ def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, 
     reasons = {photograph.name: "not registered: too few matches" for photograph in taken}
     for names in reversed(members):  # a photograph may be in several
         reasons |= dict.fromkeys(names, f"in another model, of {len(names)} photographs")
-    return models / found[0].name, {n: why for n, why in reasons.items() if n not in members[0]}
-
-
-def _write_frames(
-    out: Path,
-    adjusted: Adjusted,
-    shots: Sequence[Shot],
-    fixes: Mapping[str, NDArray[np.float64]],
-    queries: set[str],
-) -> dict[str, float]:
-    """Poses of the model, and what was measured with it; sigmas are those of the map's frames.
-
-    Returns by file the degrees that attitudes are off which were not used.
-    """
-    model, placed = adjusted.model, adjusted.placed
-    names = tuple(shot.name for shot in shots)
-    poses = np.stack([model.images[name].cam_from_world for name in names])
-    measured = [name for name in names if name in fixes and name not in placed.blunders]
-    mapped = [name for name in measured if name not in queries] or measured
-    off = residuals(model, fixes, mapped)
-    sigma = np.maximum(np.sqrt((off**2).mean(0)), _LEAST_SIGMA)
-    nothing = np.full(3, np.nan)
-    attitude, attitude_sigma, wrong = attitudes(shots, poses, queries)
-    times = [shot.exif.time.timestamp() if shot.exif.time else np.nan for shot in shots]
-    frames = Frames(
-        names=names,
-        cameras=tuple(model.images[name].camera for name in names),
-        cam_from_world=poses,
-        time=np.array(times),
-        gps_prior=np.array([fixes[n] if n in measured else nothing for n in names]),
-        gps_sigma=np.array([sigma if n in measured else nothing for n in names]),
-        attitude_prior=attitude,
-        attitude_sigma_deg=attitude_sigma,
-    )
-    write_frames(out / "sessions" / SESSION / "frames.h5", frames, (), iter([{}] * len(names)))
-    return wrong
+    return models / models_by_size[0].name, {
+        n: why for n, why in reasons.items() if n not in members[0]
+    }
 
 
 def _triangulate(out: Path, model: SparseMap, queries: set[str]) -> SparseMap:
@@ -360,37 +324,12 @@ def _triangulate(out: Path, model: SparseMap, queries: set[str]) -> SparseMap:
         for name in model.names
         if name not in queries
     ]
-    with folder_written_whole(out / "map", MAP_FILES) as folder:
+    with atomic_folder(out / "map", MAP_FILES) as folder:
         sparse_map, features = triangulate_matched(
             out / "sessions", images, out / _WORK / _DATABASE, folder
         )
         write_features(folder / FEATURES, features)
     return sparse_map
-
-
-def _write_lists(out: Path, model: SparseMap, shots: Sequence[Shot], queries: set[str]) -> None:
-    names = tuple(shot.name for shot in shots)
-    asked = tuple(name for name in names if name in queries)
-    splits = Splits(
-        map=tuple(name for name in names if name not in queries),
-        queries={SESSION: asked} if asked else {},
-    )
-    write_json(out / "splits.json", splits)
-    write_json(out / "objects.json", Objects(classes={}, objects=()))
-    write_covisibility(out / COVISIBILITY, _covisibility(model, names))
-
-
-def _covisibility(model: SparseMap, names: tuple[str, ...]) -> Covisibility:
-    """From points in view instead of depth: what hides behind something counts as seen."""
-    points = np.full((len(names), _SAMPLED, 3), np.nan)
-    for k, name in enumerate(names):
-        rows = model.images[name].point_rows
-        seen = model.xyz[rows[rows >= 0]]
-        chosen = seen[np.linspace(0, len(seen) - 1, min(_SAMPLED, len(seen))).astype(int)]
-        points[k, : len(chosen)] = chosen
-    images = [model.images[name] for name in names]
-    poses = np.stack([image.cam_from_world for image in images])
-    return Covisibility(names, visible_share([image.camera for image in images], poses, points))
 
 
 def _manifest(plan: _Plan, origin: Geodetic) -> Manifest:

@@ -1,6 +1,6 @@
-"""Where a model of unknown frame and scale stands, from GPS that may be bad.
+"""Placing a model of unknown frame and scale in the world, from GPS that may be bad.
 
-Similarities are (3, 4): scale times rotation, and translation.
+Similarities are (3, 4) arrays: scale times rotation, and translation.
 """
 
 from __future__ import annotations
@@ -18,32 +18,34 @@ Array = NDArray[np.float64]
 _Fit = Callable[[Array, Array], Array]
 
 _SAMPLES = 500
-# A fix further from its camera than this many standard deviations of the others is a blunder, ...
+# A fix further from its camera than this many standard deviations of the others is a blunder ...
 _BLUNDER = 5.0
-# ... but not within the metres that receivers without corrections are off on a good day.
+# ... unless it is within so many metres, by which receivers without corrections are always off.
 _USUAL_M = 5.0
 # Squared standard deviations per axis from the median of squared distances, in 2 and 3 axes.
 _CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 # No receiver of a drone is better than this, metres.
 _LEAST_SIGMA = 0.02
-# Cameras on a line do not tell how the model is turned about it: width over length.
+# Cameras on a line do not tell how the model is rotated about it. This is the least width of a
+# flight, as a share of its length, at which they do.
 _LINE = 0.05
-# Ground and cameras that agree with each other and are this far from GPS's vertical, contradict it.
+# Ground and cameras that agree with each other, but differ by more than this from the vertical of
+# GPS, contradict it.
 _TILT_DEG = 8.0
-# Points further from the ground's plane than this many deviations are no ground.
+# Points further from the plane of the ground than this many standard deviations are not ground.
 _OFF_GROUND = 2.5
 
 
 @dataclass(frozen=True)
 class Georegistration:
-    """Where a model stands.
+    """Where a model is in the world.
 
     Attributes:
-        world_from_model: (3, 4) similarity.
-        level: which way is up: by "gps", or by the "ground" where altitudes or a straight flight
-            cannot tell.
-        blunders: photographs whose fix contradicts the others.
-        sigma: (3,) of the other fixes per axis, metres.
+        world_from_model: Similarity (3, 4).
+        level: What decides which way is up: "gps", or the "ground" where altitudes or a straight
+            flight cannot tell.
+        blunders: Photographs whose fix contradicts the others.
+        sigma: Standard deviation (3,) of the other fixes per axis, metres.
     """
 
     world_from_model: Array
@@ -52,25 +54,25 @@ class Georegistration:
     sigma: Array
 
     def apply(self, points: Array) -> Array:
-        """Points (N, 3) of the model in the world."""
+        """Return points (N, 3) of the model in world coordinates."""
         return _apply(self.world_from_model, points)
 
 
 def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
     """Find the similarity from camera centres to GPS by least median of squares.
 
-    It holds with up to half of the fixes wrong, and needs no threshold that only one receiver fits.
-    Altitudes take part unless both the ground (the plane most points lie near) and the cameras'
-    mean direction say that they tilt the world, as those of a barometer that drifts do. Then, and
-    where the cameras stand on one line, the ground is level. A hillside is not mistaken for a tilt:
-    there the cameras look down plumb.
+    The estimate holds with up to half of the fixes wrong, and needs no threshold that depends on
+    the receiver. Altitudes take part unless both the ground (the plane near most points) and the
+    mean direction of the cameras contradict them, as they contradict a barometer that drifts. In
+    that case, and where the cameras are on one line, the ground is taken to be level. A hillside is
+    not mistaken for a tilt, because the cameras over it look straight down.
 
     Args:
-        model: in a frame of its own.
-        fixes: (3,) measured centres by name, east, north, up in metres.
+        model: The model, in a frame of its own.
+        fixes: Measured camera centres (3,) by name, east, north, up in metres.
 
     Raises:
-        InputError: fewer than three photographs of the model have a fix, or all stand in one place.
+        InputError: Fewer than three photographs of the model have a fix, or all fixes are one.
     """
     names = [name for name in model.names if name in fixes]
     if len(names) < 3:
@@ -103,12 +105,12 @@ def _apply(similarity: Array, points: Array) -> Array:
 
 
 def _tilts(similarity: Array, model: SparseMap, ground: Array) -> bool:
-    """Whether ground and cameras contradict the vertical of a similarity together.
+    """Return whether ground and cameras together contradict the vertical of a similarity.
 
     Args:
-        similarity: from GPS with its altitudes.
-        model: in its own frame.
-        ground: (3,) upward normal of the ground, in that frame.
+        similarity: Similarity from GPS with its altitudes.
+        model: The model, in its own frame.
+        ground: Upward normal (3,) of the ground, in that frame.
     """
     vertical = similarity[2, :3]
     backwards = -np.sum([model.images[name].cam_from_world[2, :3] for name in model.names], axis=0)
@@ -128,7 +130,7 @@ def _width_over_length(centres: Array) -> float:
 
 
 def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """With the ground level, and heights of the model's own scale."""
+    """Fit with the ground level, and with heights at the scale of the model."""
     turned = centres @ upright.T
     horizontal, good = _robust(_level_similarity, turned, measured, 2)
     similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
@@ -137,7 +139,7 @@ def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, 
 
 
 def _robust(fit: _Fit, source: Array, target: Array, axes: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Least median of squares over random samples, then least squares over what fits."""
+    """Fit by least median of squares over random samples, then by least squares over inliers."""
     rng = np.random.default_rng(0)
     best, least = fit(source, target), np.inf
     for _ in range(_SAMPLES):
@@ -160,7 +162,7 @@ def _median_square(similarity: Array, source: Array, target: Array, axes: int) -
 
 
 def _similarity(source: Array, target: Array) -> Array:
-    """Least squares of all axes (Umeyama 1991)."""
+    """Fit a similarity to all axes by least squares (Umeyama 1991)."""
     a, b = source - source.mean(0), target - target.mean(0)
     u, singular, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -170,7 +172,7 @@ def _similarity(source: Array, target: Array) -> Array:
 
 
 def _level_similarity(source: Array, target: Array) -> Array:
-    """Least squares of the horizontal axes alone, turning about the vertical."""
+    """Fit the horizontal axes alone by least squares, with a rotation about the vertical."""
     a, b = (x[:, 0] + 1j * x[:, 1] for x in (source - source.mean(0), target - target.mean(0)))
     turn = (b * a.conj()).sum() / max((np.abs(a) ** 2).sum(), 1e-12)
     linear = np.array([[turn.real, -turn.imag, 0], [turn.imag, turn.real, 0], [0, 0, np.abs(turn)]])
@@ -178,7 +180,7 @@ def _level_similarity(source: Array, target: Array) -> Array:
 
 
 def _upright(model: SparseMap) -> Array:
-    """Rotation that makes the ground level, cameras above it."""
+    """Return the rotation (3, 3) that makes the ground level and puts the cameras above it."""
     points = model.xyz
     near = np.ones(len(points), bool)
     for _ in range(10):

@@ -1,7 +1,8 @@
-"""How much older than the photographs their GPS positions are.
+"""The delay of GPS positions behind the photographs they are written into.
 
-A receiver computes, and a camera asks it now and then: what is written into a photograph is where
-the aircraft was some time before. Over lines flown to and fro that is no shift of the whole flight.
+A receiver needs time to compute, and a camera asks it only now and then, so that a photograph holds
+where the aircraft was some time before. Over lines flown in both directions this is not a shift of
+the whole flight.
 """
 
 from __future__ import annotations
@@ -17,16 +18,21 @@ from ingest.split import flight_lines
 
 Array = NDArray[np.float64]
 
-# A lag is believed when of all ways to turn single flight lines about, at most this share explains
+# A delay is believed when, of all ways to reverse single flight lines, at most this share explains
 # the positions as well as the true courses do.
 _BY_CHANCE = 0.05
-# More lines than that are turned about at random; all ways of these are tried.
+# Up to so many lines all ways are tried; of more lines, ways are drawn at random.
 _ALL_WAYS = 10
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Flight line of a photograph, and velocity there: (3,) metres per second."""
+    """How the aircraft moved at a photograph.
+
+    Attributes:
+        line: Number of the flight line.
+        velocity: Velocity (3,) in metres per second.
+    """
 
     line: int
     velocity: Array
@@ -35,12 +41,12 @@ class Motion:
 def motions(
     names: Sequence[str], centres: Mapping[str, Array], times: Mapping[str, float]
 ) -> dict[str, Motion]:
-    """How the aircraft moved at photographs that know their time and have neighbours in their line.
+    """Return the motion at photographs whose time is known and that have neighbours on their line.
 
     Args:
-        names: in the order they were taken.
-        centres: (3,) cameras by name, world metres.
-        times: seconds since any moment, by name.
+        names: Photographs in the order they were taken.
+        centres: Camera centres (3,) by name, world metres.
+        times: Seconds since any one moment, by name.
     """
     known = [name for name in names if name in centres and name in times]
     lines = flight_lines(known, centres)
@@ -54,20 +60,21 @@ def motions(
     return moving
 
 
-def find_lag(
+def find_delay(
     moving: Mapping[str, Motion], centres: Mapping[str, Array], fixes: Mapping[str, Array]
 ) -> float:
-    """Seconds that fixes are behind the photographs; 0 where they do not tell it for certain.
+    """Return the seconds that fixes are behind the photographs, or 0 where they are uncertain.
 
-    Horizontal least squares of ``fix = similarity(centre) - lag * velocity``. The errors of a
-    receiver drift: within a flight line they are alike, and may look like a lag. So the lines speak
-    for a lag, not the photographs, and what else could look like one is tried: the same
-    velocities with some of the lines turned about. Fewer than six lines prove nothing.
+    The delay is found by horizontal least squares of
+    ``fix = similarity(centre) - delay * velocity``. The errors of a receiver drift: within a
+    flight line they are alike, and may look like a delay. The evidence is therefore counted in
+    lines and not in photographs: the fit is repeated with some of the lines reversed, which shows
+    how well chance explains the fixes. Fewer than six lines prove nothing.
 
     Args:
-        moving: of ``motions``.
-        centres: (3,) cameras by name, world metres, placed by the fixes.
-        fixes: (3,) their measured positions by name; those without motion do not count.
+        moving: The motions that ``motions`` returned.
+        centres: Camera centres (3,) by name, world metres, placed by the fixes.
+        fixes: Measured positions (3,) by name; those without a motion do not count.
     """
     names = [name for name in moving if name in fixes]
     if not names:
@@ -97,7 +104,10 @@ def find_lag(
 
 
 def _ways(lines: int) -> Array:
-    """Signs (K, lines), the true ones first; turning all lines about at once is no other way."""
+    """Return signs (K, lines) that reverse lines, the true ones first.
+
+    Reversing all lines at once is the same as reversing none.
+    """
     if lines <= _ALL_WAYS:
         return np.array([(1, *signs) for signs in product((1, -1), repeat=lines - 1)], float)
     signs = np.random.default_rng(0).choice([1.0, -1.0], (2**_ALL_WAYS, lines))
@@ -105,8 +115,8 @@ def _ways(lines: int) -> Array:
     return signs
 
 
-def undo_lag(
-    fixes: Mapping[str, Array], moving: Mapping[str, Motion], lag: float
+def undo_delay(
+    fixes: Mapping[str, Array], moving: Mapping[str, Motion], delay: float
 ) -> dict[str, Array]:
-    """Where the receiver would have been without its lag, of the photographs that have a motion."""
-    return {name: fixes[name] + lag * moving[name].velocity for name in moving if name in fixes}
+    """Return the fixes (3,) without their delay, for the photographs that have a motion."""
+    return {name: fixes[name] + delay * moving[name].velocity for name in moving if name in fixes}

@@ -1,6 +1,7 @@
-"""Which photographs may show the same ground: those near by GPS, and those taken one after another.
+"""Pairs of photographs that may show the same ground: neighbours by GPS and neighbours in time.
 
-GPS alone would do for a good receiver; one that lags or fails at times needs the order too.
+GPS alone would do for a good receiver. The order of the photographs helps where positions are late
+or missing.
 """
 
 from __future__ import annotations
@@ -10,20 +11,21 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+# A photograph is matched with so many nearest ones by GPS, and with so many that follow it.
 _NEAREST = 12
 _FOLLOWING = 3
-# A photograph without a position is held against so many before and after it.
+# A photograph without a position is matched with so many before and so many after it.
 _BLIND = 10
 
 
 def choose_pairs(
     names: Sequence[str], fixes: Mapping[str, NDArray[np.float64]]
 ) -> list[tuple[str, str]]:
-    """Pairs of photographs worth matching, each once.
+    """Return the pairs of photographs worth matching, each once.
 
     Args:
-        names: photographs in the order they were taken.
-        fixes: (3,) positions of those that have one, metres; altitudes do not count.
+        names: Photographs in the order they were taken.
+        fixes: Positions (3,) in metres of the photographs that have one; altitudes do not count.
     """
     place = np.array([fixes[n][:2] if n in fixes else (np.nan, np.nan) for n in names])
     pairs = set()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ingest.report import residuals
 from scene.maps.sparse_map import SparseMap
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 
 
 def draw(
@@ -69,7 +69,7 @@ def draw(
     along.axhline(0, color="0.7", linewidth=0.8)
     along.set(xlabel="photograph", ylabel="GPS - camera (m)", xlim=(-0.5, len(order) - 0.5))
     along.legend(fontsize=8)
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=110)
 
 

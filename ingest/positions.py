@@ -1,4 +1,4 @@
-"""Where photographs were taken: by their EXIF, or by a table."""
+"""The positions at which photographs were taken, from their EXIF or from a table."""
 
 from __future__ import annotations
 
@@ -12,51 +12,51 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
-from ingest.photographs import Roll, Shot
+from ingest.photographs import Flight, FlightImage
 from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, amid, enu_from_geodetic
+from scene.geometry.geodesy import Geodetic, enu_from_geodetic, median_place
 from scene.storage.files import read_text
 
 FEWEST = 3
 _COLUMNS = ("name", "lat", "lon", "alt")
 
 
-def with_positions(roll: Roll, table: Path) -> Roll:
-    """The roll with the positions of a table instead of those in EXIF.
+def with_positions(flight: Flight, table: Path) -> Flight:
+    """Return the flight with the positions of a table instead of those in EXIF.
 
     Args:
-        roll: photographs.
-        table: CSV with a header; columns ``name`` (of the file, or its path in the folder), ``lat``
-            and ``lon`` in degrees and ``alt`` in metres. Others do not count, nor do photographs
-            that are not in the roll. Upper and lower case, and ``\\`` and ``/``, are the same where
-            no other photograph has the very name.
+        flight: The photographs.
+        table: CSV file with a header. The column ``name`` is the name of a file, or its path in
+            the folder; ``lat`` and ``lon`` are degrees, ``alt`` is metres. Other columns do not
+            count, nor do rows of photographs that are not in the flight. Names are compared
+            exactly first, then without regard to case and with ``\\`` as ``/``.
 
     Raises:
-        InputError: it cannot be read, lacks a column or has one twice, has a bad number or a name
-            twice, a name without a folder that several photographs have, or none of the
-            photographs.
+        InputError: The table cannot be read, lacks a column or has one twice, holds a bad number
+            or a name twice, has a name without a folder that several photographs share, or has
+            none of the photographs.
     """
     places = _read(table)
-    rows = _rows([shot.file for shot in roll.shots], list(places), table)
-    shots = [
+    rows = _rows([image.file for image in flight.images], list(places), table)
+    images = [
         replace(
-            shot,
+            image,
             exif=replace(
-                shot.exif, position=places[rows[shot.file]] if shot.file in rows else None
+                image.exif, position=places[rows[image.file]] if image.file in rows else None
             ),
         )
-        for shot in roll.shots
+        for image in flight.images
     ]
-    if places and not any(shot.exif.position for shot in shots):
+    if places and not any(image.exif.position for image in images):
         raise InputError(
             f"{table} has none of the photographs: its first name is {next(iter(places))!r}, that "
-            f"of the first photograph {roll.shots[0].file!r}"
+            f"of the first photograph {flight.images[0].file!r}"
         )
-    return replace(roll, shots=tuple(shots))
+    return replace(flight, images=tuple(images))
 
 
 def _rows(files: Sequence[str], names: Sequence[str], table: Path) -> dict[str, str]:
-    """The name in the table of each file that has one."""
+    """Return the name in the table of each file that has one."""
     known = set(names)
     loose: dict[str, list[str]] = {}
     for name in names:
@@ -65,17 +65,18 @@ def _rows(files: Sequence[str], names: Sequence[str], table: Path) -> dict[str, 
     owners: dict[str, str] = {}
     for file in files:
         spellings = (file, PurePosixPath(file).name)
-        found = [name for name in spellings if name in known]
+        matches = [name for name in spellings if name in known]
         for alike in (loose.get(_folded(spelling), []) for spelling in spellings):
-            found += alike if len(alike) == 1 else []
-        if not found:
+            matches += alike if len(alike) == 1 else []
+        if not matches:
             continue
-        other = owners.setdefault(found[0], file)
+        other = owners.setdefault(matches[0], file)
         if other != file:
             raise InputError(
-                f"{table}: {found[0]!r} may be {other!r} or {file!r}: give names with their folder"
+                f"{table}: {matches[0]!r} may be {other!r} or {file!r}: give names with their "
+                "folder"
             )
-        rows[file] = found[0]
+        rows[file] = matches[0]
     return rows
 
 
@@ -120,20 +121,22 @@ def _parsed(reader: csv.DictReader[str], table: Path) -> dict[str, Geodetic]:
     return places
 
 
-def local(shots: Sequence[Shot]) -> tuple[Geodetic, dict[str, NDArray[np.float64]]]:
-    """An origin amid the photographs, and positions (3,) from there, metres east, north and up.
+def local(images: Sequence[FlightImage]) -> tuple[Geodetic, dict[str, NDArray[np.float64]]]:
+    """Return an origin amid the photographs, and their positions (3,) from it.
+
+    Positions are by name, metres east, north and up.
 
     Raises:
-        InputError: fewer than three photographs have one.
+        InputError: Fewer than three photographs have a position.
     """
     known: Mapping[str, Geodetic] = {
-        shot.name: shot.exif.position for shot in shots if shot.exif.position is not None
+        image.name: image.exif.position for image in images if image.exif.position is not None
     }
     if len(known) < FEWEST:
         raise InputError(
-            f"{len(known)} of {len(shots)} photographs have a GPS position, {FEWEST} are needed, "
+            f"{len(known)} of {len(images)} photographs have a GPS position, {FEWEST} are needed, "
             "for a scene has metres and a place on earth: give --gps CSV with columns "
             f"{','.join(_COLUMNS)}"
         )
-    origin = amid(list(known.values()))
+    origin = median_place(list(known.values()))
     return origin, {name: enu_from_geodetic(place, origin) for name, place in known.items()}

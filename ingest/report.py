@@ -222,7 +222,7 @@ def make_report(
         wrong_attitudes=dict(wrong_attitudes),
         turned=tuple(turned),
         gps=summary(residuals(model, fixes, used)),
-        lag_s=adjusted.lag,
+        lag_s=adjusted.delay,
         gps_without_lag=(
             summary(residuals(model, adjusted.undone, [n for n in used if n in adjusted.undone]))
             if adjusted.undone

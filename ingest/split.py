@@ -1,4 +1,4 @@
-"""Which photographs of a flight build the map, and which are queries."""
+"""The split of a flight into photographs that build the map and photographs that are queries."""
 
 from __future__ import annotations
 
@@ -23,16 +23,17 @@ def queries_of(
     split: Split,
     every: int,
 ) -> set[str]:
-    """Photographs that are queries: every ``every``-th one, or all of every ``every``-th line.
+    """Return the photographs that are queries.
 
     Args:
-        names: in the order they were taken.
-        fixes: (3,) positions of those that have one, metres.
-        split: by photograph, by flight line, or no queries at all.
-        every: 2 or more.
+        names: Photographs in the order they were taken.
+        fixes: Positions (3,) in metres of the photographs that have one.
+        split: "photo" takes every ``every``-th photograph, "line" all photographs of every
+            ``every``-th flight line, "none" no photographs.
+        every: See ``split``; 2 or more.
 
     Raises:
-        InputError: the flight has fewer lines than ``every``.
+        InputError: The flight has fewer lines than ``every``.
     """
     if split == "none":
         return set()
@@ -49,7 +50,10 @@ def queries_of(
 
 
 def flight_lines(names: Sequence[str], fixes: Mapping[str, NDArray[np.float64]]) -> list[int]:
-    """Number of the flight line of each photograph; one without a fix belongs to the one before."""
+    """Return the number of the flight line of each photograph.
+
+    A photograph without a fix belongs to the line of the one before it.
+    """
     known = [name for name in names if name in fixes]
     course: NDArray[np.float64] | None = None
     line, of_known = 0, dict.fromkeys(known[:1], 0)

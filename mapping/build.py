@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.class_coverage import class_coverage
-from mapping.report import MapReport, report
+from mapping.report import MapReport, ObjectTruth, report
 from scene.bundle.object_points import objects_of_points
 from scene.bundle.pictures import draw_pictures
-from scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish
+from scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish_scene
 from scene.colmap.database import MappingJob
 from scene.colmap.native import VERSION
 from scene.colmap.sift import SiftOptions
@@ -24,16 +24,11 @@ from scene.errors import InputError
 from scene.maps.features import write_features
 from scene.maps.photographs import PosedImage
 from scene.runtime.progress import progress_bar
-from scene.storage.files import (
-    MARK,
-    folder_written_whole,
-    kept_while_working,
-    remove_partial,
-    sha256_of,
-    sole_writer,
-)
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder, remove_partial
+from scene.storage.files import sha256_of
+from scene.storage.locks import resumable_file, write_lock
 
-_KEPT = f"{MARK}mapping"
+_KEPT = f"{TEMPORARY_PREFIX}mapping"
 _SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
 
@@ -67,7 +62,7 @@ def build_map(path: Path, method: Method = "triangulate", cluster: str | None = 
             no map came of it.
     """
     scene = Scene.open(path)
-    with sole_writer(path):
+    with write_lock(path):
         return _build(scene, method, cluster)
 
 
@@ -86,9 +81,9 @@ def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
     }[method]
     remove_partial(path)
     digest = _digest(scene.images_root, images, pairs)
-    with kept_while_working(path / _KEPT, f"{digest}.db") as database:
+    with resumable_file(path / _KEPT, f"{digest}.db") as database:
         with (
-            folder_written_whole(scene.map_path, MAP_FILES) as folder,
+            atomic_folder(scene.map_path, MAP_FILES) as folder,
             progress_bar("map", steps) as advance,
         ):
             job = MappingJob(
@@ -96,7 +91,7 @@ def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
             )
             sparse_map, features = build(job, folder, advance)
             write_features(folder / FEATURES, features)
-        scene = finish(path, scene.manifest)
+        scene = finish_scene(path, scene.manifest)
         rendered = scene.manifest.preset is not None
         if rendered:
             draw_pictures(scene)
@@ -105,11 +100,13 @@ def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
         len(sparse_map.xyz), ((image, layers["instance"]) for image, layers in instances)
     )
     kinds = class_coverage(scene, sparse_map, features) if rendered else {}
-    return report(sparse_map, images, scene.objects.objects, seen, owners, len(pairs), kinds)
+    in_view = [item for item in scene.objects.objects if item.id in seen]
+    objects = ObjectTruth(in_view, owners)
+    return report(sparse_map, images, objects, len(pairs), kinds)
 
 
 def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str, str]]) -> str:
-    """Of all that features and matches depend on."""
+    """Return a digest of all that features and matches depend on."""
     digest = hashlib.sha256(f"{VERSION} {_SIFT} {pairs}".encode())
     for image in images:
         photograph = root / image.name
@@ -119,7 +116,7 @@ def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str,
 
 
 def choose_pairs(overlap: NDArray[np.float64], flights: Sequence[str]) -> list[tuple[int, int]]:
-    """Pairs of frames worth matching, each once: neighbours in space, and in time.
+    """Choose pairs of frames worth matching, each once: neighbours in space, and in time.
 
     Args:
         overlap: (N, N) share of each other's surface that frames see, symmetric.
@@ -135,7 +132,7 @@ def choose_pairs(overlap: NDArray[np.float64], flights: Sequence[str]) -> list[t
 
 
 def _map_frames(scene: Scene) -> tuple[list[PosedImage], set[int]]:
-    """The map's photographs and the objects they show."""
+    """Return the map's photographs and the identifiers of the objects they show."""
     wanted = set(scene.splits.map)
     images = []
     seen: set[int] = set()

@@ -1,4 +1,4 @@
-"""How good a map is, against the truth of the scene it was built in."""
+"""Report on a map: its figures against the truth of the scene it was built in."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class ErrorSummary:
 
     @staticmethod
     def of(values: NDArray[np.float64]) -> ErrorSummary:
-        """Of errors (N,)."""
+        """Summarise errors (N,)."""
         return ErrorSummary(
             float(values.mean()), float(np.sqrt((values**2).mean())), float(values.max())
         )
 
     def text(self, unit: str) -> str:
-        """For a person."""
+        """Return the figures as text."""
         return f"{self.mean:.3f}{unit} mean, {self.rms:.3f}{unit} rms, {self.max:.3f}{unit} at most"
 
 
@@ -43,9 +43,9 @@ class MapReport:
 
     Attributes:
         images: photographs given.
-        registered: of them in the map.
-        pairs: of photographs that were matched.
-        points: triangulated.
+        registered: photographs that the map has.
+        pairs: pairs of photographs that were matched.
+        points: triangulated points.
         reprojection_error_px: mean over observations.
         track_length: mean number of photographs that observe a point.
         position_m: distance of the camera centres from the truth.
@@ -68,11 +68,11 @@ class MapReport:
     kinds: Mapping[str, KindShare]
 
     def as_dict(self) -> dict[str, Any]:
-        """For a program."""
+        """Return the figures as a dictionary for JSON."""
         return asdict(self)
 
     def text(self) -> str:
-        """For a person."""
+        """Return the figures as text."""
         possible = self.images * (self.images - 1) // 2
         lines = [
             f"{self.registered} of {self.images} images registered, {self.pairs} of {possible} "
@@ -92,12 +92,23 @@ class MapReport:
         return "\n".join(lines)
 
 
+@dataclass(frozen=True)
+class ObjectTruth:
+    """Which objects the photographs of a map show, and which its points lie on.
+
+    Attributes:
+        objects: the objects that the photographs show.
+        owners: (M,) identifier of the object that each point of the map lies on.
+    """
+
+    objects: Sequence[SceneObject]
+    owners: NDArray[np.int64]
+
+
 def report(
     sparse_map: SparseMap,
     truth: Sequence[PosedImage],
-    objects: Sequence[SceneObject],
-    seen: set[int],
-    owners: NDArray[np.int64],
+    objects: ObjectTruth,
     pairs: int,
     kinds: Mapping[str, KindShare],
 ) -> MapReport:
@@ -106,18 +117,15 @@ def report(
     Args:
         sparse_map: built from the images of ``truth``, or from some of them.
         truth: every photograph given, with its exact pose.
-        objects: of the scene.
-        seen: identifiers of the objects in the photographs.
-        owners: identifier of the object that each point lies on, (M,).
-        pairs: of photographs that were matched.
+        objects: the objects in view, and what the points lie on.
+        pairs: how many pairs of photographs were matched.
         kinds: see ``mapping.class_coverage``.
     """
     mapped = [image for image in truth if image.name in sparse_map.images]
     estimated = np.stack([sparse_map.images[image.name].cam_from_world for image in mapped])
     exact = np.stack([image.cam_from_world for image in mapped])
     metres, degrees = Pose.from_matrix(estimated).error_to(Pose.from_matrix(exact))
-    in_view = [item for item in objects if item.id in seen]
-    small = [item for item in in_view if item.size_class == "small"]
+    owners, small = objects.owners, [o for o in objects.objects if o.size_class == "small"]
     return MapReport(
         images=len(truth),
         registered=len(mapped),
@@ -127,7 +135,7 @@ def report(
         track_length=float(sparse_map.track_length.mean()),
         position_m=ErrorSummary.of(metres.numpy()),
         rotation_deg=ErrorSummary.of(degrees.numpy()),
-        objects=coverage(owners, in_view, lambda item: item.size_class),
+        objects=coverage(owners, objects.objects, lambda item: item.size_class),
         small_objects=coverage(owners, small, lambda item: item.class_name),
         kinds=kinds,
     )

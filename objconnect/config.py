@@ -1,4 +1,4 @@
-"""What an object-connect network is made of."""
+"""Configuration of the object-connect network."""
 
 from __future__ import annotations
 

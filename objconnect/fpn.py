@@ -22,7 +22,7 @@ class FeaturePyramid(nn.Module):
     """
 
     def __init__(self, width: float, size: int, strides: tuple[int, ...]) -> None:
-        """For an encoder of ``width``; ``strides`` coarse to fine, of ``size`` channels each."""
+        """Build a pyramid of ``size`` channels at ``strides``, coarse first, for an encoder."""
         super().__init__()
         self.sizes = [size] * len(strides)
         self._wanted = [STRIDES.index(stride) for stride in strides]

@@ -8,7 +8,8 @@ from typing import Final
 from pydantic import Field
 
 from baselines.checkpoint import shipped
-from baselines.featuremetric.localizer import FeaturemetricConfig, FeaturemetricLocalizer
+from baselines.featuremetric.localizer import FeaturemetricLocalizer
+from baselines.featuremetric.options import FeaturemetricConfig
 from objconnect.network import read_network
 
 SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")

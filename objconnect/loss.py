@@ -1,8 +1,9 @@
-"""What the network learns from a pair of pictures: equations (6) to (8), and what they lack.
+"""Training losses: equations (6) to (8), and the contrastive loss that they need beside them.
 
-Equation (6) alone is at its least when all features are equal. Features are therefore normalised,
-and the contrastive loss of ``baselines.training.contrastive`` stands beside it, whose negatives are
-other places.
+Equation (6) is the sum of (7), the distance of features, and (8), the distance of projections.
+Equation (7) alone is smallest when all features are equal. Features are therefore normalised, and
+the contrastive loss of ``baselines.training.contrastive`` is added, whose negatives are other
+places.
 """
 
 from __future__ import annotations
@@ -20,15 +21,16 @@ from baselines.training.contrastive import sample
 from baselines.training.pairs import PairBatch
 from scene.geometry.pose import Pose
 
-# Both are about one once features have begun to tell places apart, at the end a tenth and a third.
+# Weights of (7) and (8) in (6). Both losses are about one once features have begun to tell places
+# apart.
 FEATURE_SHARE: Final = 0.1
 POSE_SHARE: Final = 0.3
-# Objects of fewer points say too little of what became of them.
+# Objects with fewer points are left out of the confidence loss.
 _LEAST_POINTS: Final = 4
 
 
 def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
-    """Equation (6), L_2d-f: mean over levels and points of |F_2(project(X)) - F_1(X)|.
+    """Equation (7), L_2d-f: mean over levels and points of |F_2(project(X)) - F_1(X)|.
 
     Taken at the true pose of image 2. The predicted one, of the paper, is the same at the end of
     training; at its beginning it would teach that wrong places look alike.
@@ -41,9 +43,9 @@ def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
     distances = []
     for level in levels:
         assert not isinstance(level.stride, tuple)
-        found = functional.normalize(sample(level.features, batch.xy_b / level.stride), dim=-1)
+        features_b = functional.normalize(sample(level.features, batch.xy_b / level.stride), dim=-1)
         # The root has no slope at zero.
-        squared = (found - level.reference).square().sum(-1)
+        squared = (features_b - level.reference).square().sum(-1)
         distances.append(((squared + 1e-8).sqrt() * batch.valid).sum() / count)
     return torch.stack(distances).mean()
 
@@ -51,7 +53,7 @@ def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
 def pose_distance(
     by_level: Sequence[Pose], strides: Sequence[int], batch: PairBatch
 ) -> tuple[Tensor, list[Tensor]]:
-    """Equation (7), L_3d-d: mean over levels of the Huber distance of projections by two poses.
+    """Equation (8), L_3d-d: mean over levels of the Huber distance of projections by two poses.
 
     The smooth Huber function, up to 50 pixels, and of a finer level only where the coarser one came
     near: as PixLoc is trained, so that the two differ in their features alone.
@@ -62,14 +64,20 @@ def pose_distance(
         batch: with the true pose.
 
     Returns:
-        the loss, and the distance (B,) in pixels after each level.
+        The loss, and the distance (B,) in pixels after each level.
     """
     place = batch.points, batch.intrinsics_b, batch.valid
     return pose_loss(by_level, strides, batch.b_from_a, *place)
 
 
 def total(contrast: Tensor, features: Tensor, poses: Tensor | None) -> Tensor:
-    """Equation (8): (6) and (7) together, and the contrast. Without poses in the warm-up."""
+    """Equation (6): the weighted sum of (7) and (8), and the contrastive loss beside it.
+
+    Args:
+        contrast: the contrastive loss.
+        features: L_2d-f.
+        poses: L_3d-d; None in the warm-up.
+    """
     loss = contrast + FEATURE_SHARE * features
     return loss if poses is None else loss + POSE_SHARE * poses
 
@@ -77,10 +85,10 @@ def total(contrast: Tensor, features: Tensor, poses: Tensor | None) -> Tensor:
 def kept_together(
     labels_a: Tensor, labels_b: Tensor, valid: Tensor, count: int
 ) -> tuple[Tensor, Tensor]:
-    """How well each object of image a is one object of image b too: what confidence is taught by.
+    """Measure how well each object of image a is one object of image b too.
 
-    The points of an object are held against those of the object of image b that shares the most:
-    points of both over points of either.
+    This is the target of the confidence: the intersection over union of the points of an object
+    with those of the object of image b that shares most of them.
 
     Args:
         labels_a: (B, P) the object of each point in image a, negative for none.
@@ -89,7 +97,7 @@ def kept_together(
         count: N.
 
     Returns:
-        (B, N) in 0..1, and (B, N) which objects have the points to say.
+        The measure (B, N) in 0..1, and (B, N) which objects have enough points for it.
     """
     batch = len(labels_a)
     used = valid & (labels_a >= 0) & (labels_b >= 0)

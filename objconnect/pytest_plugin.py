@@ -1,4 +1,4 @@
-"""For pytest: the gate as a fixture, in any repository where this package is installed.
+"""A pytest plugin: the recall gate as a fixture, wherever this package is installed.
 
 ``no_recall_drop(results, baseline)`` fails the test that calls it when recall dropped by more than
 chance; ``pytest --update-recall`` records the results as the baseline instead.

@@ -28,7 +28,7 @@ from scene.errors import InputError
 
 
 class ObjConnectTraining:
-    """Implements ``baselines.training.loop.Trainable``: as PixLoc is trained, and (6) beside it.
+    """Implements ``baselines.training.loop.Trainable``: trained like PixLoc, with (7) added.
 
     ``TrainConfig.network`` takes the switches of ``ObjConnectNetConfig``. ``TrainConfig.weights``
     may be this network's, with other switches too, or PixLoc's, whose encoder is taken.

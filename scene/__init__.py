@@ -1,4 +1,17 @@
-"""The vocabulary everyone speaks: cameras, poses, maps, queries, estimates, and their files.
+"""What every package of the project shares: cameras, poses, maps, queries, estimates, their files.
 
-Nothing here imports another package of the project, and nothing here imports ``bpy``.
+No module here imports another package of the project, and none imports ``bpy``. Importing a module
+loads neither pycolmap (but for ``scene.colmap``) nor Ray; opening a scene does not load torch.
+
+- ``geometry``: poses, cameras, projection, world coordinates.
+- ``maps``: sparse maps, features, matching.
+- ``bundle``: a scene as a folder on disk.
+- ``checks``: tests of whether a scene keeps its conventions.
+- ``colmap``: everything that needs COLMAP.
+- ``exports``: a scene written in the formats of other programs.
+- ``storage``: atomic writes, checked reads, digests, photographs, tables.
+- ``runtime``: worker pools, progress, memory, system packages.
+- ``localizer``: queries, priors, estimates and the protocol of a localizer.
+- ``config``: configurations from YAML files and the command line.
+- ``errors``: the exceptions whose message a person is meant to read.
 """

@@ -1,4 +1,4 @@
-"""Configuration: pydantic models from YAML and from the command line; unknown keys are errors."""
+"""Configurations: pydantic models read from YAML files and the command line."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from scene.errors import InputError
 from scene.storage.files import read_text
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "configs"
-"""Where the configurations lie that come with the project."""
+"""The folder of the configurations that come with the project."""
 
 LARGEST: Final = 2**31 - 1
-"""Of the numbers in a configuration, either way: seeds, counts, pixels, metres, seconds."""
+"""The largest absolute value of a number in a configuration: seed, count, pixels, metres, ..."""
 
 
 class Config(BaseModel):
-    """Base of every configuration: immutable, and an unknown key is an error.
+    """Base class of every configuration: immutable, and an unknown key is an error.
 
-    So are numbers that nothing here has: infinite ones, and those that do not fit into 31 bits and
-    a sign, which libraries cut off, or fail on when the work has long begun.
+    So are infinite numbers and numbers beyond 31 bits and a sign, which libraries would truncate,
+    or fail on after a long run.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -44,16 +44,28 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any]) -> M:
-    """Build a configuration from a YAML file, then from overrides, then from its defaults.
+    """Build a configuration from a YAML file and overrides; other options have their defaults.
 
     Args:
-        model: the configuration's class.
-        path: YAML file, or the name of a configuration that comes with the project, as ``demo`` or
-            ``train/pixloc``; a file of that name wins. None for defaults.
-        overrides: values that win over the file; None values are ignored.
+        model: class of the configuration.
+        path: YAML file, or the name of a configuration that comes with the project, for example
+            ``demo`` or ``train/pixloc``; a file of that name has precedence. None for defaults.
+        overrides: values with precedence over the file; ``outer.inner`` names a value of a nested
+            configuration. None values are ignored.
 
     Raises:
-        InputError: unreadable file, bad YAML, unknown key or bad value; the message names the key.
+        InputError: the file is unreadable or not YAML, a key is unknown or a value is bad; the
+            message names the key.
+
+    Example:
+        >>> class Options(Config):
+        ...     steps: int = 1000
+        ...     batch: int = 8
+        >>> load_config(Options, None, {"batch": 4, "steps": None})
+        Options(steps=1000, batch=4)
+        >>> load_config(Options, None, {"bach": 4})
+        Traceback (most recent call last):
+        scene.errors.InputError: unknown key 'bach' on the command line; known: steps, batch
     """
     values: dict[str, Any] = {}
     where = "on the command line"
@@ -63,28 +75,44 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         text = _read(path)
         try:
             loaded = yaml.safe_load(text)
-        # ValueError: a date that does not exist; RecursionError: lists in lists in lists.
+        # ValueError: a date that does not exist; RecursionError: lists nested very deeply.
         except (yaml.YAMLError, ValueError, RecursionError) as error:
             raise InputError(f"{path} is not valid YAML: {_one_line(error)}") from None
         if loaded is not None and not isinstance(loaded, dict):
             raise InputError(f"{path} must hold 'key: value' lines, not a {type(loaded).__name__}")
         values = loaded or {}
-    values |= {key: value for key, value in overrides.items() if value is not None}
+    for key, value in overrides.items():
+        if value is not None:
+            _set_nested(values, key, value)
     try:
         return model.model_validate(values)
     except ValidationError as error:
         raise InputError(describe(error, model, where)) from None
 
 
+def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set a value by its dotted key, and leave the other values of nested configurations."""
+    *outer, last = key.split(".")
+    for part in outer:
+        inner = values.get(part)
+        # Copied, so that dictionaries of the caller stay as they are.
+        values[part] = dict(inner) if isinstance(inner, Mapping) else {}
+        values = values[part]
+    values[last] = value
+
+
 def shipped() -> dict[str, Path]:
-    """The configurations that come with the project, by name: their path below ``configs/``,
-    without its ending."""
+    """Return the configurations that come with the project, by name.
+
+    The name is the path below ``configs/`` without the suffix.
+    """
     files = sorted(SHIPPED.rglob("*.yaml"))
     return {path.relative_to(SHIPPED).with_suffix("").as_posix(): path for path in files}
 
 
 def _named(path: Path) -> Path:
-    """The file that a path leads to, else the configuration that comes under this name."""
+    """Return the path if it is a file, else the configuration of this name that comes with the
+    project."""
     return path if path.is_file() else shipped().get(path.as_posix(), path)
 
 
@@ -98,19 +126,19 @@ def _read(path: Path) -> str:
 
 
 def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:
-    """The first fault of a validation error as one line a person can act on."""
+    """Return the first fault of a validation error as one line that tells what to change."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"]) or model.__name__
     if first["type"] == "extra_forbidden":
         return f"unknown key '{key}' {where}{_known(model, first['loc'][:-1])}"
     if first["type"] == "missing":
         return f"missing key '{key}' {where}"
-    reason = first["msg"].removeprefix("Value error, ")  # pydantic's own words before ours
+    reason = first["msg"].removeprefix("Value error, ")  # pydantic's prefix of our messages
     return f"bad value for '{key}' {where}: {reason} (got {reprlib.repr(first['input'])})"
 
 
 def _known(model: type[BaseModel], path: Sequence[int | str]) -> str:
-    """The keys of the model that a path of keys leads to; nothing where that is no model."""
+    """Return the known keys at a path of keys; an empty text where the path leads to no model."""
     for part in path:
         field = model.model_fields.get(str(part))
         inner = field.annotation if field else None

@@ -1,20 +1,20 @@
-"""The one exception a person is meant to read, and those it stands for."""
+"""The exceptions whose message a person is meant to read."""
 
 from typing import Final
 
 
 class InputError(ValueError):
-    """Input or environment at fault; the message says in one line what, where and what to do.
+    """Input or environment is at fault; the message says in one line what, where and what to do.
 
     The command line prints the message alone, without a traceback, and exits with code 2.
     """
 
 
 class WriteError(InputError):
-    """A place that cannot be written, or has no room left; what is finished there stays of use."""
+    """A place cannot be written or has no space left; what is finished there stays usable."""
 
 
-# What reading a damaged HDF5 file may raise: h5py has no exception of its own.
+# h5py has no exception of its own: these are what reading a damaged file may raise.
 HDF5_DAMAGE: Final = (
     AttributeError,
     IndexError,

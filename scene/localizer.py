@@ -1,6 +1,6 @@
-"""The protocol every localizer speaks: a query goes in, an estimate comes out.
+"""The protocol of a localizer: it takes a query and returns an estimate.
 
-A localizer never sees the reference pose of a query: it is not part of ``Query``.
+A localizer never sees the reference pose of a query, which is not part of ``Query``.
 """
 
 from __future__ import annotations
@@ -11,26 +11,28 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
 from scene.maps.sparse_map import SparseMap
+
+if TYPE_CHECKING:
+    from scene.geometry.pose import Pose
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What the aircraft believes about its pose before looking at the image.
+    """What the aircraft knows about its pose before the image is looked at.
 
     Attributes:
-        position: (3,) camera centre in world metres (ENU).
-        position_sigma: (3,) one standard deviation per axis, metres; None when nobody knows it.
-        cam_from_world_rotation: (3, 3) attitude; None when unknown.
-        attitude_sigma_deg: one standard deviation of the attitude, degrees; None when unknown.
+        position: camera centre, (3,) world metres (ENU).
+        position_sigma: standard deviation of ``position`` per axis, (3,) metres; None if unknown.
+        cam_from_world_rotation: attitude, (3, 3); None if unknown.
+        attitude_sigma_deg: standard deviation of the attitude, degrees; None if unknown.
     """
 
     position: NDArray[np.float64]
@@ -44,11 +46,11 @@ class Query:
     """One image to localize.
 
     Attributes:
-        name: unique within its data set.
-        image: (H, W, 3) uint8 RGB, the size of ``camera``.
-        camera: calibrated.
-        prior: starting information, or None.
-        references: photographs of the map to look at, most similar first, where retrieval is not
+        name: name, unique within its data set.
+        image: (H, W, 3) uint8 RGB, of the size of ``camera``.
+        camera: calibrated camera.
+        prior: approximate pose, or None.
+        references: photographs of the map to match with, most similar first, where retrieval is not
             left to the method; else None.
     """
 
@@ -60,9 +62,9 @@ class Query:
 
 
 def query_error(query: Query) -> str:
-    """Why nobody can localize a query, in words; empty when there is no reason.
+    """Return why a query cannot be localized by any method; empty if there is no reason.
 
-    An infinite sigma is no fault: that axis was not measured.
+    An infinite sigma is allowed: that axis was not measured.
     """
     if query.image.dtype != np.uint8:
         return f"the image is {query.image.dtype}, not uint8"
@@ -88,22 +90,22 @@ class Status(StrEnum):
     """How a localization ended."""
 
     OK = "ok"
-    FALLBACK = "fallback"  # a pose is given, but only the prior or a reference's: counts as wrong
+    FALLBACK = "fallback"  # the pose is only that of the prior or of a reference: counts as wrong
     FAILED = "failed"
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a localizer answers.
+    """The answer of a localizer.
 
     Attributes:
         status: ``ok``, or ``fallback`` / ``failed`` with a ``reason``.
-        cam_from_world: the pose (float64, unbatched); None when failed.
-        covariance: (6, 6) of the left tangent of ``cam_from_world``: rotation (rad) then
-            translation (m); None when unknown.
+        cam_from_world: pose (float64, unbatched); None if failed.
+        covariance: (6, 6), of the left tangent of ``cam_from_world``: rotation (rad) then
+            translation (m); None if unknown.
         inliers: number of points or matches that agree with the pose.
-        iterations: of the robust estimator or the optimizer.
-        seconds: per stage.
+        iterations: number of iterations of the robust estimator or the optimizer.
+        seconds: time per stage.
         reason: why there is no pose, in words.
     """
 
@@ -116,10 +118,10 @@ class Estimate:
     reason: str = ""
 
     def sigma_position(self) -> float | None:
-        """Predicted standard deviation of the camera centre (m): root of the covariance's trace.
+        """Return the predicted standard deviation of the camera centre (m), None if unknown.
 
-        With ``exp(omega, v) @ (R, t)`` the centre ``-R^T t`` moves by ``-R^T v`` to first order, so
-        only the translation block matters.
+        It is the root of the trace of the centre's covariance. With ``exp(omega, v) @ (R, t)`` the
+        centre ``-R^T t`` moves by ``-R^T v`` to first order, so only the translation block matters.
         """
         if self.covariance is None:
             return None
@@ -127,7 +129,11 @@ class Estimate:
 
 
 class Stopwatch:
-    """Seconds per stage of one localization."""
+    """The time that each stage of one localization takes.
+
+    Attributes:
+        seconds: seconds by stage.
+    """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -147,33 +153,37 @@ class Localizer(Protocol):
 
     @property
     def name(self) -> str:
-        """Short name, as on the command line."""
+        """Return the short name used on the command line."""
         ...
 
     @property
     def config(self) -> BaseModel:
-        """Everything that changes the result; written into the results file."""
+        """Return everything that changes the result; it is written into the results file."""
         ...
 
     @property
     def weights_sha256(self) -> str | None:
-        """Digest of learned weights, None for methods without."""
+        """Return the digest of the learned weights, None for methods without."""
         ...
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Build the per-map state once.
 
         Args:
-            sparse_map: the map; image names are relative to ``images``.
+            sparse_map: map; its image names are relative to ``images``.
             images: folder of the map's photographs.
             cache: folder for state that outlives the process, or None to keep none. Entries are
                 keyed by a digest of map, weights and configuration.
 
         Raises:
-            InputError: the map is empty or a photograph is missing or broken.
+            InputError: the map is empty, or a photograph is missing or damaged.
         """
         ...
 
     def localize(self, query: Query) -> Estimate:
-        """Find the pose. A query that cannot be localized is an answer, not an exception."""
+        """Find the pose of a query.
+
+        A query that cannot be localized is answered with ``FAILED`` and a reason, never by an
+        exception.
+        """
         ...

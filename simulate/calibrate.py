@@ -28,9 +28,9 @@ from PIL.PngImagePlugin import PngInfo
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
 from scene.runtime.progress import progress_bar
-from scene.storage.files import written_whole
-from scene.storage.marks import PNG_MARK, PNG_METADATA
-from scene.storage.outputs import Output, claim
+from scene.storage.atomic import atomic_write
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.provenance import PNG_MARK, PNG_METADATA
 from scene.storage.scratch import scratch
 from simulate.camera.lens import rendered_through
 from simulate.camera.resample import resample_colour
@@ -143,12 +143,12 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
     """
     corners_picture = out / "corners.png"
     views_of = (out / "views" / f"{k:06d}.png" for k in range(views))
-    claim([Output(path, PNG_MARK) for path in (corners_picture, *views_of)], within=out)
+    check_outputs([OutputFile(path, PNG_MARK) for path in (corners_picture, *views_of)], within=out)
     rng = np.random.default_rng(seed)
     poses = np.stack([board_pose(camera, BOARD, rng) for _ in range(views)])
     pictures = _photographs(camera, poses, seed, out)
     for name, picture in pictures.items():
-        with written_whole(out / "views" / name) as partial:
+        with atomic_write(out / "views" / name) as partial:
             Image.fromarray(picture).save(partial, "PNG", pnginfo=_ours())
     found = {name: find_corners(picture, BOARD) for name, picture in pictures.items()}
     kept = [k for k, corners in enumerate(found.values()) if corners is not None]
@@ -383,5 +383,5 @@ def _save_picture(result: Calibration, pictures: dict[str, NDArray[np.uint8]], p
         ax.plot(*seen.T, "o", mfc="none", mec="red", ms=5, mew=0.6)
         ax.plot(*shown.T, "+", color="cyan", ms=5, mew=0.6)
     figure.suptitle(f"found (circles) and reprojected (crosses): RMS {result.rms_px:.3f} px")
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=80, metadata=PNG_METADATA)

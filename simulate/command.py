@@ -31,15 +31,17 @@ from scene.bundle.manifest import (
     write_json,
 )
 from scene.bundle.pictures import draw_pictures
-from scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish
+from scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish_scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import geodetic_from_enu
 from scene.geometry.pose import Pose
 from scene.runtime.cluster import worker_pool
 from scene.runtime.progress import progress_bar
-from scene.storage.files import MARK, is_ours, remove_partial, sole_writer, write_text
+from scene.storage.atomic import TEMPORARY_PREFIX
 from scene.storage.images import Exif, write_jpeg
+from scene.storage.locks import write_lock
+from scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.camera.lens import rendered_through
 from simulate.camera.sensor import expose
@@ -56,8 +58,8 @@ from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from simulate.render.remote import frame_files, render_remotely
 
-_CONFIG = f"{MARK}config.json"
-_RENDERED = f"{MARK}rendered"
+_CONFIG = f"{TEMPORARY_PREFIX}config.json"
+_RENDERED = f"{TEMPORARY_PREFIX}rendered"
 
 _Renderer = Callable[[RenderJob, Path, Callable[[int], None]], None]
 
@@ -78,11 +80,12 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
         InputError: ``out`` holds something else, cannot be written or is written by another run,
             rendering failed, or there is no such cluster.
     """
-    with sole_writer(out):
+    with write_lock(out):
         return _simulate(config, out, jobs, cluster)
 
 
 def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None) -> Scene:
+    unfinished = _resumable(out, config)
     finished = _finished(out, config)
     if finished is not None:
         return finished
@@ -97,8 +100,7 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     cameras = [config.photo_camera(session) for session in config.sessions]
     pixels_per_frame = max(camera.width * camera.height for camera in cameras)
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
-    write_text(out / _CONFIG, config.model_dump_json())
-    remove_partial(out)
+    unfinished.begin()
     with _renderer(jobs, cluster) as renderer:
         for name, session, flight in zip(names, config.sessions, planned, strict=True):
             _make_session(out / "sessions", name, session, config, flight, renderer)
@@ -108,8 +110,8 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
     draw_pictures(scene)
     pixels = {"pixels_sha256": pixel_digests(scene)}
-    scene = finish(out, scene.manifest.model_copy(update=pixels))
-    (out / _CONFIG).unlink()
+    scene = finish_scene(out, scene.manifest.model_copy(update=pixels))
+    unfinished.end()
     return scene
 
 
@@ -136,32 +138,34 @@ def _left(
     return left
 
 
+def _resumable(out: Path, config: SimulateConfig) -> ResumableFolder:
+    """Return the folder of a scene, whose record is the configuration while it is unfinished."""
+
+    def difference(record: Path) -> str | None:
+        recorded = read_json(record, SimulateConfig, "configuration of the unfinished scene")
+        return None if recorded == config else "configuration"
+
+    return ResumableFolder(out, out / _CONFIG, config.model_dump_json(), difference)
+
+
 def _finished(out: Path, config: SimulateConfig) -> Scene | None:
-    """Hold the folder against this configuration; the scene itself when it is finished already."""
+    """Return the scene when it is finished already; refuse a folder that holds anything else."""
+    unfinished = _resumable(out, config)
     if (out / MANIFEST).is_file():
         scene = Scene.open(out)
         if scene.manifest.config != _plain(config):
             raise InputError(
                 f"{out} holds a scene of another configuration: choose another folder or remove it"
             )
-        (out / _CONFIG).unlink(missing_ok=True)  # left by a run killed at its very end
+        unfinished.end()  # a run killed at its very end left its record
         return scene
-    if (out / _CONFIG).is_file():
-        if read_json(out / _CONFIG, SimulateConfig, "configuration of the unfinished scene") != (
-            config
-        ):
-            raise InputError(
-                f"{out} holds an unfinished scene of another configuration: choose another folder "
-                "or remove it"
-            )
-        return None
-    try:
-        # A run killed while it claimed the folder left this beginning of its configuration.
-        occupied = out.exists() and any(not is_ours(item.name) for item in out.iterdir())
-    except OSError as error:
-        raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
-    if occupied:
-        raise InputError(f"{out} is not empty and not a scene: choose another folder")
+    if not unfinished.resume(
+        lambda difference: (
+            f"{out} holds an unfinished scene of another {difference}: choose another folder "
+            "or remove it"
+        )
+    ):
+        unfinished.require_empty("scene")
     return None
 
 

@@ -14,8 +14,15 @@ from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
 from simulate.camera.lens import CameraConfig, rendered_through
 from simulate.camera.sensor import SensorConfig
-from simulate.flight.config import Flight, NadirFlight, StreetFlight
-from simulate.flight.flights import MAX_PHOTOGRAPHS
+from simulate.flight.config import (
+    MAP_PLAN,
+    QUERY_PLAN,
+    Flight,
+    FlightPlan,
+    NadirFlight,
+    StreetFlight,
+)
+from simulate.flight.site import MAX_PHOTOGRAPHS
 from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import preset
@@ -55,7 +62,7 @@ class SessionConfig(Config):
     @property
     def world_change(self) -> Change:
         """The change asked for, and bare trees where the season has them."""
-        if not condition(self.condition).bare:
+        if not condition(self.condition).season.bare:
             return self.change
         return self.change.model_copy(update={"bare_trees": True})
 
@@ -64,44 +71,6 @@ class SessionConfig(Config):
         if self.frames is not None and self.flight.counts_photographs:
             raise ValueError(f"the {self.flight.kind} flight says its own number: leave frames out")
         return self
-
-
-class FlightPlan(Config):
-    """How flights of one role are flown that say no better. Map and query flights differ in every
-    number.
-
-    Attributes:
-        nadir_altitude_m: of surveys, above the ground.
-        nadir_heading_deg: of the first line, clockwise from north.
-        orbit_altitude_m: above the ground at the centre.
-        orbit_radius_share: radius over the side of the area.
-        orbit_start_deg: bearing of the first exposure.
-        backwards: whether corridors and streets are followed from their end.
-    """
-
-    nadir_altitude_m: float = Field(gt=0)
-    nadir_heading_deg: float
-    orbit_altitude_m: float = Field(gt=0)
-    orbit_radius_share: float = Field(gt=0)
-    orbit_start_deg: float
-    backwards: bool = False
-
-
-MAP_PLAN = FlightPlan(
-    nadir_altitude_m=80,
-    nadir_heading_deg=0,
-    orbit_altitude_m=55,
-    orbit_radius_share=0.4,
-    orbit_start_deg=0,
-)
-QUERY_PLAN = FlightPlan(
-    nadir_altitude_m=70,
-    nadir_heading_deg=35,
-    orbit_altitude_m=48,
-    orbit_radius_share=0.36,
-    orbit_start_deg=20,
-    backwards=True,
-)
 
 
 def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionConfig, ...]:
@@ -146,15 +115,15 @@ class SimulateConfig(Config):
     The place called street has its own usual area, frames and sessions: drives with two cameras.
 
     Attributes:
-        preset: kind of place.
-        seed: of the place and of every noise; the same seed gives the same scene.
-        area: side of the place, metres.
-        size: long side of the photographs, pixels, unless ``camera`` has its own.
+        preset: kind of place, such as town or farmland.
+        seed: random seed of the place and of every noise; the same seed gives the same scene.
+        area: side of the square place, metres.
+        size: long side of the photographs, pixels, unless the camera has its own size.
         fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
         camera: of every photograph of sessions without their own; None is a square pinhole of
             ``size`` and ``fov_deg``.
-        spp: paths per pixel, denoised.
-        frames: photographs of a session that does not say.
+        spp: rendering samples per pixel; the result is denoised.
+        frames: photographs of each session that gives no number of its own.
         sessions: flights; on the command line "condition:flight[:role][:change]", where the first
             is the map's and the others are queries unless they say.
         map_plan: how map flights are flown.

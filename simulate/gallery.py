@@ -14,17 +14,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.files import MARK, remove_partial, write_text, written_whole
-from scene.storage.marks import JPEG_MARK
-from scene.storage.outputs import Output, claim
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_write, remove_partial, write_text
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.provenance import JPEG_MARK
 from simulate.command import render_job
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
 from simulate.flight.config import NadirFlight, ObliqueFlight, StreetFlight
 from simulate.look.conditions import LIGHTS, SEASONS, WEATHER, condition
-from simulate.place.presets import PLANS, preset
+from simulate.place.presets import PRESETS, preset
 from simulate.place.world import World
 from simulate.planner import plan_session
 from simulate.render.job import RenderJob, frame_path
@@ -32,7 +32,7 @@ from simulate.render.pool import RenderError, render
 
 PAGE, PICTURES = "gallery.md", "gallery"
 _LIGHT, _WEATHER = "light", "weather"
-_RENDERED = f"{MARK}gallery"
+_RENDERED = f"{TEMPORARY_PREFIX}gallery"
 # Stands near the beginning of every page.
 _MARK = b"Every kind of place and every condition, as the simulator renders them."
 # From an orbit, from above and from the street, each with the exposures one is chosen from.
@@ -77,7 +77,7 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     configs = {
         name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
-        for name, plan in PLANS.items()
+        for name, plan in PRESETS.items()
     }
     places = {name: preset(name)(config.seed, own.area) for name, own in configs.items()}
     kinds = [_of_place(configs[name], world, shown_in) for name, world in places.items()]
@@ -105,11 +105,13 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
 
 def _claim(out: Path) -> None:
     """Refuse a folder where the page or a picture of somebody else would be replaced."""
-    page = Output(out / PAGE, _MARK)
+    page = OutputFile(out / PAGE, _MARK)
     # Beside a page of ours its pictures are ours.
     mark = b"" if page.path.is_file() else JPEG_MARK
-    names = (*PLANS, _LIGHT, _WEATHER)
-    claim([page, *(Output(out / PICTURES / f"{name}.jpg", mark) for name in names)], within=out)
+    names = (*PRESETS, _LIGHT, _WEATHER)
+    check_outputs(
+        [page, *(OutputFile(out / PICTURES / f"{name}.jpg", mark) for name in names)], within=out
+    )
 
 
 def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
@@ -170,7 +172,7 @@ def _draw(picture: _Picture, config: SimulateConfig, rendered: Path, path: Path)
         if column == 0 and rows > 1:
             ax.text(-0.02, 0.5, picture.rows[row], fontsize=9, rotation=90, ha="right",
                     va="center", transform=ax.transAxes)  # fmt: skip
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="jpeg", dpi=_INCH,
                        pil_kwargs={"quality": _JPEG_QUALITY, "comment": JPEG_MARK})  # fmt: skip
 
@@ -196,7 +198,7 @@ def _page(config: SimulateConfig, out: Path, shown_in: str, places: Mapping[str,
 Every kind of place and every condition, as the simulator renders them. Made by
 
 ```sh
-objconnect gallery --out {printed(out)} --preset {config.preset} --condition {shown_in} \\
+objconnect gallery --out {for_terminal(out)} --preset {config.preset} --condition {shown_in} \\
   --seed {config.seed} --area {config.area:g} --size {config.size} --spp {config.spp}
 ```
 

@@ -292,8 +292,8 @@ MUTANTS: Final = (
     Mutant(
         "a few points that fit win over many",
         "baselines/align/hypotheses.py",
-        "won = found.seen * (_chance(level, scale)[:, None] - found.cost)",
-        "won = -found.cost",
+        "gain = found.seen * (chance[:, None] - found.cost)",
+        "gain = -found.cost",
         (f"{_STARTS}::test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly",),
     ),
     Mutant(
@@ -305,9 +305,9 @@ MUTANTS: Final = (
     ),
     Mutant(
         "a fit no better than chance is an answer",
-        "baselines/featuremetric/localizer.py",
-        "_BETTER: Final = 0.93",
-        "_BETTER: Final = 9.0",
+        "baselines/featuremetric/options.py",
+        "0.93, gt=0",
+        "9.0, gt=0",
         (f"{_LOCALIZER}::test_a_picture_of_something_else_is_no_fix",),
     ),
 )

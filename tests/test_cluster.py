@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import create
 from benchmark.results import QueryResult, Results, load

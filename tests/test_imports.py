@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.misuse.world import make_scene
+
 ROOT = Path(__file__).parents[1]
 ALLOWED = {
     "scene": set(),
@@ -134,9 +136,10 @@ def test_one_module_speaks_to(library: str) -> None:
     assert all(name == allowed or name.startswith(f"{allowed}.") for name in users)
 
 
-def test_there_is_no_circle_at_import_time() -> None:
+def test_there_is_no_circle() -> None:
+    """No file needs itself through others, not even inside functions or for annotations alone."""
     graph = {
-        name: {target for target in imports_when_loaded(tree) if target in ALL and target != name}
+        name: {target for target in imports_anywhere(tree) if target in ALL and target != name}
         for name, tree in ALL.items()
     }
     try:
@@ -166,6 +169,42 @@ def test_blender_is_loaded_by_nobody_who_does_not_render() -> None:
 def test_scene_loads_no_other_package() -> None:
     loaded = loaded_by([name for name in ALL if name.startswith("scene")])
     assert not (set(ALLOWED) - {"scene"}) & loaded
+
+
+# Libraries that take seconds to import.
+HEAVY = {"torch", "pycolmap", "cv2", "matplotlib"}
+
+
+@pytest.mark.parametrize("name", ["scene.bundle.scene", "benchmark.cli"])
+def test_module_loads_no_heavy_library(name: str) -> None:
+    assert not HEAVY & loaded_by([name])
+
+
+def test_scene_is_opened_without_heavy_libraries(tmp_path: Path) -> None:
+    make_scene(tmp_path / "hamlet")
+    code = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from scene.bundle.scene import Scene\n"
+        "scene = Scene.open(Path(sys.argv[1]))\n"
+        "assert scene.manifest.origin.altitude == scene.manifest.origin[2]\n"
+        "assert scene.splits.map and scene.objects.objects and scene.covisibility.names\n"
+        "for session in scene.sessions:\n"
+        "    frames = scene.frames(session)\n"
+        "    assert frames.cam_from_world.shape == (len(frames.names), 4, 4)\n"
+        "    assert frames.cameras[0].calibration.shape == (3, 3)\n"
+        "    assert frames.has_gps.shape == (len(frames),)\n"
+        f"print(*sorted({HEAVY!r} & set(sys.modules)))\n"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "hamlet")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert not answer.stdout.split()
 
 
 def test_nobody_asks_what_time_it_is() -> None:

@@ -1,8 +1,7 @@
-"""Poses from features, coarse to fine."""
+"""The aligner: poses from features, coarse to fine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,12 +9,12 @@ import torch
 from torch import Tensor
 
 from baselines.align.covariance import covariance
-from baselines.align.descent import Options, descend, is_finite
-from baselines.align.local import Local, working_precision
-from baselines.align.residuals import Level, Problem
+from baselines.align.descent import descend, is_finite
+from baselines.align.local import Local
+from baselines.align.problem import Problem
+from baselines.align.residuals import LevelCost, Linearisation
 from baselines.align.trees import tree_map
 from scene.geometry.pose import Pose
-from scene.geometry.projection import Intrinsics
 
 _ALIGNED, _BAD_START, _TOO_FEW, _NOT_FINITE = range(4)
 _WHY: Final = (
@@ -51,46 +50,57 @@ class Alignment:
 
     @property
     def failed(self) -> Tensor:
-        """(...) where there is no pose to trust."""
+        """Return (...) where alignment failed, so that the pose must not be used."""
         return self.failure != _ALIGNED
 
     def reason(self, *index: int) -> str:
-        """Why one element failed, in words; empty where it did not."""
+        """Return why one element failed, in words; empty where it did not."""
         code = int(self.failure[index])
         return _WHY[code] + (f" ({int(self.seen[index])})" if code == _TOO_FEW else "")
 
 
-def align(
-    levels: Sequence[Level],
-    points: Tensor,
-    intrinsics: Intrinsics,
-    start: Pose,
-    damping: Sequence[Tensor],
-    options: Options,
-    mask: Tensor | None = None,
-) -> Alignment:
+def align(problem: Problem) -> Alignment:
     """Align queries to the points of a map.
 
     Points and poses are taken relative to the starting position, so that coordinates far from the
     origin cost no precision; poses and 6 x 6 systems are in double precision, all else in single
-    (in double where the features are).
+    (in double where the features are). No gradient flows from a level into the one before.
 
     Args:
-        levels: of B queries, coarse to fine.
-        points: (B, N, 3) in the world, metres.
-        intrinsics: of the queries, batched (B), or one for all.
-        start: ``cam_from_world``, batched (B), or (B, K) for K starts of every query, which share
-            its features.
-        damping: (6,) of every level, rotation then translation: see ``Damping``.
-        options: how to go down. No gradient flows from a level into the one before.
-        mask: (B, N) points to use, or None for all.
+        problem: B queries with one start each, or K.
 
     Returns:
         A finite pose whatever the input: what cannot be aligned has failed, with a reason.
+
+    Example:
+        A map of two channels that hold the pixel itself, seen by a camera 10 m above four points:
+
+        >>> import torch
+        >>> from baselines.align.options import Options
+        >>> from baselines.align.residuals import Level
+        >>> from scene.geometry.camera import Camera
+        >>> from scene.geometry.pose import Pose
+        >>> y, x = torch.meshgrid(torch.arange(32.), torch.arange(32.), indexing="ij")
+        >>> features = torch.stack([x, y])[None] / 32
+        >>> points = torch.tensor([[[-3., -3, 10], [3, -3, 10], [-3, 3, 10], [3, 3, 9]]])
+        >>> camera = Camera("PINHOLE", 32, 32, (32.0, 32.0, 16.0, 16.0))
+        >>> reference = (camera.project(points[0].double()).xy - 0.5)[None].float() / 32
+        >>> start = Pose(torch.eye(3)[None], torch.tensor([[0.1, -0.1, 0.0]]))
+        >>> found = align(
+        ...     Problem(
+        ...         [Level(features, 1.0, reference)], points, camera.intrinsics(), start,
+        ...         [torch.full((6,), 1e-3)], Options(min_points=4, iterations=100),
+        ...     )
+        ... )
+        >>> bool(found.failed.any())
+        False
+        >>> bool(found.pose.translation.abs().max() < 0.02)
+        True
     """
-    local = Local.of(points, intrinsics, start, mask, working_precision(levels))
+    local, options = Local.of(problem), problem.options
     shape = local.finite.shape
     starts_per_query = shape[1:].numel()
+    points = problem.points
     owner = torch.arange(len(points), device=points.device).repeat_interleave(starts_per_query)
 
     def unflattened(t: Tensor) -> Tensor:
@@ -100,29 +110,38 @@ def align(
     failure = torch.where(local.finite.flatten(), _ALIGNED, _BAD_START)
     iterations, seen = torch.zeros_like(owner), torch.zeros_like(owner)
     by_level = []
-    for level, held_back in zip(levels, damping, strict=True):
-        problem = Problem.of(
-            level, local.points, local.usable, local.intrinsics, options.border, options.scale
+    for level, damping in zip(problem.levels, problem.damping, strict=True):
+        cost = LevelCost.of(
+            level,
+            local.points,
+            local.usable,
+            local.intrinsics,
+            options.border_cells,
+            options.robust_scale,
         )
-        problem = problem if starts_per_query == 1 else problem.rows(owner)
+        cost = cost if starts_per_query == 1 else cost.rows(owner)
         alive = failure == _ALIGNED
-        place = descend(problem, tree_map(Tensor.detach, pose), alive, held_back, options)
-        pose, iterations = place.pose, iterations + place.iterations
-        seen = torch.where(alive, place.around.seen.sum(-1), seen)
-        now = torch.where(is_finite(place.around), _ALIGNED, _NOT_FINITE)
-        now = torch.where(seen < options.least_points, _TOO_FEW, now)
+        state = descend(cost, tree_map(Tensor.detach, pose), alive, damping, options)
+        pose, iterations = state.pose, iterations + state.iterations
+        seen = torch.where(alive, state.around.seen.sum(-1), seen)
+        now = torch.where(is_finite(state.around), _ALIGNED, _NOT_FINITE)
+        now = torch.where(seen < options.min_points, _TOO_FEW, now)
         failure = torch.where(alive, now, failure)
         by_level.append(local.in_world(tree_map(unflattened, pose)))
     failed = failure != _ALIGNED
-    cost = torch.where(failed, torch.inf, place.around.mean_cost())
-    unknown = torch.full((6,), torch.inf, dtype=torch.float64, device=failed.device).diag_embed()
-    spread = torch.where(failed[:, None, None], unknown, covariance(place.around))
+    last = state.around
     return Alignment(
         pose=by_level[-1],
         by_level=tuple(by_level),
-        covariance=unflattened(spread),
-        cost=unflattened(cost),
+        covariance=unflattened(_covariance(last, failed, options.covariance_patch_cells)),
+        cost=unflattened(torch.where(failed, torch.inf, last.mean_cost())),
         iterations=unflattened(iterations),
         seen=unflattened(seen),
         failure=unflattened(failure),
     )
+
+
+def _covariance(around: Linearisation, failed: Tensor, patch_cells: float) -> Tensor:
+    """Return the covariances (M, 6, 6) of poses, infinite on the diagonal where they failed."""
+    unknown = torch.full((6,), torch.inf, dtype=torch.float64, device=failed.device).diag_embed()
+    return torch.where(failed[:, None, None], unknown, covariance(around, patch_cells))

@@ -1,4 +1,4 @@
-"""Damped steps: how strongly each direction of the pose is held back, learned or not."""
+"""Damped steps of the aligner, with learned or fixed damping of each direction of the pose."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from torch import Tensor, nn
 
 from scene.geometry.pose import Pose, so3_exp
 
+# Range of the decimal logarithm of a factor: part of the model that the weights were trained for.
 _LOG_RANGE = (-6.0, 5.0)
-# Least value added to the diagonal of the Hessian, in the units of the Hessian.
+# Numerical guard: the least value added to the diagonal of the Hessian, in its units.
 _FLOOR = 1e-6
 
 
@@ -24,18 +25,18 @@ class Damping(nn.Module):
         self.theta = nn.Parameter(torch.zeros(6))
 
     def forward(self) -> Tensor:
-        """(6,) factors of the Hessian's diagonal: rotation, then translation."""
+        """Return (6,) factors of the Hessian's diagonal: rotation, then translation."""
         return damping_factors(self.theta)
 
 
 def damping_factors(theta: Tensor) -> Tensor:
-    """Learned parameters (..., 6), of any size, as factors of the Hessian's diagonal."""
+    """Map learned parameters (..., 6) of any size to factors of the Hessian's diagonal."""
     low, high = _LOG_RANGE
     return 10 ** (low + (high - low) * torch.sigmoid(theta))
 
 
 def damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
-    """Tangents that go down: -(H + damping * diag H)^-1 g (Marquardt), in double precision.
+    """Compute the steps -(H + damping * diag H)^-1 g (Marquardt), in double precision.
 
     Where the damped Hessian is not positive definite, only its diagonal is used.
 
@@ -55,10 +56,10 @@ def damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
 
 
 def moved(cam_from_world: Pose, step: Tensor) -> Pose:
-    """Poses (M) after steps (M, 6): turned about the camera, then shifted.
+    """Apply steps (M, 6) to poses (M): turn about the camera, then shift.
 
-    Rotation and translation are moved apart, which is the exponential of SE(3) to first order and
-    what weights trained elsewhere expect.
+    Rotation and translation are updated separately, which is the exponential of SE(3) to first
+    order and what weights trained elsewhere expect.
     """
     turn, shift = so3_exp(step[..., :3]), step[..., 3:]
     return Pose(

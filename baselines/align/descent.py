@@ -1,4 +1,4 @@
-"""Down one level: damped Gauss-Newton over a batch that shrinks as its elements arrive."""
+"""Minimisation on one level: damped Gauss-Newton over a batch that shrinks as elements converge."""
 
 from __future__ import annotations
 
@@ -9,126 +9,103 @@ import torch
 from torch import Tensor
 
 from baselines.align.damping import damped_step, moved
-from baselines.align.residuals import Linearisation, Problem
+from baselines.align.options import Options
+from baselines.align.residuals import LevelCost, Linearisation
 from baselines.align.trees import choose, rows, tree_map
 from scene.geometry.pose import Pose
 
-# A rejected step multiplies the damping by this; one taken divides it.
-_CAUTION: Final = 10.0
-_LEAST_CAUTION: Final = 1e-3
-_MOST_CAUTION: Final = 1e8
+# Numerical bounds of the factor on the damping.
+_MIN_DAMPING: Final = 1e-3
+_MAX_DAMPING: Final = 1e8
 
 
 @dataclass(frozen=True)
-class Options:
-    """How to go down.
-
-    Attributes:
-        iterations: steps per level; at most, and tried ones count, where ``careful``.
-        careful: take a step only if the cost falls, else try a shorter one, and stop where steps
-            have become small. Without it all steps are taken and the pose is differentiable by
-            features, confidences and damping: for training.
-        border: cells at the edge of a map in which points do not count; at least 1.
-        scale: of the robust cost: residuals of larger norm lose weight.
-        least_points: with fewer in view, alignment has failed.
-        small_metres: a step below this and
-        small_degrees: below this is the last of its level.
-    """
-
-    iterations: int = 15
-    careful: bool = True
-    border: float = 1.0
-    scale: float = 0.1
-    least_points: int = 10
-    small_metres: float = 5e-3
-    small_degrees: float = 5e-2
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where M elements stand.
+class State:
+    """The state of M elements of a batch.
 
     Attributes:
         pose: ``cam_from_world``.
         around: the cost there.
         iterations: (M,) steps tried.
-        caution: (M, 1) factor on the damping.
+        damping: (M, 1) factor on the level's damping.
     """
 
     pose: Pose
     around: Linearisation
     iterations: Tensor
-    caution: Tensor
+    damping: Tensor
 
 
 def descend(
-    problem: Problem,
+    cost: LevelCost,
     pose: Pose,
     alive: Tensor,
     damping: Tensor,
     options: Options,
-) -> Place:
+) -> State:
     """Minimise the cost of one level.
 
     Args:
-        problem: the level.
+        cost: the level, laid out for M poses.
         pose: (M) where to begin.
-        alive: (M,) those to move at all.
+        alive: (M,) which elements to move at all.
         damping: (6,) factors of the Hessian's diagonal.
-        options: how.
+        options: how the level is minimised.
     """
-    around = problem.linearise(pose)
-    still = torch.zeros(len(alive), dtype=torch.long, device=alive.device)
-    place = Place(pose, around, still, torch.ones_like(still, dtype=torch.float64)[:, None])
+    around = cost.linearise(pose)
+    none = torch.zeros(len(alive), dtype=torch.long, device=alive.device)
+    state = State(pose, around, none, torch.ones_like(none, dtype=torch.float64)[:, None])
     number = torch.arange(len(alive), device=alive.device)
-    arrived: list[tuple[Tensor, Place]] = []
-    going = alive
+    finished: list[tuple[Tensor, State]] = []
+    moving = alive
     for _ in range(options.iterations):
-        going = going & healthy(place.around, options.least_points)
-        if not bool(going.all()):
-            arrived.append((number[~going], rows(place, ~going)))
-            number, place, problem = number[going], rows(place, going), problem.rows(going)
+        moving = moving & healthy(state.around, options.min_points)
+        if not bool(moving.all()):
+            finished.append((number[~moving], rows(state, ~moving)))
+            number, state, cost = number[moving], rows(state, moving), cost.rows(moving)
         if not len(number):
             break
-        step = damped_step(place.around.gradient, place.around.hessian, damping * place.caution)
-        there = moved(place.pose, step)
-        place = replace(place, iterations=place.iterations + 1)
-        trial = replace(place, pose=there, around=problem.linearise(there))
+        step = damped_step(state.around.gradient, state.around.hessian, damping * state.damping)
+        trial_pose = moved(state.pose, step)
+        state = replace(state, iterations=state.iterations + 1)
+        trial = replace(state, pose=trial_pose, around=cost.linearise(trial_pose))
         if options.careful:
-            better = _falls(place.around, trial.around, options.least_points)
-            place = choose(better, trial, place)
-            factor = torch.where(better, 1 / _CAUTION, _CAUTION)[:, None]
-            caution = (place.caution * factor).clamp(_LEAST_CAUTION, _MOST_CAUTION)
-            place = replace(place, caution=caution)
-            going = ~_small(step, options)
+            better = _falls(state.around, trial.around, options.min_points)
+            state = choose(better, trial, state)
+            change = options.damping_change
+            factor = torch.where(better, 1 / change, change)[:, None]
+            state = replace(
+                state, damping=(state.damping * factor).clamp(_MIN_DAMPING, _MAX_DAMPING)
+            )
+            moving = ~_small(step, options)
         else:
-            place, going = trial, torch.ones_like(number, dtype=torch.bool)
-    arrived.append((number, place))
-    order = torch.cat([numbers for numbers, _ in arrived]).argsort()
-    places = [each for _, each in arrived]
-    return tree_map(lambda *parts: torch.cat(parts)[order], *places)
+            state, moving = trial, torch.ones_like(number, dtype=torch.bool)
+    finished.append((number, state))
+    order = torch.cat([numbers for numbers, _ in finished]).argsort()
+    states = [each for _, each in finished]
+    return tree_map(lambda *parts: torch.cat(parts)[order], *states)
 
 
-def healthy(around: Linearisation, least_points: int) -> Tensor:
-    """(M,) whether enough points are in view and everything is finite."""
-    return (around.seen.sum(-1) >= least_points) & is_finite(around)
+def healthy(around: Linearisation, min_points: int) -> Tensor:
+    """Return (M,) whether enough points are in view and everything is finite."""
+    return (around.seen.sum(-1) >= min_points) & is_finite(around)
 
 
 def is_finite(around: Linearisation) -> Tensor:
-    """(M,) whether a step can be computed."""
+    """Return (M,) whether a step can be computed."""
     return around.gradient.isfinite().all(-1) & around.hessian.isfinite().flatten(1).all(-1)
 
 
-def _falls(here: Linearisation, there: Linearisation, least_points: int) -> Tensor:
-    """(M,) whether the mean cost is lower there, over the points in view from both poses."""
+def _falls(here: Linearisation, there: Linearisation, min_points: int) -> Tensor:
+    """Return (M,) whether the mean cost falls, over the points in view from both poses."""
     both = here.seen & there.seen
     before, after = (replace(each, weight=each.weight * both) for each in (here, there))
     lower = after.mean_cost() < before.mean_cost()
-    return lower & (both.sum(-1) >= least_points) & is_finite(there)
+    return lower & (both.sum(-1) >= min_points) & is_finite(there)
 
 
 def _small(step: Tensor, options: Options) -> Tensor:
-    """(M,) whether steps (M, 6) end a level."""
+    """Return (M,) whether steps (M, 6) are small enough to end a level."""
     turn, shift = step[:, :3].norm(dim=-1), step[:, 3:].norm(dim=-1)
-    small: Tensor = (turn.rad2deg() < options.small_degrees) & (shift < options.small_metres)
+    small: Tensor = (turn.rad2deg() < options.converged_deg) & (shift < options.converged_m)
     return small

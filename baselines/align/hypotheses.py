@@ -1,16 +1,17 @@
-"""Many starts: poses all around the prior, compared on the coarsest level, the best refined.
+"""Alignment from many starts: poses all around the prior, compared on the coarsest level.
 
 The features of a level guide a pose over a cell or two, 30 pixels on the coarsest; a prior of 10 m
 and 10 degrees is off by a hundred. Turning the camera and moving it sideways shift the picture
-alike, so that three numbers (two shifts of the picture, one turn of it) reach all such poses.
+alike, so that three numbers (two shifts of the picture, one turn of it) reach all such poses. The
+best of them are refined.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import Final
 
 import torch
 from torch import Tensor
@@ -18,64 +19,41 @@ from torch.nn.functional import grid_sample
 
 from baselines.align.aligner import Alignment, align
 from baselines.align.damping import moved
-from baselines.align.descent import Options
-from baselines.align.local import Local, working_precision
+from baselines.align.local import Local
+from baselines.align.options import HypothesisOptions, SearchRadius
+from baselines.align.problem import Problem
 from baselines.align.residuals import Level, robust_cost
 from baselines.align.sampling import per_axis
 from baselines.align.trees import tree_map
 from scene.geometry.pose import Pose
-from scene.geometry.projection import Intrinsics
 
-# Cells of the coarsest level between neighbouring shifts of the picture, and degrees between turns.
-_SPACING = 1.7
-_TURN_DEGREES = 6.0
-_MOST_SHIFTS = 17
-# Steps after which those of the hypotheses that have met go on as one.
-_TOGETHER = 4
-# How much larger than others the steps are that end a hypothesis on the coarsest level.
-_ROUGH = 8
-# Cells of a level. Poses so near to each other end in one place on it.
-_SAME_PLACE = 0.5
-# Cells of the finest level from which the cost of chance is taken.
-_CHANCE_CELLS = 256
+_DEFAULTS: Final = HypothesisOptions()
 
 
-@dataclass(frozen=True)
-class SearchRadius:
-    """How far from the prior to look, and how many poses to refine.
-
-    Attributes:
-        metres: the largest error of position to expect, in any direction.
-        degrees: the largest error of attitude.
-        heading: of the turn about the camera's axis, in degrees, where it is larger than that.
-        refined: hypotheses that are refined beside the prior itself, on the coarsest level.
-        finalists: that go on from there to the finest.
-    """
-
-    metres: float = 8.0
-    degrees: float = 10.0
-    heading: float = 0.0
-    refined: int = 8
-    finalists: int = 2
-
-
-def around(start: Pose, distance: Tensor, reach: SearchRadius, spacing_degrees: float) -> Pose:
-    """Poses on a grid around others, which stand in its middle: (B) -> (B, K).
+def around(
+    start: Pose,
+    distance: Tensor,
+    radius: SearchRadius,
+    spacing_deg: float,
+    options: HypothesisOptions,
+) -> Pose:
+    """Place poses on a grid around others, which stand in its middle: (B) -> (B, K).
 
     Args:
         start: ``cam_from_world`` (B).
         distance: (B,) metres to the points.
-        reach: how far to look.
-        spacing_degrees: between shifts of the picture.
+        radius: how far to look.
+        spacing_deg: degrees between neighbouring shifts of the picture.
+        options: size and spacing of the grid.
     """
-    turn = math.radians(reach.degrees)
-    aside = torch.atan(reach.metres / distance.double())
-    # What the errors of a prior, in directions of their own, do to the picture together.
-    shift = 1.2 * torch.hypot(aside, torch.full_like(aside, turn))
-    steps = math.ceil(math.degrees(float(shift.max())) / spacing_degrees)
-    shifts = min(2 * steps + 1, _MOST_SHIFTS)
-    heading = max(0.6 * reach.degrees, reach.heading)
-    yaws = 2 * math.ceil(heading / _TURN_DEGREES) + 1
+    turn = math.radians(radius.degrees)
+    aside = torch.atan(radius.metres / distance.double())
+    # Errors of position and attitude have directions of their own, and shift the picture together.
+    shift = options.shift_margin * torch.hypot(aside, torch.full_like(aside, turn))
+    steps = math.ceil(math.degrees(float(shift.max())) / spacing_deg)
+    shifts = min(2 * steps + 1, options.max_shifts)
+    heading = max(options.turn_share * radius.degrees, radius.heading)
+    yaws = 2 * math.ceil(heading / options.turn_spacing_deg) + 1
     ranged = partial(torch.linspace, -1, 1, dtype=torch.float64, device=distance.device)
     unit, yaw = ranged(shifts), math.radians(heading) * ranged(yaws)
     x, y, z = (t.flatten() for t in torch.meshgrid(unit, unit, yaw, indexing="ij"))
@@ -89,135 +67,159 @@ def around(start: Pose, distance: Tensor, reach: SearchRadius, spacing_degrees: 
     each = tree_map(
         lambda t: t[:, None].expand(-1, grid.shape[1], *t.shape[1:]).flatten(0, 1), start
     )
-    reached = moved(each, grid.flatten(0, 1))
-    return tree_map(lambda t: t.view(*grid.shape[:2], *t.shape[1:]), reached)
+    poses = moved(each, grid.flatten(0, 1))
+    return tree_map(lambda t: t.view(*grid.shape[:2], *t.shape[1:]), poses)
 
 
-def gain(level: Level, local: Local, poses: Pose, scale: float) -> Tensor:
-    """How much better than chance the points fit at poses (B, K), on one level: (B, K).
+def gain_over_chance(level: Level, local: Local, poses: Pose, robust_scale: float) -> Tensor:
+    """Return how much better than chance the points fit at poses (B, K) on one level, (B, K).
 
-    The cost of every point at every cell is computed once; a pose only looks it up. From it the
-    point's mean cost over all cells is taken, what it costs at a place taken at random: points out
-    of view gain nothing, instead of making poses cheap that see few.
+    The cost of every point at every cell is computed once; a pose only looks it up. The point's
+    mean cost over all cells, what it costs at a random place, is subtracted from it: points out of
+    view gain nothing, instead of making poses cheap that see few.
     """
     B, K = poses.rotation.shape[:2]
     height, width = level.features.shape[-2:]
     points = local.points
-    cost = _costs(level.features.flatten(2), level.reference, scale)
-    won = cost.mean(-1, keepdim=True) - cost
+    cost = _costs(level.features.flatten(2), level.reference, robust_scale)
+    gain = cost.mean(-1, keepdim=True) - cost
     if level.confidence is not None:
-        won = won * level.confidence.flatten(2).to(won.dtype)
+        gain = gain * level.confidence.flatten(2).to(gain.dtype)
     if level.reference_confidence is not None:
-        won = won * level.reference_confidence[..., None]
+        gain = gain * level.reference_confidence[..., None]
 
     xy, seen = _projected(local, poses)
     size = torch.tensor([width, height], dtype=points.dtype, device=points.device)
     place = 2 * xy / (per_axis(level.stride, points) * size) - 1
     place = torch.where(seen[..., None], place, 3).clamp(-3, 3)  # 3 is out of the picture
-    maps = won.view(-1, 1, height, width)
-    there = grid_sample(maps, place.transpose(1, 2).flatten(0, 1)[:, None], align_corners=False)
-    return there.view(B, -1, K).sum(1)
+    maps = gain.view(-1, 1, height, width)
+    sampled = grid_sample(maps, place.transpose(1, 2).flatten(0, 1)[:, None], align_corners=False)
+    return sampled.view(B, -1, K).sum(1)
 
 
 def align_from_many(
-    levels: Sequence[Level],
-    points: Tensor,
-    intrinsics: Intrinsics,
-    start: Pose,
-    damping: Sequence[Tensor],
-    options: Options,
-    reach: SearchRadius,
-    mask: Tensor | None = None,
+    problem: Problem,
+    radius: SearchRadius,
+    options: HypothesisOptions = _DEFAULTS,
 ) -> Alignment:
-    """As ``align``, from priors (B) that may be far off.
+    """Align queries from priors (B) that may be far off.
 
-    Refines the best hypotheses and the prior on the coarsest level, the best of these on the
-    others, and answers with the one that gains most over chance on the finest; with a failure
-    where all fail.
+    The best hypotheses and the prior are refined on the coarsest level, the best of these on the
+    finer levels, and the result is the one with the highest gain over chance on the finest level;
+    it has failed, with a reason, where all of them failed.
+
+    Args:
+        problem: B queries with one start each, the prior.
+        radius: how far from the prior to look.
+        options: how hypotheses are placed and compared.
     """
-    if points.shape[1] < options.least_points:
-        return align(levels, points, intrinsics, start, damping, options, mask)
-    local = Local.of(points, intrinsics, start, mask, working_precision(levels))
-    poses = _grid(levels[0], local, reach)
-    gains = gain(levels[0], local, poses, options.scale)
-    best = gains.topk(min(reach.refined, gains.shape[1])).indices
+    if problem.points.shape[1] < problem.options.min_points:
+        return align(problem)
+    local, scale = Local.of(problem), problem.options.robust_scale
+    coarsest = problem.coarsest()
+    found, iterations = _refined_on_coarsest(coarsest, local, radius, options)
+    if problem.levels[1:]:
+        finalists = _best(found, problem.levels[0], scale, options.finalists, options.chance_cells)
+        finalists = _distinct(finalists, local, problem.levels[1], options.same_pose_cells)
+        found = align(problem.finer().starting_at(finalists.pose))
+        iterations = iterations + found.iterations.sum(-1)
+        failure = torch.where(finalists.failed, finalists.failure, found.failure)
+        found = replace(found, failure=failure, by_level=finalists.by_level + found.by_level)
+    winner = _best(found, problem.levels[-1], scale, 1, options.chance_cells)
+    return replace(tree_map(lambda t: t[:, 0], winner), iterations=iterations)
+
+
+def _refined_on_coarsest(
+    coarsest: Problem, local: Local, radius: SearchRadius, options: HypothesisOptions
+) -> tuple[Alignment, Tensor]:
+    """Refine the prior and the best hypotheses of a grid on the coarsest level.
+
+    After a few steps, those that have met continue as one.
+
+    Returns:
+        Alignments (B, K), the best start first, and the steps tried for each query (B,).
+    """
+    level, solver = coarsest.levels[0], coarsest.options
+    grid = _grid(level, local, radius, options)
+    gains = gain_over_chance(level, local, grid, solver.robust_scale)
+    best = gains.topk(min(options.refined, gains.shape[1])).indices
 
     def with_prior(prior: Tensor, grid: Tensor) -> Tensor:
         picked = grid[torch.arange(len(grid), device=grid.device)[:, None], best]
         return torch.cat([prior[:, None], picked], 1)
 
-    starts = local.in_world(tree_map(with_prior, local.start, poses))
-    rough = replace(
-        options,
-        small_metres=_ROUGH * options.small_metres,
-        small_degrees=_ROUGH * options.small_degrees,
+    starts = local.in_world(tree_map(with_prior, local.start, grid))
+    rough = solver.model_copy(
+        update={
+            "converged_m": options.rough_convergence * solver.converged_m,
+            "converged_deg": options.rough_convergence * solver.converged_deg,
+        }
     )
-    short = replace(rough, iterations=min(_TOGETHER, options.iterations))
-    begun = align(levels[:1], points, intrinsics, starts, damping[:1], short, mask)
+    first_steps = min(options.merge_iterations, solver.iterations)
+    short = rough.model_copy(update={"iterations": first_steps})
+    begun = align(coarsest.starting_at(starts).with_options(short))
     iterations = begun.iterations.sum(-1)
-    begun = _best(begun, levels[0], options.scale, starts.translation.shape[1])
-    begun = _distinct(begun, local, levels[0])
-    found = align(levels[:1], points, intrinsics, begun.pose, damping[:1], rough, mask)
-    iterations = iterations + found.iterations.sum(-1)
-    if levels[1:]:
-        begun = _best(found, levels[0], options.scale, reach.finalists)
-        begun = _distinct(begun, local, levels[1])
-        found = align(levels[1:], points, intrinsics, begun.pose, damping[1:], options, mask)
-        iterations = iterations + found.iterations.sum(-1)
-        failure = torch.where(begun.failed, begun.failure, found.failure)
-        found = replace(found, failure=failure, by_level=begun.by_level + found.by_level)
-    winner = tree_map(lambda t: t[:, 0], _best(found, levels[-1], options.scale, 1))
-    return replace(winner, iterations=iterations)
+    count = starts.translation.shape[1]
+    begun = _best(begun, level, solver.robust_scale, count, options.chance_cells)
+    begun = _distinct(begun, local, level, options.same_pose_cells)
+    found = align(coarsest.starting_at(begun.pose).with_options(rough))
+    return found, iterations + found.iterations.sum(-1)
 
 
-def promise(
-    level: Level,
-    points: Tensor,
-    intrinsics: Intrinsics,
-    start: Pose,
-    options: Options,
-    reach: SearchRadius,
+def highest_gain(
+    problem: Problem, radius: SearchRadius, options: HypothesisOptions = _DEFAULTS
 ) -> Tensor:
-    """The most that any pose around priors (B) gains over chance on a level, (B).
+    """Return the highest gain over chance of any pose around priors (B), on the coarsest level.
 
-    It tells near which of several priors the image is before any is refined.
+    It says near which of several priors the image is before any is refined.
     """
-    local = Local.of(points, intrinsics, start, None, working_precision([level]))
-    return gain(level, local, _grid(level, local, reach), options.scale).max(-1).values
+    local, level = Local.of(problem), problem.levels[0]
+    grid = _grid(level, local, radius, options)
+    return gain_over_chance(level, local, grid, problem.options.robust_scale).max(-1).values
 
 
-def _grid(level: Level, local: Local, reach: SearchRadius) -> Pose:
-    """The poses (B, K) around priors (B) that are compared on a level."""
+def _grid(level: Level, local: Local, radius: SearchRadius, options: HypothesisOptions) -> Pose:
+    """Return the poses (B, K) around priors (B) that are compared on a level."""
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2]
     depth = torch.where(local.usable & (depth > 0), depth, torch.nan).nanmedian(-1).values
     focal, stride = local.intrinsics.focal, per_axis(level.stride, local.points)
-    spacing = torch.rad2deg(torch.atan(_SPACING * (stride / focal).min()))
-    return around(local.start, depth.nan_to_num(1.0), reach, float(spacing))
+    spacing = torch.rad2deg(torch.atan(options.spacing_cells * (stride / focal).min()))
+    return around(local.start, depth.nan_to_num(1.0), radius, float(spacing), options)
 
 
-def _best(found: Alignment, level: Level, scale: float, count: int) -> Alignment:
-    """Of alignments (B, K) that ended on a level the ``count`` that gain most over chance on it.
+def _best(
+    found: Alignment, level: Level, robust_scale: float, count: int, chance_cells: int
+) -> Alignment:
+    """Keep, per query, the ``count`` alignments (B, K) with the highest gain over chance.
 
-    Failures come last, and the first of the K before others that are no better.
+    Failures come last, and of equal ones the first comes first.
+
+    Args:
+        found: alignments that ended on ``level``.
+        level: of the queries.
+        robust_scale: of the robust cost.
+        count: alignments to keep of each query.
+        chance_cells: cells of the level from which the cost by chance is taken.
     """
-    won = found.seen * (_chance(level, scale)[:, None] - found.cost)
-    won = torch.where(found.failed, -torch.inf, won)
-    kept = won.argsort(dim=1, descending=True, stable=True)[:, :count]
+    chance = _cost_by_chance(level, robust_scale, chance_cells)
+    gain = found.seen * (chance[:, None] - found.cost)
+    gain = torch.where(found.failed, -torch.inf, gain)
+    kept = gain.argsort(dim=1, descending=True, stable=True)[:, :count]
     query = torch.arange(len(kept), device=kept.device)[:, None]
     return tree_map(lambda t: t[query, kept], found)
 
 
-def _distinct(found: Alignment, local: Local, level: Level) -> Alignment:
-    """Of alignments (B, K), the best first, those that show the points elsewhere than the ones
-    before them, in cells of the level that they go on to.
+def _distinct(found: Alignment, local: Local, level: Level, same_pose_cells: float) -> Alignment:
+    """Drop alignments (B, K) that project the points where a better one already does.
 
-    As many are left of every query as of the one with most.
+    Alignments come best first. Distances are in cells of the level that they go on to. As many are
+    left of every query as of the one with most.
     """
-    xy, seen = _projected(local, local.moved(found.pose))
+    xy, seen = _projected(local, local.from_world(found.pose))
     cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
     both = seen[:, :, None] & seen[:, None]
     apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
-    same = apart < _SAME_PLACE  # not where no point is in both pictures
+    same = apart < same_pose_cells  # NaN, hence not the same, where no point is in both pictures
     kept = torch.ones_like(same[..., 0])
     for k in range(1, kept.shape[1]):
         kept[:, k] = ~(same[:, k, :k] & kept[:, :k]).any(-1)
@@ -228,7 +230,7 @@ def _distinct(found: Alignment, local: Local, level: Level) -> Alignment:
 
 
 def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
-    """Pixels (B, K, N, 2) of the points at poses (B, K), and whether they are any (B, K, N)."""
+    """Project the points at poses (B, K) to pixels (B, K, N, 2), with their validity (B, K, N)."""
     points, intrinsics = local.points, local.intrinsics
     own = intrinsics.focal.ndim > 1
     cameras = tree_map(lambda t: t[:, None], intrinsics) if own else intrinsics
@@ -236,15 +238,15 @@ def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
     return projected.xy, projected.valid & local.usable[:, None]
 
 
-def _chance(level: Level, scale: float) -> Tensor:
-    """Mean cost (B,) of points at places that are not theirs."""
+def _cost_by_chance(level: Level, robust_scale: float, chance_cells: int) -> Tensor:
+    """Return the mean cost (B,) of points at places that are not theirs."""
     cells = level.features.flatten(2)
-    some = cells[..., :: max(1, cells.shape[-1] // _CHANCE_CELLS)]
-    return _costs(some, level.reference, scale).mean((-1, -2))
+    some = cells[..., :: max(1, cells.shape[-1] // chance_cells)]
+    return _costs(some, level.reference, robust_scale).mean((-1, -2))
 
 
-def _costs(cells: Tensor, reference: Tensor, scale: float) -> Tensor:
-    """Robust cost (B, N, n) of points with features (B, N, C) at cells (B, C, n)."""
+def _costs(cells: Tensor, reference: Tensor, robust_scale: float) -> Tensor:
+    """Return the robust cost (B, N, n) of points (B, N, C) at cells (B, C, n)."""
     cells, reference = cells.float(), reference.float()
     squares = (reference**2).sum(-1)[..., None] + (cells**2).sum(1)[:, None]
-    return robust_cost((squares - 2 * reference @ cells).clamp_min(0), scale)
+    return robust_cost((squares - 2 * reference @ cells).clamp_min(0), robust_scale)

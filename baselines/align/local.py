@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from baselines.align.residuals import Level
+from baselines.align.problem import Problem
 from baselines.align.trees import choose, tree_map
 from scene.geometry.pose import Pose
 from scene.geometry.projection import Intrinsics
@@ -35,47 +34,42 @@ class Local:
     finite: Tensor
 
     @staticmethod
-    def of(
-        points: Tensor,
-        intrinsics: Intrinsics,
-        start: Pose,
-        mask: Tensor | None,
-        dtype: torch.dtype,
-    ) -> Local:
-        """From the world. Arguments as in ``align``; ``dtype`` is that of the points here."""
-        begin = start.to(dtype=torch.float64)
+    def of(problem: Problem) -> Local:
+        """Move a problem from the world to the origin of each of its queries.
+
+        Points are in single precision, or in double where the features are.
+        """
+        points = problem.points
+        double = problem.levels[0].features.dtype == torch.float64
+        dtype = torch.float64 if double else torch.float32
+        begin = problem.start.to(dtype=torch.float64)
         finite = begin.matrix().isfinite().flatten(-2).all(-1)
         begin = choose(finite, begin, Pose.identity().to(device=points.device))
         origin = begin.centre().detach().reshape(len(points), -1, 3)[:, 0]
         usable = points.isfinite().all(-1)
-        usable = usable if mask is None else usable & mask
+        usable = usable if problem.mask is None else usable & problem.mask
         local = torch.where(usable[..., None], points.double() - origin[:, None], 0)
         return Local(
             points=local.to(dtype),
             usable=usable,
-            intrinsics=tree_map(lambda t: t.to(dtype), intrinsics),
+            intrinsics=tree_map(lambda t: t.to(dtype), problem.intrinsics),
             origin=origin,
             start=_shifted(begin, origin),
             finite=finite,
         )
 
-    def moved(self, cam_from_world: Pose) -> Pose:
-        """``cam_from_local`` of poses (B) or (B, K)."""
+    def from_world(self, cam_from_world: Pose) -> Pose:
+        """Return ``cam_from_local`` of poses (B) or (B, K)."""
         return _shifted(cam_from_world, self.origin)
 
     def in_world(self, cam_from_local: Pose) -> Pose:
-        """``cam_from_world`` of poses (B) or (B, K)."""
+        """Return ``cam_from_world`` of poses (B) or (B, K)."""
         return _shifted(cam_from_local, -self.origin)
 
 
 def _shifted(cam_from_world: Pose, origin: Tensor) -> Pose:
-    """Poses (B, ...) for points from which the origins (B, 3) were taken."""
+    """Return the poses (B, ...) for points from which the origins (B, 3) were subtracted."""
     between = [1] * (cam_from_world.translation.ndim - 2)
     origin = origin.view(len(origin), *between, 3, 1)
     shift = (cam_from_world.rotation @ origin)[..., 0]
     return Pose(cam_from_world.rotation, cam_from_world.translation + shift)
-
-
-def working_precision(levels: Sequence[Level]) -> torch.dtype:
-    """Single, or double where the features are."""
-    return torch.float64 if levels[0].features.dtype == torch.float64 else torch.float32

@@ -69,19 +69,19 @@ class Linearisation:
 
     @property
     def gradient(self) -> Tensor:
-        """Of half the summed cost by the tangent of the pose, (M, 6)."""
+        """Gradient of half the summed cost by the tangent of the pose, (M, 6)."""
         return self.pull.sum(-2)
 
     def mean_cost(self) -> Tensor:
-        """Confidence-weighted mean over the points seen, (M,); infinite where there are none."""
+        """Mean cost of the points seen, weighted by confidence, (M,); infinite without points."""
         total = self.weight.sum(-1)
         mean = (self.weight * self.cost).sum(-1) / total
         return torch.where(total > 0, mean, torch.inf)
 
 
 @dataclass(frozen=True)
-class Problem:
-    """One level, laid out for M poses; poses of one query share its features.
+class LevelCost:
+    """The cost of one level, laid out for M poses; poses of one query share its features.
 
     Attributes:
         table: features of the queries.
@@ -117,12 +117,21 @@ class Problem:
         intrinsics: Intrinsics,
         border: float,
         scale: float,
-    ) -> Problem:
-        """Of a level, for one pose per query."""
+    ) -> LevelCost:
+        """Lay out a level for one pose per query.
+
+        Args:
+            level: features of B queries and their points.
+            points: (B, N, 3) in the frame of the poses.
+            mask: (B, N) points to use.
+            intrinsics: of the queries, batched (B), or one for all.
+            border: cells at the edge of the map in which points do not count.
+            scale: of the robust cost.
+        """
         table = CellTable.of(level.features)
         exact = level.features.dtype == torch.float64
         reference = level.reference.to(torch.float64 if exact else torch.float32)
-        return Problem(
+        return LevelCost(
             table=table,
             trust=None if level.confidence is None else CellTable.of(level.confidence),
             first=table.first(torch.arange(len(points), device=points.device)),
@@ -136,8 +145,8 @@ class Problem:
             scale=scale,
         )
 
-    def rows(self, which: Tensor) -> Problem:
-        """For some of the poses by number, repeated or not, or by a mask."""
+    def rows(self, which: Tensor) -> LevelCost:
+        """Select poses by number, repeated or not, or by a mask."""
         trust, cameras = self.target_trust, self.intrinsics
         return replace(
             self,
@@ -150,7 +159,7 @@ class Problem:
         )
 
     def linearise(self, cam_from_world: Pose) -> Linearisation:
-        """The cost around poses (M)."""
+        """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
         in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
         projected = self.intrinsics.project(in_camera, jacobian=True)
         assert projected.jacobian is not None

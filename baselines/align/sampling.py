@@ -1,4 +1,4 @@
-"""Features between the cells of a map, and their slopes.
+"""Interpolation of feature maps: values between cells, and their slopes.
 
 Cell (row i, column j) of a map of stride s is centred on pixel ((j + 0.5) s, (i + 0.5) s), in
 COLMAP's pixels. "Cells" below are coordinates in which that centre is (j, i).
@@ -17,13 +17,13 @@ Stride = float | tuple[float, float]
 
 
 def per_axis(stride: Stride, like: Tensor) -> Tensor:
-    """The stride in x and y, (2,), with the dtype and device of another tensor."""
+    """Return the stride in x and y, (2,), with the dtype and device of another tensor."""
     both = stride if isinstance(stride, tuple) else (stride, stride)
     return torch.tensor(both, dtype=like.dtype, device=like.device)
 
 
 def inside(cells: Tensor, width: int, height: int, border: float) -> Tensor:
-    """Whether cells (..., 2) are at least ``border`` away from the centres of the outermost."""
+    """Return whether cells (..., 2) are at least ``border`` inside the outermost cell centres."""
     last = torch.tensor([width - 1 - border, height - 1 - border], device=cells.device)
     return ((cells >= border) & (cells <= last)).all(-1)
 
@@ -44,22 +44,22 @@ class CellTable:
 
     @staticmethod
     def of(maps: Tensor) -> CellTable:
-        """From maps (B, C, h, w)."""
+        """Build the table of maps (B, C, h, w)."""
         _, channels, height, width = maps.shape
         return CellTable(maps.permute(0, 2, 3, 1).reshape(-1, channels), width, height)
 
     def first(self, owner: Tensor) -> Tensor:
-        """Number of the first cell of maps by number."""
+        """Return the number of the first cell of each map of ``owner``."""
         return owner * (self.width * self.height)
 
     def gather(self, index: Tensor) -> Tensor:
-        """Cells by number (..., k), at least in single precision. -> (..., k, C)."""
-        found = self.cells.index_select(0, index.flatten()).view(*index.shape, self.cells.shape[-1])
-        return found if found.dtype == torch.float64 else found.float()
+        """Look up cells by number (..., k) -> (..., k, C), at least in single precision."""
+        cells = self.cells.index_select(0, index.flatten()).view(*index.shape, self.cells.shape[-1])
+        return cells if cells.dtype == torch.float64 else cells.float()
 
 
 def _stencil_basis() -> tuple[list[tuple[int, int]], Tensor]:
-    """The cells (x, y) of the stencil, and the (4, 36) matrix from 1, a, b, ab to its weights."""
+    """Return the stencil's cells (x, y), and the (4, 36) matrix from 1, a, b, ab to weights."""
 
     def weights(a: float, b: float) -> Tensor:
         value = [torch.tensor([0, 1 - t, t, 0]) for t in (a, b)]
@@ -83,7 +83,7 @@ STENCIL: Final = len(_CELLS)
 
 
 def stencil(cells: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Tensor]:
-    """Which cells a bilinear value and its central differences are made of, and how.
+    """Find the cells and weights of a bilinear value and its central differences.
 
     Args:
         cells: (M, N, 2), one cell or more from the border.
@@ -107,7 +107,7 @@ def stencil(cells: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Ten
 
 
 def sample(maps: Tensor, xy: Tensor, stride: Stride, border: float = 0) -> tuple[Tensor, Tensor]:
-    """Bilinear values of maps at pixels.
+    """Sample maps bilinearly at pixels.
 
     Args:
         maps: (B, C, h, w).
@@ -117,6 +117,14 @@ def sample(maps: Tensor, xy: Tensor, stride: Stride, border: float = 0) -> tuple
 
     Returns:
         Values (B, N, C), those of some cell where a point is not inside; (B, N) whether it is.
+
+    Example:
+        Cells are centred on half pixels, so that pixel 1.0 lies between the first two cells:
+
+        >>> maps = torch.tensor([[[[0.0, 1.0, 2.0]]]])
+        >>> values, inside = sample(maps, torch.tensor([[[1.0, 0.5], [5.0, 0.5]]]), stride=1.0)
+        >>> values[0, 0].tolist(), inside.tolist()
+        ([0.5], [[True, False]])
     """
     table = CellTable.of(maps)
     cells = xy / per_axis(stride, xy) - 0.5

@@ -1,4 +1,4 @@
-"""One function over all tensors of a dataclass: poses, cameras and costs as batches."""
+"""Functions over all tensors of a dataclass, so that poses, cameras and costs act as batches."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 def tree_map(function: Callable[..., Tensor], first: T, *others: T) -> T:
     """Apply a function to the tensors of dataclasses of one type, field by field, nested too.
 
-    A field may be a tuple of such; what is neither is the first one's.
+    A field may be a tuple of dataclasses; any other field is taken from the first.
     """
     values: dict[str, Any] = {}
     for field in fields(first):  # type: ignore[arg-type]
@@ -31,12 +31,12 @@ def tree_map(function: Callable[..., Tensor], first: T, *others: T) -> T:
 
 
 def rows(tree: T, which: Tensor) -> T:
-    """The elements of a batch by number, or by a mask."""
+    """Select elements of a batch by number or by a mask."""
     return tree_map(lambda t: t[which], tree)
 
 
 def choose(which: Tensor, yes: T, no: T) -> T:
-    """Element by element: those of ``yes`` (..., any) where ``which`` (...), else of ``no``."""
+    """Choose elements of ``yes`` (..., any) where ``which`` (...) holds, else of ``no``."""
 
     def pick(a: Tensor, b: Tensor) -> Tensor:
         return torch.where(which[(..., *[None] * (a.ndim - which.ndim))], a, b)

@@ -25,25 +25,36 @@ from scene.maps.features import Features
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
 """The weights that come with the project."""
 
-# A picture is plain where grey levels have a smaller standard deviation over so many pixels.
-_PLAIN: Final = 1.0
-_AROUND: Final = 33
-
 
 class D2NetConfig(StructureConfig):
-    """Options of the d2net localizer, beside those of ``StructureConfig``.
+    """Options of the d2net localizer, beside those of ``StructureConfig``."""
 
-    Attributes:
-        weights: file of weights, ours or a checkpoint of the authors; None for those shipped.
-        scales: sizes of the levels of the pyramid, small to large. A keypoint is about as exact as
-            a cell is large, four pixels of its level: at twice the size poses are twice as exact.
-        max_edge: no image and no level is made larger (px); where the largest would be, all levels
-            become smaller alike.
-    """
-
-    weights: Path | None = None
-    scales: tuple[float, ...] = Field((2.0,), min_length=1)
-    max_edge: int = Field(2048, ge=64)
+    weights: Path | None = Field(
+        None,
+        description="File of weights, ours or a checkpoint of the authors; None for those shipped.",
+    )
+    scales: tuple[float, ...] = Field(
+        (2.0,),
+        min_length=1,
+        description="Sizes of the levels of the pyramid, small to large. A keypoint is about as "
+        "exact as a cell is large, four pixels of its level: at twice the size poses are twice as "
+        "exact.",
+    )
+    max_edge: int = Field(
+        2048,
+        ge=64,
+        description="No image and no level is made larger (px); where the largest would be, all "
+        "levels shrink alike.",
+    )
+    min_contrast: float = Field(
+        1.0,
+        ge=0,
+        description="Least standard deviation of grey levels around a keypoint; plainer ones are "
+        "artefacts of the image border.",
+    )
+    contrast_window_px: int = Field(
+        33, ge=1, description="Side of the window in which that contrast is measured."
+    )
     # The authors match mutual nearest neighbours without a ratio test; it pays over repeated roofs.
     ratio: float = Field(0.9, gt=0, le=1)
     max_error_px: float = Field(8.0, gt=0)
@@ -67,7 +78,10 @@ class D2NetExtractor(Extractor):
         self._network = network.to(self._device)
         self._config = config
         self.weights_sha256 = weights_sha256
-        self.options = f"{config.scales} {config.max_edge} {config.max_features}"
+        self.options = (
+            f"{config.scales} {config.max_edge} {config.max_features} "
+            f"{config.min_contrast} {config.contrast_window_px}"
+        )
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         size = np.array(rgb.shape[1::-1])
@@ -82,7 +96,9 @@ class D2NetExtractor(Extractor):
                 values[strongest].cpu().numpy()
                 for values in (found.xy, found.scale, found.descriptors)
             )
-        kept = np.flatnonzero(_has_contrast(rgb, xy))[: self._config.max_features]
+        config = self._config
+        clear = _has_contrast(rgb, xy, config.contrast_window_px, config.min_contrast)
+        kept = np.flatnonzero(clear)[: config.max_features]
         xy, scale, descriptors = xy[kept], scale[kept], descriptors[kept]
         # Resized edge to edge, so that pixels counted from the edge are multiplied.
         magnified = (size / smaller).astype(np.float32)
@@ -90,23 +106,25 @@ class D2NetExtractor(Extractor):
         return Features(xy * magnified, scale * magnified.max(), descriptors.astype(np.float16))
 
     def _scales(self, edge: int) -> list[float]:
-        """Of the levels of an image with that longer side (px)."""
+        """Return the scales of the levels of an image with that longer side (px)."""
         wanted = self._config.scales
         fitting = min(1.0, self._config.max_edge / (edge * wanted[-1]))
         return [scale * fitting for scale in wanted]
 
 
-def _has_contrast(rgb: NDArray[np.uint8], xy: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which keypoints (N, 2) have something to be seen around them, (N,).
+def _has_contrast(
+    rgb: NDArray[np.uint8], xy: NDArray[np.float32], window_px: int, min_contrast: float
+) -> NDArray[np.bool_]:
+    """Return which keypoints (N, 2) lie where the picture has contrast, (N,).
 
     Where an image is plain, what peaks is the padding of the convolutions at its border: in the
     same places in any two images, so that those matches agree on a pose.
     """
     grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
-    window = (_AROUND, _AROUND)
+    window = (window_px, window_px)
     variance = cv2.blur(grey**2, window) - cv2.blur(grey, window) ** 2
     columns, rows = np.floor(xy).astype(int).T
-    return np.asarray(variance[rows, columns] > _PLAIN**2)
+    return np.asarray(variance[rows, columns] > min_contrast**2)
 
 
 class D2NetLocalizer(StructureLocalizer):

@@ -1,12 +1,12 @@
-"""Points where photographs of a map show corners, placed by the photographs beside them.
+"""Corners of a map's photographs as additional 3D points, placed by a plane sweep.
 
 A sparse map has its points where SIFT found texture, in one season: most lie on plain ground, and
-snow hides them. What stays to be seen is corners of roofs, roads, walls and crowns.
+snow hides them. Corners of roofs, roads, walls and crowns remain visible.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,19 +15,35 @@ import cv2
 import h5py
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from torch import Tensor
 
-from baselines.sweep import Sweeper
+from baselines.sweep import Sweeper, SweepOptions
+from scene.config import Config
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array
 
-# Pixels between corners, and least strength of them as a share of the strongest.
-_APART: Final = 4.0
-_QUALITY: Final = 1e-3
-_BORDER: Final = 8.0
+
+class CornerOptions(Config):
+    """How corners of a map's photographs are found and placed."""
+
+    apart_px: float = Field(4.0, ge=0, description="Least distance between corners (px).")
+    quality: float = Field(
+        1e-3, gt=0, lt=1, description="Least strength of a corner, as a share of the strongest."
+    )
+    blur_px: float = Field(1.0, gt=0, description="Sigma of the blur before corners are found.")
+    border_px: float = Field(
+        8.0, ge=0, description="Pixels at the edge of a photograph in which no corner counts."
+    )
+    sweep: SweepOptions = Field(
+        SweepOptions(), description="How corners are placed by neighbouring photographs."
+    )
+
+
+_DEFAULTS: Final = CornerOptions()
 
 
 @dataclass(frozen=True)
@@ -47,43 +63,48 @@ class CornerFinder:
     """Finds the corners of a map's photographs, one photograph after the other.
 
     Args:
-        sparse_map: whose photographs, and points that say who sees the same.
+        sparse_map: the map; its points tell which photographs see the same.
         images: folder of the photographs.
-        most: corners of a photograph.
+        most: most corners of a photograph.
         longest: photographs with a longer side (px) are made smaller.
+        options: how corners are found and placed.
     """
 
-    def __init__(self, sparse_map: SparseMap, images: Path, most: int, longest: int) -> None:
+    def __init__(
+        self,
+        sparse_map: SparseMap,
+        images: Path,
+        most: int,
+        longest: int,
+        options: CornerOptions = _DEFAULTS,
+    ) -> None:
         self._most = most
-        self._sweep = Sweeper(sparse_map, images, longest)
+        self._options = options
+        self._sweep = Sweeper(sparse_map, images, longest, options.sweep)
 
     def __call__(self, name: str) -> Corners:
-        """Of one photograph; none where it has too few neighbours.
+        """Find the corners of one photograph; none where it has too few neighbours.
 
         Raises:
             InputError: a photograph is missing or damaged.
         """
-        look = self._sweep.look(name)
-        xy = _corners(look.grey, self._most)
-        found = self._sweep(name, xy)
-        return Corners(look.in_photograph(xy[found.sure]), found.xyz[found.sure])
+        photograph = self._sweep.photograph(name)
+        xy = _corners(photograph.grey, self._most, self._options)
+        swept = self._sweep(name, xy)
+        return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
 
 
 def all_corners(
-    sparse_map: SparseMap,
-    images: Path,
-    most: int,
-    longest: int,
+    find: CornerFinder,
+    names: Sequence[str],
     path: Path,
     check: Callable[[], None] = lambda: None,
 ) -> list[NDArray[np.float64]]:
-    """Places (N, 3) of the corners of every photograph of a map, kept in a file for every method.
+    """Return the places (N, 3) of the corners of every photograph, kept in a file for all methods.
 
     Args:
-        sparse_map: whose photographs.
-        images: folder of the photographs.
-        most: corners of a photograph.
-        longest: see ``CornerFinder``.
+        find: finds the corners of one photograph.
+        names: of the photographs of the map.
         path: of the file.
         check: called before it is written; where it raises, nothing is kept.
 
@@ -91,16 +112,15 @@ def all_corners(
         InputError: a photograph is missing or damaged, or the file is.
     """
     if not path.is_file():
-        find = CornerFinder(sparse_map, images, most, longest)
-        found = []
-        with progress_bar("corners of the map", len(sparse_map.names)) as advance:
-            for done, name in enumerate(sparse_map.names, 1):
-                found.append(find(name).xyz)
+        places = []
+        with progress_bar("corners of the map", len(names)) as advance:
+            for done, name in enumerate(names, 1):
+                places.append(find(name).xyz)
                 advance(done)
         check()
-        with written_whole(path) as partial, h5py.File(partial, "w") as file:
-            file["xyz"] = np.concatenate([np.empty((0, 3)), *found])
-            file["ends"] = np.cumsum([len(xyz) for xyz in found])
+        with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+            file["xyz"] = np.concatenate([np.empty((0, 3)), *places])
+            file["ends"] = np.cumsum([len(xyz) for xyz in places])
     try:
         with h5py.File(path) as file:
             xyz, ends = array(file, "xyz"), array(file, "ends")
@@ -109,13 +129,13 @@ def all_corners(
         raise InputError(f"{path} is damaged ({error}): delete it") from None
 
 
-def _corners(grey: Tensor, most: int) -> NDArray[np.float64]:
-    """Shi and Tomasi's corners, (N, 2) pixels, the strongest first."""
-    smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), 1.0)
-    found = cv2.goodFeaturesToTrack(smooth, most, _QUALITY, _APART)
-    if found is None:
+def _corners(grey: Tensor, most: int, options: CornerOptions) -> NDArray[np.float64]:
+    """Find Shi and Tomasi's corners, (N, 2) pixels, the strongest first."""
+    smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), options.blur_px)
+    corners = cv2.goodFeaturesToTrack(smooth, most, options.quality, options.apart_px)
+    if corners is None:
         return np.empty((0, 2))
     # OpenCV counts from the first pixel's centre.
-    xy = found[:, 0].astype(np.float64) + 0.5
-    size = np.array(grey.shape[::-1])
-    return np.asarray(xy[((xy >= _BORDER) & (xy <= size - _BORDER)).all(1)])
+    xy = corners[:, 0].astype(np.float64) + 0.5
+    size, border = np.array(grey.shape[::-1]), options.border_px
+    return np.asarray(xy[((xy >= border) & (xy <= size - border)).all(1)])

@@ -11,107 +11,61 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Final, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
 from baselines.align.aligner import Alignment, align
-from baselines.align.descent import Options
-from baselines.align.hypotheses import SearchRadius, align_from_many, promise
-from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network, Precision
-from baselines.featuremetric.problem import LEAST_SIDE, Problem, Problems, fit
-from baselines.featuremetric.references import references
+from baselines.align.hypotheses import align_from_many, highest_gain
+from baselines.align.options import Options, SearchRadius
+from baselines.align.problem import Problem
+from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network
+from baselines.featuremetric.options import FeaturemetricConfig, SearchOptions
+from baselines.featuremetric.problem import LEAST_SIDE, ProblemBuilder, fit
+from baselines.featuremetric.references import ReferenceSource, references
 from baselines.retrieval import OnDemand, References
-from baselines.starts import every_way, starts
-from baselines.views import View, turned_to
-from scene.config import Config
+from baselines.starts import starts, with_all_headings
+from baselines.views import WarpedImage, with_heading
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 from scene.storage.scratch import scratch
 
-# Poses of pictures of nothing cost 0.98 of chance and more, 0.95 where little is in view; those of
-# right ones 0.64 to 0.87.
-_BETTER: Final = 0.93
-_CLEARLY: Final = 0.87
-# So little only where much is in view: reason enough to try nothing else.
-_SURELY: Final = 0.75
-# Variance of a pose in parts of what alignment alone says, which knows neither what the map is off
-# nor shadows and snow that pull all points one way: so it was on town 102, kept for such choices.
-_DOUBT: Final = 3.0
-# Points by which starts are compared; the one kept is aligned to all.
-_COMPARED: Final = 512
-# By which places are, before any start.
-_GLANCED: Final = 256
-# A grid of starts that is spread wider has gaps.
-_FARTHEST: Final = SearchRadius(metres=40.0, degrees=30.0)
-# Headings tried where nobody knows it, and degrees to look to either side of each.
-_HEADINGS: Final = 12
-_BETWEEN_HEADINGS: Final = 15.0
-# Photographs near the prior beside which an image of unknown heading is looked for too, how far
-# from them in heights above ground, and how many of all places and headings are tried first.
-_NEAR: Final = 6
-_BESIDE: Final = 0.3
-_PROMISING: Final = 4
-# Scales that differ by less than one in so many are looked at as one.
-_ALIKE: Final = 10
 
-
-class FeaturemetricConfig(Config):
-    """Options of a localizer by alignment.
+@dataclass(frozen=True)
+class _Attempt:
+    """The outcome of one start.
 
     Attributes:
-        weights: file of the network; None is the one that comes with the project.
-        references: photographs of the map the query is aligned to, together.
-        points: shared by the references.
-        corners: of each photograph of the map that become points beside the map's own; 0 for none.
-        longest: larger images are resized to this side (px).
-        iterations: at most, per level.
-        multistart: look around the start too, for priors beyond the reach of the features.
-        precision: of the convolutions.
-        memory_mb: for the whole process: features of the map stay in memory as far as there is room
-            below it (``scene.storage.lru_cache.room``).
+        view: the warped image.
+        alignment: of the view.
+        fit: cost as a share of the cost by chance; infinite where alignment failed.
+        reason: why the pose is not accepted; empty where it is.
     """
 
-    weights: Path | None = None
-    references: int = Field(5, ge=1)
-    points: int = Field(2048, ge=10)
-    corners: int = Field(2500, ge=0)
-    longest: int = Field(1024, ge=64)
-    iterations: int = Field(100, ge=1)
-    multistart: bool = False
-    precision: Precision = "float32"
-    memory_mb: int = Field(2048, ge=1)
-
-
-class _Attempt(NamedTuple):
-    """What came of one start: ``fit`` is the cost in parts of that by chance."""
-
-    view: View
-    found: Alignment
+    view: WarpedImage
+    alignment: Alignment
     fit: float
     reason: str
 
     @property
     def pose(self) -> Pose:
         """``cam_from_world`` of the photograph."""
-        return _pose(self.view, self.found)
+        return _photograph_pose(self.view, self.alignment)
 
 
 class FeaturemetricLocalizer:
-    """See the module. Implements ``scene.localizer.Localizer``.
+    """Localizes images by alignment. Implements ``scene.localizer.Localizer``.
 
     Args:
         name: of the method.
-        network: trained.
+        network: the trained network.
         weights_sha256: digest of its weights.
-        config: how it is used.
+        config: options of the method.
     """
 
     def __init__(
@@ -124,35 +78,37 @@ class FeaturemetricLocalizer:
         self._damping = [factors().detach() for factors in network.damping]
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
-        """Keep what the points of the map look like in its photographs."""
+        """Compute the features of the map's points in its photographs, unless they are cached."""
         if cache is None:
             with scratch() as folder:  # files stay open
                 self.prepare(sparse_map, images, folder)
             return
         config = self.config
         self._map = sparse_map
-        self._observations = references(
+        source = ReferenceSource(
             sparse_map,
             images,
             self._extract,
+            f"{self.weights_sha256} {config.longest} {config.precision}",
+            self.name,
             config.points,
             config.corners,
-            self.name,
-            f"{self.weights_sha256} {config.longest} {config.precision}",
-            cache,
-            config.memory_mb,
+            config.reference,
+            config.corner,
         )
-        self._problems = Problems(
-            self._extract, self._observations, self._damping, Options(iterations=config.iterations)
+        self._observations = references(source, cache, config.memory_mb)
+        solver = Options(**config.solver.model_dump(), iterations=config.iterations)
+        self._problems = ProblemBuilder(
+            self._extract, self._observations, self._damping, solver, config.reference
         )
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.
         described = OnDemand(self._observations.coarse, len(self._observations))
-        self._retrieval = References.build(sparse_map, described)
+        self._retrieval = References.build(sparse_map, described, config.retrieval)
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
-        """Feature maps, references, starting pose, points, alignment."""
+        """Choose references and starts, align the image from each, and return the best pose."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         if (side := self._least_side(query)) < LEAST_SIDE:
@@ -163,13 +119,13 @@ class FeaturemetricLocalizer:
             chosen = self._chosen(query)
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
-            begin = starts(query.prior, self._map, chosen)
+            begin = starts(query.prior, self._map, chosen, self.config.starts)
             if self.config.multistart and _heading_unknown(query.prior):
-                begin = every_way(begin)
-        tried = self._tried(query, chosen, begin, clock)
-        best = min(tried, key=lambda attempt: (bool(attempt.reason), attempt.fit))
-        found, view = best.found, best.view
-        seen, iterations = int(found.seen), sum(int(each.found.iterations) for each in tried)
+                begin = with_all_headings(begin, self.config.starts)
+        attempts = self._attempts(query, chosen, begin, clock)
+        best = min(attempts, key=lambda attempt: (bool(attempt.reason), attempt.fit))
+        seen = int(best.alignment.seen)
+        iterations = sum(int(each.alignment.iterations) for each in attempts)
         if best.reason:
             return Estimate(
                 Status.FALLBACK,
@@ -179,7 +135,8 @@ class FeaturemetricLocalizer:
                 seconds=clock.seconds,
                 reason=best.reason,
             )
-        covariance = view.photograph_covariance(_DOUBT * found.covariance[0].numpy())
+        inflated = self.config.search.covariance_inflation * best.alignment.covariance[0].numpy()
+        covariance = best.view.photograph_covariance(inflated)
         return Estimate(
             Status.OK,
             best.pose,
@@ -189,75 +146,104 @@ class FeaturemetricLocalizer:
             seconds=clock.seconds,
         )
 
-    def _tried(
+    def _attempts(
         self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
     ) -> list[_Attempt]:
-        """Starts until one is clearly right. Then, where there were several, once more from the
-        pose found: from there the image is seen better turned and at a better scale."""
-        tried: list[_Attempt] = []
-        for some, enough in self._in_turn(query, chosen, begin, clock):
-            tried += some
-            best = min(tried, key=lambda attempt: attempt.fit)
+        """Try starts until the fit of one is good enough to stop.
+
+        Where there were several starts, the image is then aligned once more from the best pose:
+        seen from there it is turned and scaled better.
+        """
+        attempts: list[_Attempt] = []
+        for batch, enough in self._in_turn(query, chosen, begin, clock):
+            attempts += batch
+            best = min(attempts, key=lambda attempt: attempt.fit)
             if best.fit < enough:
                 if len(begin) > 1:
-                    tried.append(self._attempt_near(query, best.pose, clock, SearchRadius()))
+                    radius = _default_radius(self.config.search)
+                    attempts.append(self._attempt_near(query, best.pose, clock, radius))
                 break
-        return tried
+        return attempts
 
     def _in_turn(
         self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
     ) -> Iterator[tuple[list[_Attempt], float]]:
-        """What promises most, if the heading is not known; then all starts of one place, and those
-        of the next. With the fit that is good enough to stop there."""
+        """Yield attempts in the order in which they are tried, with the fit that ends the search.
+
+        If the heading is unknown, the most promising starts come first; then all starts of one
+        place, and those of the next.
+        """
+        options = self.config.search
         by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
-        places = [list(there) for _, there in by_place]
-        reach = _reach(query.prior)
+        places = [list(at_place) for _, at_place in by_place]
+        radius = _search_radius(query.prior, options)
         if self.config.multistart and _heading_unknown(query.prior):
             with clock.stage("retrieval"):
-                promising = self._promising(query, [(there[0], reach) for there in places])
-            for start, within in promising:
-                yield [self._attempt_near(query, start, clock, within)], _SURELY
-        for there in places:
-            yield [self._attempt(query, chosen, start, clock, reach) for start in there], _CLEARLY
+                promising = self._promising(query, [(at_place[0], radius) for at_place in places])
+            for start, near in promising:
+                attempt = self._attempt_near(query, start, clock, near)
+                yield [attempt], options.early_stop_fit
+        for at_place in places:
+            attempts = [self._attempt(query, chosen, start, clock, radius) for start in at_place]
+            yield attempts, options.stop_fit
 
     def _promising(
         self, query: Query, places: Sequence[tuple[Pose, SearchRadius]]
     ) -> list[tuple[Pose, SearchRadius]]:
-        """Of poses, and of photographs near the prior, turned to every heading, those around which
-        the image fits best on the coarsest level, the best first; with how far to look."""
-        assert query.prior is not None
-        photographs = []
-        for row in self._retrieval.viewpoints.near(query.prior.position, _NEAR):
-            pose = self._map.images[self._map.names[int(row)]].pose
-            metres = _BESIDE * self._map.height_above(pose.centre().numpy())
-            photographs.append((pose, SearchRadius(min(metres, _FARTHEST.metres))))
-        seen = []
-        for pose, reach in [*places, *photographs]:
-            chosen = self._chosen(replace(query, prior=_known(pose)))
+        """Return the poses around which the image fits best on the coarsest level, best first.
+
+        Candidates are the given poses and photographs near the prior, turned to every heading.
+
+        Args:
+            query: an image with a prior of unknown heading.
+            places: one pose of each place, and how far to look around it.
+
+        Returns:
+            ``cam_from_world`` and the radius to look around it.
+        """
+        options = self.config.search
+        candidates = [*places, *self._nearby_photographs(query)]
+        prepared = []
+        for pose, radius in candidates:
+            chosen = self._chosen(replace(query, prior=_known_pose(pose)))
             scale = self._problems.scale(query.camera, chosen, pose)
-            alike = round(_ALIKE * math.log(scale))
-            seen.append((pose, replace(reach, heading=_BETWEEN_HEADINGS), chosen, alike))
-        found = []
-        for heading in np.arange(_HEADINGS) * math.tau / _HEADINGS:
-            looked: dict[int, tuple[View, list[FeatureMap]]] = {}
-            for pose, reach, chosen, alike in seen:
-                turned = turned_to(pose, float(heading))
-                if alike not in looked:
-                    looked[alike] = self._problems.look(query, chosen, turned, levels=1)
-                levels, points, intrinsics, start, _, options = self._problems.of(
-                    *looked[alike], chosen, turned, _GLANCED
+            scale_step = round(options.scale_steps * math.log(scale))
+            wide = replace(radius, heading=options.heading_radius_deg)
+            prepared.append((pose, wide, chosen, scale_step))
+        ranked = []
+        for heading in np.arange(options.headings) * math.tau / options.headings:
+            views: dict[int, tuple[WarpedImage, list[FeatureMap]]] = {}
+            for pose, radius, chosen, scale_step in prepared:
+                turned = with_heading(pose, float(heading))
+                if scale_step not in views:
+                    views[scale_step] = self._problems.view(query, chosen, turned, levels=1)
+                problem = self._problems.build(
+                    *views[scale_step], chosen, turned, options.screened_points
                 )
-                most = promise(levels[0], points, intrinsics, start, options, reach)
-                found.append((float(most), turned, reach))
-        found.sort(key=lambda each: -each[0])
-        return [(turned, reach) for _, turned, reach in found[:_PROMISING]]
+                gain = highest_gain(problem, radius, options.hypotheses)
+                ranked.append((float(gain), turned, radius))
+        ranked.sort(key=lambda each: -each[0])
+        return [(turned, radius) for _, turned, radius in ranked[: options.promising_starts]]
+
+    def _nearby_photographs(self, query: Query) -> list[tuple[Pose, SearchRadius]]:
+        """Return the photographs nearest to the prior, and how far to look around each."""
+        assert query.prior is not None
+        options = self.config.search
+        photographs = []
+        count = options.nearby_photographs
+        for row in self._retrieval.viewpoints.near(query.prior.position, count) if count else ():
+            pose = self._map.images[self._map.names[int(row)]].pose
+            height = self._map.height_above(pose.centre().numpy())
+            metres = min(options.nearby_radius_share * height, options.max_radius_m)
+            photographs.append((pose, SearchRadius(metres, options.radius_deg)))
+        return photographs
 
     def _attempt_near(
-        self, query: Query, start: Pose, clock: Stopwatch, reach: SearchRadius
+        self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius
     ) -> _Attempt:
-        """From a start of which more is known than the query says."""
-        near = replace(query, prior=_known(start))
-        return self._attempt(near, self._chosen(near), start, clock, reach)
+        """Align the image from a start that says more than the query's own prior."""
+        near = replace(query, prior=_known_pose(start))
+        return self._attempt(near, self._chosen(near), start, clock, radius)
 
     def _attempt(
         self,
@@ -265,90 +251,103 @@ class FeaturemetricLocalizer:
         chosen: NDArray[np.int64],
         start: Pose,
         clock: Stopwatch,
-        reach: SearchRadius,
+        radius: SearchRadius,
     ) -> _Attempt:
-        """Look at the query as if a start were right, and align it."""
+        """Warp the image as if a start were right, and align it."""
+        options, points = self.config.search, self.config.points
         with clock.stage("features"):
-            view, maps = self._problems.look(query, chosen, start)
+            view, maps = self._problems.view(query, chosen, start)
         many = self.config.multistart
-        count = min(_COMPARED, self.config.points) if many else self.config.points
+        count = min(options.compared_points, points) if many else points
         with clock.stage("points"):
-            problem = self._problems.of(view, maps, chosen, start, count)
+            problem = self._problems.build(view, maps, chosen, start, count)
         with clock.stage("alignment"):
             if many:
-                found = align_from_many(*problem, reach)
-                problem, found = self._again(query, view, maps, problem, found)
+                alignment = align_from_many(problem, radius, options.hypotheses)
+                problem, alignment = self._realigned(query, view, maps, problem, alignment)
             else:
-                found = align(*problem)
-            reason = found.reason(0)
-            of_chance = math.inf if reason else fit(problem, found.pose)
-            if not reason and not of_chance < _BETTER:
+                alignment = align(problem)
+            reason = alignment.reason(0)
+            of_chance = math.inf if reason else fit(problem, alignment.pose)
+            if not reason and not of_chance < options.accept_fit:
                 reason = "the image fits the map's points hardly better than it would by chance"
-        return _Attempt(view, found, of_chance, reason)
+        return _Attempt(view, alignment, of_chance, reason)
 
-    def _again(
-        self, query: Query, view: View, maps: list[FeatureMap], problem: Problem, found: Alignment
+    def _realigned(
+        self,
+        query: Query,
+        view: WarpedImage,
+        maps: list[FeatureMap],
+        problem: Problem,
+        alignment: Alignment,
     ) -> tuple[Problem, Alignment]:
-        """Align once more, to all that is seen from the pose found: a start far off saw other
-        points, and had other photographs beside it."""
-        if found.failed[0]:
-            return problem, found
-        there = _pose(view, found)
-        chosen = self._chosen(replace(query, prior=_known(there)))
-        after = self._problems.of(view, maps, chosen, there, self.config.points)
-        levels, points, intrinsics, begin, damping, options = after
+        """Align once more, to all points in view from the aligned pose.
+
+        A start far off saw other points, and had other photographs beside it.
+        """
+        if alignment.failed[0]:
+            return problem, alignment
+        pose = _photograph_pose(view, alignment)
+        chosen = self._chosen(replace(query, prior=_known_pose(pose)))
+        after = self._problems.build(view, maps, chosen, pose, self.config.points)
         # The coarsest level has no more to say of a pose that the finest one found.
-        final = align(
-            levels[1:] or levels, points, intrinsics, begin, damping[1:] or damping, options
-        )
+        final = align(after.finer() if after.levels[1:] else after)
         if final.failed[0]:
-            return problem, found
-        return after, replace(final, iterations=found.iterations + final.iterations)
+            return problem, alignment
+        return after, replace(final, iterations=alignment.iterations + final.iterations)
 
     def _chosen(self, query: Query) -> NDArray[np.int64]:
-        """Rows of the photographs to align a query to."""
+        """Return the rows of the photographs to align a query to."""
         return self._retrieval.choose(
             query, self.config.references, lambda: self._described(query), tilted=False
         )
 
     def _least_side(self, query: Query) -> int:
-        """Pixels of the image's shorter side, as the network would see it as taken."""
+        """Return the shorter side (px) of the image at the largest scale the network sees."""
         camera = query.camera
         scale = min(1.0, self._extract.largest_scale(camera))
         return round(min(camera.width, camera.height) * scale)
 
     def _described(self, query: Query) -> NDArray[np.float32]:
-        """Unit features of all coarse cells of the image as it was taken, (n, C)."""
+        """Return unit features (n, C) of all coarse cells of the image as it was taken."""
         _, maps = self._extract(query.image, query.camera, levels=1)
         cells = maps[0].features[0].flatten(1).T.float()
         return torch.nn.functional.normalize(cells, dim=1).numpy()
 
 
-def _pose(view: View, found: Alignment) -> Pose:
-    return view.photograph_pose(Pose(found.pose.rotation[0], found.pose.translation[0]))
+def _photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:
+    """Return ``cam_from_world`` of the photograph of an aligned view."""
+    pose = alignment.pose
+    return view.photograph_pose(Pose(pose.rotation[0], pose.translation[0]))
 
 
-def _known(pose: Pose) -> Prior:
+def _known_pose(pose: Pose) -> Prior:
+    """Return a prior that knows position and attitude."""
     return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
 
 
 def _heading_unknown(prior: Prior | None) -> bool:
+    """Return whether there is a prior without an attitude."""
     return prior is not None and prior.cam_from_world_rotation is None
 
 
-def _reach(prior: Prior | None) -> SearchRadius:
-    """How far a prior may be off: two of its standard deviations, where they are known."""
-    usual = SearchRadius()
+def _default_radius(options: SearchOptions) -> SearchRadius:
+    """Return how far to look around a start of which no uncertainty is known."""
+    return SearchRadius(options.radius_m, options.radius_deg)
+
+
+def _search_radius(prior: Prior | None, options: SearchOptions) -> SearchRadius:
+    """Return how far a prior may be off, by its standard deviations where they are known."""
     if prior is None:
-        return usual
-    metres = usual.metres
+        return _default_radius(options)
+    metres, sigmas = options.radius_m, options.prior_sigmas
     if prior.position_sigma is not None:
         # An axis that was not measured is infinitely unsure: nothing says how far to look.
         known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
-        metres = max([metres, *(2 * float(sigma) for sigma in known)])
-    degrees = max(usual.degrees, 2 * (prior.attitude_sigma_deg or 0.0))
+        metres = max([metres, *(sigmas * float(sigma) for sigma in known)])
+    degrees = max(options.radius_deg, sigmas * (prior.attitude_sigma_deg or 0.0))
     return SearchRadius(
-        min(metres, _FARTHEST.metres),
-        min(degrees, _FARTHEST.degrees),
-        _BETWEEN_HEADINGS if _heading_unknown(prior) else 0.0,
+        min(metres, options.max_radius_m),
+        min(degrees, options.max_radius_deg),
+        options.heading_radius_deg if _heading_unknown(prior) else 0.0,
     )

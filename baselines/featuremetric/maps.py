@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from baselines.align.sampling import sample
-from baselines.views import View, view
+from baselines.views import WarpedImage, warp_image
 from scene.geometry.camera import Camera
 
 Precision = Literal["float32", "bfloat16"]
 
 
 class Levels(Protocol):
-    """What is known of a network before it sees a picture: its levels, coarse to fine."""
+    """The levels of a network, coarse to fine, which are known before it sees a picture."""
 
     @property
     def strides(self) -> tuple[int, ...]:
@@ -68,8 +68,10 @@ class FeatureMap:
     stride: int
 
     def sample(self, xy: Tensor) -> tuple[Tensor, Tensor]:
-        """Unit features (N, C) and confidence (N,) at pixels of the view (N, 2); those less than
-        half a cell from the edge of the map take the value there."""
+        """Sample unit features (N, C) and confidence (N,) at pixels of the view (N, 2).
+
+        Pixels less than half a cell from the edge of the map take the value there.
+        """
         height, width = self.features.shape[-2:]
         half = self.stride / 2
         most = xy.new_tensor([width, height]) * self.stride - half
@@ -101,10 +103,20 @@ class MapExtractor:
         angle: float = 0.0,
         scale: float = 1.0,
         levels: int | None = None,
-    ) -> tuple[View, list[FeatureMap]]:
-        """The view of a photograph (H, W, 3), turned by ``angle`` (rad) and resized, and its
-        levels, coarse to fine, so many or all. Its shorter side must be 16 pixels at least."""
-        seen = view(rgb, camera, angle, min(scale, self.largest_scale(camera)))
+    ) -> tuple[WarpedImage, list[FeatureMap]]:
+        """Warp a photograph and compute its feature maps.
+
+        Args:
+            rgb: (H, W, 3), resized to a shorter side of 16 pixels at least.
+            camera: of the photograph.
+            angle: radians to turn it by, counter-clockwise.
+            scale: to resize it by.
+            levels: how many levels to compute, from the coarsest; None for all.
+
+        Returns:
+            The warped photograph and its levels, coarse to fine.
+        """
+        seen = warp_image(rgb, camera, angle, min(scale, self.largest_scale(camera)))
         # Rows of pixels of RGB are channels-last as they are.
         image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
@@ -117,12 +129,12 @@ class MapExtractor:
         return seen, maps
 
     def largest_scale(self, camera: Camera) -> float:
-        """At which photographs of a camera may be seen."""
+        """Return the largest scale at which photographs of a camera are seen."""
         return min(1.0, self.longest / max(camera.width, camera.height))
 
 
-def _shown(seen: View, size: torch.Size, stride: int) -> NDArray[np.bool_]:
-    """Which cells (h, w) of a level show the photograph."""
+def _shown(seen: WarpedImage, size: torch.Size, stride: int) -> NDArray[np.bool_]:
+    """Return which cells (h, w) of a level show the photograph."""
     if seen.whole:
         return np.ones(tuple(size), bool)
     height, width = size

@@ -1,88 +1,101 @@
-"""What is aligned: an image, seen as the photographs of the map were, and points of theirs."""
+"""Alignment problems of images: what an image and points of the map look like from a start."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from baselines.align.aligner import align
-from baselines.align.descent import Options
+from baselines.align.options import Options
+from baselines.align.problem import Problem
 from baselines.align.residuals import Level
 from baselines.align.sampling import per_axis
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
-from baselines.featuremetric.references import ReferenceFeatures, spaced_order
+from baselines.featuremetric.references import ReferenceFeatures, ReferenceOptions, spaced_order
 from baselines.resolution import metres_per_pixel, scale_to
-from baselines.views import View, north
+from baselines.views import WarpedImage, north_angle
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
-from scene.geometry.projection import Intrinsics
 from scene.localizer import Query
 
-# The coarsest level has a cell for so many pixels; an image must have one at least.
 LEAST_SIDE: Final = 16
-
-
-class Problem(NamedTuple):
-    """The arguments of ``baselines.align.aligner.align``, of one image."""
-
-    levels: list[Level]
-    points: torch.Tensor
-    intrinsics: Intrinsics
-    start: Pose
-    damping: list[torch.Tensor]
-    options: Options
+"""Least side of an image, pixels: that of one cell of the coarsest level."""
 
 
 @dataclass(frozen=True)
-class Problems:
-    """Makes them of images, photographs of the map and starts (``cam_from_world``).
+class ProblemBuilder:
+    """Builds alignment problems of images, photographs of the map and starts (``cam_from_world``).
 
     Attributes:
-        extract: of feature maps.
+        extract: computes feature maps.
         observations: of the map's photographs, which are chosen by their rows.
         damping: of every level.
         options: of the alignment.
+        reference: how points are spread, and which resolutions count as the same.
     """
 
     extract: MapExtractor
     observations: ReferenceFeatures
     damping: list[torch.Tensor]
     options: Options
+    reference: ReferenceOptions = field(default_factory=ReferenceOptions)
 
     def scale(self, camera: Camera, chosen: NDArray[np.int64], start: Pose) -> float:
-        """At which an image shows the ground as large as the photographs of the map do."""
+        """Return the scale at which an image has the ground resolution of the map's photographs."""
         points = np.concatenate([self.observations[int(row)].xyz for row in chosen])
         own = metres_per_pixel(start, camera, points)
         largest = self.extract.largest_scale(camera)
         # The view must not fall below what the network needs.
         least = LEAST_SIDE / min(camera.width, camera.height)
-        return max(scale_to(self.observations.metres_per_pixel, own, largest), least)
+        wanted = self.observations.metres_per_pixel
+        return max(scale_to(wanted, own, largest, self.reference.same_resolution), least)
 
-    def look(
+    def view(
         self, query: Query, chosen: NDArray[np.int64], start: Pose, levels: int | None = None
-    ) -> tuple[View, list[FeatureMap]]:
-        """The image as the photographs of the map were seen, if the start is right; so many levels
-        of it from the coarsest, or all."""
+    ) -> tuple[WarpedImage, list[FeatureMap]]:
+        """Warp an image as the map's photographs were, if a start is right, and extract features.
+
+        Args:
+            query: the image.
+            chosen: rows of the photographs.
+            start: ``cam_from_world``.
+            levels: how many levels to extract, from the coarsest; None for all.
+
+        Returns:
+            The warped image and its feature maps, of unit length.
+        """
         scale = self.scale(query.camera, chosen, start)
-        angle = north(start.rotation.numpy())
+        angle = north_angle(start.rotation.numpy())
         view, maps = self.extract(query.image, query.camera, angle, scale, levels)
         # Once for all problems that are made of them.
         unit = torch.nn.functional.normalize
         return view, [replace(each, features=unit(each.features, dim=1)) for each in maps]
 
-    def of(
-        self, view: View, maps: list[FeatureMap], chosen: NDArray[np.int64], start: Pose, count: int
+    def build(
+        self,
+        view: WarpedImage,
+        maps: list[FeatureMap],
+        chosen: NDArray[np.int64],
+        start: Pose,
+        count: int,
     ) -> Problem:
-        """At most ``count`` points, those first that the start sees, and what they look like.
+        """Build the problem of a view with at most ``count`` points, those in view first.
 
-        They cover the image evenly, though the references overlap most in its middle: tilting the
-        camera and moving it are told apart only far from there. A point seen by several references
-        counts once for each of them, as in the authors' code.
+        The points cover the image evenly, though the references overlap most in its middle: tilting
+        the camera and moving it are told apart only far from there. A point seen by several
+        references counts once for each of them, as in the authors' code.
+
+        Args:
+            view: of the image.
+            maps: its feature maps.
+            chosen: rows of the photographs that give the points.
+            start: ``cam_from_world`` of the image.
+            count: most points.
         """
         from_world = view.pose(start)
         observed = [self.observations[int(row)] for row in chosen]
@@ -94,7 +107,7 @@ class Problems:
         visible = inside.numpy() & view.shows(projected.xy.numpy())
         seen = np.flatnonzero(visible)
         size = np.array([view.camera.width, view.camera.height])
-        order = spaced_order(projected.xy.numpy()[seen] / size, -turn[seen])
+        order = spaced_order(projected.xy.numpy()[seen] / size, -turn[seen], self.reference.grid)
         kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
         confidence = np.concatenate([each.confidence for each in observed])[kept]
         levels = []
@@ -120,19 +133,24 @@ class Problems:
 
 
 def fit(problem: Problem, pose: Pose) -> float:
-    """The cost at a pose, in parts of what other points would cost where these are seen."""
-    levels, points, intrinsics, _, damping, options = problem
-    still = replace(options, iterations=0)
-    judge = len(levels) // 2
-    level, held_back = levels[judge], damping[judge]
-    projected = intrinsics.project(pose.transform(points))
+    """Return the cost at a pose as a share of the cost with features of other points.
+
+    Args:
+        problem: of one image.
+        pose: ``cam_from_world``, batched (1).
+    """
+    points = problem.points
+    still = problem.options.model_copy(update={"iterations": 0})
+    middle = len(problem.levels) // 2
+    level, damping = problem.levels[middle], problem.damping[middle]
+    projected = problem.intrinsics.project(pose.transform(points))
     size = torch.tensor(level.features.shape[:1:-1], dtype=points.dtype)
     cells = projected.xy / per_axis(level.stride, points)
     seen = (projected.valid & (cells > 1).all(-1) & (cells < size - 1).all(-1))[0]
     if not bool(seen.any()):
         return math.inf
-    # Those seen change places among themselves, and keep how far they are trusted: where all of the
-    # picture looks the same, so do they. Neighbours in the list are of different parts of it.
+    # Points in view swap features among themselves and keep their confidences: where the whole
+    # picture looks the same, they fit as well. Neighbours in the list lie in different parts of it.
     order = torch.nonzero(seen)[:, 0]
     other = torch.roll(order, len(order) // 2)
 
@@ -143,6 +161,7 @@ def fit(problem: Problem, pose: Pose) -> float:
             reference=level.reference[:, which],
             reference_confidence=None if trust is None else trust[:, which],
         )
-        return float(align([chosen], points[:, order], intrinsics, pose, [held_back], still).cost)
+        at_pose = Problem([chosen], points[:, order], problem.intrinsics, pose, [damping], still)
+        return float(align(at_pose).cost)
 
     return cost(order) / max(cost(other), 1e-12)

@@ -1,4 +1,4 @@
-"""What the points of a map look like in its photographs: computed once, kept on disk.
+"""Features of a map's points in its photographs, computed once and kept on disk.
 
 Only features at points are needed of the photographs, and these are few.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -15,12 +15,20 @@ from typing import Any, Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 
 from baselines.array_store import ArrayStore, written_store
-from baselines.featuremetric.corners import all_corners
+from baselines.featuremetric.corners import CornerFinder, CornerOptions, all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
-from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
-from baselines.views import View, north
+from baselines.resolution import (
+    DEFAULT_SAME_RESOLUTION,
+    metres_per_pixel,
+    observed,
+    of_map,
+    scale_to,
+)
+from baselines.views import WarpedImage, north_angle
+from scene.config import Config
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.progress import progress_bar
@@ -28,20 +36,65 @@ from scene.storage.digests import digests, require_unchanged
 from scene.storage.images import check_photographs, read_rgb
 from scene.storage.lru_cache import LruCache, room
 
-# Points seen by fewer photographs are less sure; PixLoc's authors leave them out.
-_LEAST_TRACK: Final = 3
-# Unless a photograph has fewer of the others than this.
-_LEAST_POINTS: Final = 64
-# Points are taken in turns from the cells of a grid of so many by so many over the photograph.
-_GRID: Final = 16
 _FORMAT: Final = 3
+
+
+class ReferenceOptions(Config):
+    """Which points of the map are kept of each photograph."""
+
+    min_track: int = Field(
+        3,
+        ge=1,
+        description="Points seen by fewer photographs are left out, as by PixLoc's authors.",
+    )
+    min_points: int = Field(
+        64, ge=0, description="Photographs with fewer reliable points keep all their points."
+    )
+    grid: int = Field(
+        16,
+        ge=1,
+        description="Points are taken in turns from the cells of a grid of this many by this many "
+        "cells over the picture.",
+    )
+    same_resolution: float = Field(
+        DEFAULT_SAME_RESOLUTION,
+        gt=1,
+        description="Pictures whose ground resolutions differ by a smaller ratio are not resized.",
+    )
+
+
+@dataclass(frozen=True)
+class ReferenceSource:
+    """What the observations of a map's photographs are computed from.
+
+    Attributes:
+        sparse_map: the map.
+        images: folder of its photographs.
+        extract: computes feature maps.
+        extractor_key: identifies the network's weights and its options, for the cache.
+        name: of the method, used for files and progress.
+        points: most points to keep of a photograph.
+        corners: most corners of a photograph that become points; 0 for none.
+        options: which points are kept.
+        corner_options: how corners are found.
+    """
+
+    sparse_map: SparseMap
+    images: Path
+    extract: MapExtractor
+    extractor_key: str
+    name: str
+    points: int
+    corners: int = 0
+    options: ReferenceOptions = field(default_factory=ReferenceOptions)
+    corner_options: CornerOptions = field(default_factory=CornerOptions)
 
 
 @dataclass(frozen=True)
 class Observations:
     """Points of the map as one photograph shows them, N in all.
 
-    They stand in the order in which to take fewer of them: spread over the photograph.
+    Any first few of them are spread over the photograph.
 
     Attributes:
         xyz: (N, 3) world metres.
@@ -65,7 +118,7 @@ class ReferenceFeatures:
     Threads may share it.
 
     Args:
-        path: written by ``write_references``.
+        path: written by ``references``.
         memory: bytes that observations in memory may take.
 
     Attributes:
@@ -73,104 +126,96 @@ class ReferenceFeatures:
     """
 
     def __init__(self, path: Path, memory: int) -> None:
-        self._shelf = ArrayStore(path)
-        levels = range(int(self._shelf.attribute("levels")))
+        self._store = ArrayStore(path)
+        levels = range(int(self._store.attribute("levels")))
         names = ("xyz", "confidence", *(f"features/{level}" for level in levels))
-        self._held = LruCache(partial(_read, self._shelf, names), memory)
-        self.metres_per_pixel = float(self._shelf.attribute("metres_per_pixel"))
+        self._cache = LruCache(partial(_read, self._store, names), memory)
+        self.metres_per_pixel = float(self._store.attribute("metres_per_pixel"))
 
     def __len__(self) -> int:
-        return len(self._shelf)
+        return len(self._store)
 
     def __getitem__(self, photograph: int) -> Observations:
-        """Of a photograph by its row in ``SparseMap.names``."""
-        return self._held(photograph)
+        """Return the observations of a photograph, given its row in ``SparseMap.names``."""
+        return self._cache(photograph)
 
     def coarse(self, photograph: int) -> NDArray[np.float32]:
-        """The features of a photograph's coarsest level alone, (N, C), which are not kept."""
-        return self._shelf.read(photograph, "features/0").astype(np.float32)
+        """Read the features of a photograph's coarsest level alone, (N, C), past the cache."""
+        return self._store.read(photograph, "features/0").astype(np.float32)
 
 
-def _read(shelf: ArrayStore, names: Sequence[str], photograph: int) -> Observations:
-    xyz, confidence, *features = (shelf.read(photograph, name) for name in names)
+def _read(store: ArrayStore, names: Sequence[str], photograph: int) -> Observations:
+    xyz, confidence, *features = (store.read(photograph, name) for name in names)
     return Observations(xyz, tuple(features), confidence)
 
 
-def references(
-    sparse_map: SparseMap,
-    images: Path,
-    extract: MapExtractor,
-    points: int,
-    corners: int,
-    name: str,
-    key: str,
-    cache: Path,
-    memory_mb: int,
-) -> ReferenceFeatures:
-    """Observations of a map's photographs, from the cache where it holds them.
+def references(source: ReferenceSource, cache: Path, memory_mb: int) -> ReferenceFeatures:
+    """Return the observations of a map's photographs, from the cache where it holds them.
 
     Args:
-        sparse_map: whose points and photographs.
-        images: folder of the photographs.
-        extract: of feature maps.
-        points: most to keep per photograph.
-        corners: of a photograph to place beside the points of the map; 0 for none.
-        name: of the method, to call files and progress by.
-        key: of everything else that decides the features: weights and options.
-        cache: folder of files named by a digest of all of it.
+        source: what they are computed from.
+        cache: folder of files, each named by a digest of all that decides its content.
         memory_mb: for the whole process; observations stay in memory as far as there is room.
 
     Raises:
         InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
     """
+    sparse_map, images = source.sparse_map, source.images
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     files = [images / name for name in sparse_map.names]
     photographs = digests(files)
     check = partial(require_unchanged, files, photographs)
 
-    def file(of: str, *parts: object) -> Path:
+    def file(prefix: str, *parts: object) -> Path:
         words = " ".join(map(str, (_FORMAT, sparse_map.sha256, photographs, *parts)))
-        return cache / f"{of}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+        return cache / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
 
-    path = file(name, points, corners, key)
+    corners, longest = source.corners, source.extract.longest
+    # Without corners, how they would be found changes nothing.
+    corner_key = source.corner_options.model_dump_json() if corners else ""
+    options_key = source.options.model_dump_json()
+    path = file(source.name, source.points, corners, corner_key, options_key, source.extractor_key)
     if not path.is_file():
-        beside = [np.empty((0, 3))] * len(sparse_map.names)
+        corner_points = [np.empty((0, 3))] * len(sparse_map.names)
         if corners:
-            kept = file("corners", corners, extract.longest)
-            beside = all_corners(sparse_map, images, corners, extract.longest, kept, check)
-        write_references(path, sparse_map, images, extract, points, beside, name, check)
+            find = CornerFinder(sparse_map, images, corners, longest, source.corner_options)
+            corner_file = file("corners", corners, longest, corner_key)
+            corner_points = all_corners(find, sparse_map.names, corner_file, check)
+        _write_references(path, source, corner_points, check)
     return ReferenceFeatures(path, room(memory_mb))
 
 
-def write_references(
+def _write_references(
     path: Path,
-    sparse_map: SparseMap,
-    images: Path,
-    extract: MapExtractor,
-    points: int,
-    beside: Sequence[NDArray[np.float64]],
-    name: str,
+    source: ReferenceSource,
+    corner_points: Sequence[NDArray[np.float64]],
     check: Callable[[], None],
 ) -> None:
-    """Run the network on every photograph of a map and keep what its points look like.
+    """Run the network on every photograph of a map and keep the features at its points.
 
-    ``beside`` are further points (N, 3) of each photograph. Where ``check`` raises at the end,
-    nothing is kept.
+    Args:
+        path: of the file to write.
+        source: what the observations are computed from.
+        corner_points: further points (N, 3) of each photograph.
+        check: called at the end; where it raises, nothing is kept.
     """
+    sparse_map, extract, options = source.sparse_map, source.extract, source.options
     posed = [sparse_map.images[each] for each in sparse_map.names]
     wanted = of_map(sparse_map, lambda camera: min(1.0, extract.largest_scale(camera)))
     levels = len(extract.network.config.strides)
     with (
         written_store(path, levels=levels, metres_per_pixel=wanted) as add,
-        progress_bar(f"{name} map features", len(posed)) as advance,
+        progress_bar(f"{source.name} map features", len(posed)) as advance,
     ):
-        for done, (image, further) in enumerate(zip(posed, beside, strict=True), 1):
-            rgb = read_rgb(images / image.name, image.camera)
+        for done, (image, corners) in enumerate(zip(posed, corner_points, strict=True), 1):
+            rgb = read_rgb(source.images / image.name, image.camera)
             own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
-            scale = scale_to(wanted, own, extract.largest_scale(image.camera))
-            looked = extract(rgb, image.camera, north(image.cam_from_world[:3, :3]), scale)
-            placed = np.concatenate([_sure(image, sparse_map), further])
-            seen = observe(*looked, image.pose, placed, points)
+            largest = extract.largest_scale(image.camera)
+            scale = scale_to(wanted, own, largest, options.same_resolution)
+            angle = north_angle(image.cam_from_world[:3, :3])
+            view, maps = extract(rgb, image.camera, angle, scale)
+            points = np.concatenate([_reliable_points(image, sparse_map, options), corners])
+            seen = observe(view, maps, image.pose, points, source.points, options.grid)
             features = {f"features/{level}": of for level, of in enumerate(seen.features)}
             add({"xyz": seen.xyz, "confidence": seen.confidence, **features})
             advance(done)
@@ -178,19 +223,25 @@ def write_references(
 
 
 def observe(
-    view: View, maps: list[FeatureMap], pose: Pose, xyz: NDArray[np.float64], points: int
+    view: WarpedImage,
+    maps: list[FeatureMap],
+    pose: Pose,
+    xyz: NDArray[np.float64],
+    points: int,
+    grid: int,
 ) -> Observations:
-    """What points look like in a view of a photograph, at most ``points`` of those it shows.
+    """Return the features of points in a photograph, at most ``points`` of those it shows.
 
     Features are taken where the points project, as PixLoc's authors do, not where they were
-    observed. Of neighbours the one comes first of which the network is surest.
+    observed. Among neighbours, the point with the highest confidence comes first.
 
     Args:
-        view: of the photograph.
-        maps: its levels.
+        view: the photograph, warped.
+        maps: feature maps of the view.
         pose: ``cam_from_world`` of the photograph.
         xyz: (M, 3) the points.
         points: most to keep.
+        grid: see ``spaced_order``.
     """
     projected = view.camera.project(view.pose(pose).transform(torch.from_numpy(xyz)))
     inside = (projected.valid & view.camera.contains(projected.xy)).numpy()
@@ -199,7 +250,7 @@ def observe(
     seen = np.flatnonzero(inside & (confidence > 0).all(-1).numpy())
     size = np.array([view.camera.width, view.camera.height])
     worth = confidence.log().sum(-1).numpy()[seen]
-    kept = seen[spaced_order(projected.xy.numpy()[seen] / size, worth)[:points]]
+    kept = seen[spaced_order(projected.xy.numpy()[seen] / size, worth, grid)[:points]]
     return Observations(
         xyz[kept],
         tuple(features[kept].to(torch.float16).numpy() for features, _ in levels),
@@ -207,24 +258,34 @@ def observe(
     )
 
 
-def _sure(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
-    """Points of the map that a photograph observes, (N, 3); the sure ones where they suffice."""
+def _reliable_points(
+    image: MapImage, sparse_map: SparseMap, options: ReferenceOptions
+) -> NDArray[np.float64]:
+    """Return the reliable points that a photograph observes, (N, 3), or all where they are few."""
     rows = np.unique(image.point_rows[image.point_rows >= 0])
-    sure = rows[sparse_map.track_length[rows] >= _LEAST_TRACK]
-    return np.asarray(sparse_map.xyz[sure if len(sure) >= _LEAST_POINTS else rows])
+    reliable = rows[sparse_map.track_length[rows] >= options.min_track]
+    return np.asarray(sparse_map.xyz[reliable if len(reliable) >= options.min_points else rows])
 
 
-def spaced_order(xy: NDArray[np.float64], worth: NDArray[Any]) -> NDArray[np.int64]:
-    """An order of points of which every beginning covers the picture: the worthiest of every cell
-    of a grid, then the second of every cell, and so on.
+def spaced_order(xy: NDArray[np.float64], worth: NDArray[Any], grid: int) -> NDArray[np.int64]:
+    """Order points so that any first few of them cover the picture.
+
+    The worthiest point of every cell of a grid comes first, then the second of every cell, and so
+    on.
 
     Args:
         xy: (N, 2) in 0..1.
-        worth: (N,).
+        worth: (N,) the larger the earlier.
+        grid: cells along each side of the picture.
+
+    Example:
+        >>> xy = np.array([[0.1, 0.1], [0.2, 0.2], [0.9, 0.9]])
+        >>> spaced_order(xy, np.array([1, 3, 2]), grid=2).tolist()
+        [1, 2, 0]
     """
     by_worth = np.argsort(-worth, kind="stable")
-    column, row = np.clip((xy[by_worth] * _GRID).astype(int), 0, _GRID - 1).T
-    cell = row * _GRID + column
+    column, row = np.clip((xy[by_worth] * grid).astype(int), 0, grid - 1).T
+    cell = row * grid + column
     by_cell = np.argsort(cell, kind="stable")
     first = np.searchsorted(cell[by_cell], cell)
     place = np.empty(len(cell), np.int64)

@@ -71,7 +71,7 @@ class Decoder(nn.ModuleList):
     """
 
     def __init__(self, width: float, steps: Sequence[int], strides: Sequence[int]) -> None:
-        """For an encoder of ``width``; ``steps`` are channels from stride 8 to stride 1."""
+        """Build the decoder of an encoder of ``width``; ``steps`` are channels, stride 8 to 1."""
         skips = channels(width)[::-1]
         sizes = [skips[0], *steps[: STRIDES.index(strides[-1])]]
         super().__init__(

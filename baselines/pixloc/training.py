@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.align.aligner import align
-from baselines.align.descent import Options
+from baselines.align.options import Options
+from baselines.align.problem import Problem
 from baselines.align.residuals import Level
 from baselines.pixloc.loss import in_pixels, pose_loss, reprojection_error
 from baselines.pixloc.network import PixlocNet, PixlocNetConfig, read_network
@@ -73,7 +74,7 @@ class PixlocTraining:
 
 
 def half_precision(batch: PairBatch) -> torch.autocast:
-    """In which networks run; losses and alignment do not."""
+    """Return the context of half precision that networks run in, but not losses and alignment."""
     return torch.autocast(batch.image_a.device.type, torch.bfloat16)
 
 
@@ -144,7 +145,7 @@ def unrolled(
     """Poses after each level, through which gradients reach features and damping."""
     factors = [each() for each in damping]
     place = batch.points, batch.intrinsics_b, batch.start
-    return align(levels, *place, factors, _UNROLLED, batch.valid).by_level
+    return align(Problem(levels, *place, factors, _UNROLLED, batch.valid)).by_level
 
 
 def pixels_of(

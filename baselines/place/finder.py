@@ -17,7 +17,7 @@ from baselines.place.grid import ground_grid
 from baselines.place.mosaic import Mosaic, empty_mosaic, make_mosaic
 from baselines.place.search import Candidate, Hypotheses, PlaceSearch
 from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
-from baselines.views import View, north
+from baselines.views import WarpedImage, north_angle
 from scene.config import Config
 from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior, Query
@@ -110,11 +110,11 @@ class PlaceFinder:
         self._search = PlaceSearch(self._mosaic, options.least_overlap, options.farthest)
 
     def _make(self, sparse_map: SparseMap, images: Path) -> Mosaic:
-        def look(image: MapImage) -> tuple[View, FeatureMap]:
+        def look(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
             own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
             largest = self._extract.largest_scale(image.camera)
             scale = scale_to(self._resolution, own, largest)
-            angle = north(image.cam_from_world[:3, :3])
+            angle = north_angle(image.cam_from_world[:3, :3])
             rgb = read_rgb(images / image.name, image.camera)
             view, levels = self._extract(rgb, image.camera, angle, scale, 1)
             return view, levels[0]
@@ -131,11 +131,11 @@ class PlaceFinder:
         if self._mosaic.is_empty:
             return []
 
-        def look(pose: Pose) -> tuple[View, FeatureMap]:
+        def look(pose: Pose) -> tuple[WarpedImage, FeatureMap]:
             down = max(_FLATTEST, -float(pose.rotation[2, 2]))
             own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))
             scale = scale_to(self._resolution, own, self._extract.largest_scale(query.camera))
-            angle = north(pose.rotation.numpy())
+            angle = north_angle(pose.rotation.numpy())
             view, levels = self._extract(query.image, query.camera, angle, scale, 1)
             return view, levels[0]
 

@@ -13,14 +13,14 @@ from torch import Tensor
 
 from baselines.featuremetric.maps import FeatureMap
 from baselines.place.grid import GroundGrid
-from baselines.views import View, looks_down
+from baselines.views import WarpedImage, looks_down
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import MapImage, SparseMap
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array, attribute
 
-Look = Callable[[MapImage], tuple[View, FeatureMap]]
+Look = Callable[[MapImage], tuple[WarpedImage, FeatureMap]]
 
 _ARRAYS: Final = ("origin", "heights", "features", "known", "mean", "components")
 
@@ -66,7 +66,7 @@ class Mosaic:
             "mean": self.mean.numpy(),
             "components": self.components.numpy(),
         }
-        with written_whole(path) as partial, h5py.File(partial, "w") as file:
+        with atomic_write(path) as partial, h5py.File(partial, "w") as file:
             for name, values in arrays.items():
                 file[name] = values
             file.attrs["cell"] = self.grid.cell
@@ -143,7 +143,7 @@ def make_mosaic(
 
 
 def _shown(
-    view: View, level: FeatureMap, pose: Pose, cells: Tensor
+    view: WarpedImage, level: FeatureMap, pose: Pose, cells: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return rows of the cells (M, 3) that a photograph shows, their unit features (N, C) and
     confidences (N,)."""

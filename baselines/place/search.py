@@ -14,7 +14,7 @@ from torch import Tensor
 
 from baselines.featuremetric.maps import FeatureMap
 from baselines.place.mosaic import Mosaic
-from baselines.views import View
+from baselines.views import WarpedImage
 from scene.geometry.pose import Pose, so3_exp
 
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
@@ -66,7 +66,7 @@ class _LaidOut(NamedTuple):
     first: NDArray[np.float64]
 
 
-Look = Callable[[Pose], tuple[View, FeatureMap]]
+Look = Callable[[Pose], tuple[WarpedImage, FeatureMap]]
 
 
 class PlaceSearch:
@@ -176,7 +176,7 @@ class PlaceSearch:
         return self._spectra[size]
 
     def _laid_out(
-        self, view: View, level: FeatureMap, rotation: Tensor, altitude: float
+        self, view: WarpedImage, level: FeatureMap, rotation: Tensor, altitude: float
     ) -> _LaidOut | None:
         """Lay the query's features out on level ground; None where it shows none."""
         cell = self._mosaic.grid.cell
@@ -203,7 +203,7 @@ class PlaceSearch:
         return _LaidOut(patch.T.reshape(-1, rows, columns), weight.reshape(rows, columns), first)
 
     def _footprint(
-        self, view: View, rotation: Tensor, altitude: float
+        self, view: WarpedImage, rotation: Tensor, altitude: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the south-west and north-east corners (m, from the camera) of the ground that a
         view shows, no farther away than is looked."""

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from baselines.training.config import TrainConfig
 from scene.bundle.scene import Scene
-from scene.storage.files import read_text, sha256_of, write_text
+from scene.storage.atomic import write_text
+from scene.storage.files import read_text, sha256_of
 
 
 def write_card(

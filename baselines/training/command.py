@@ -1,4 +1,4 @@
-"""From scenes to weights: the command ``train``."""
+"""The command ``train``: from scenes to weights."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from baselines.training.loop import LOG, Trainable, join, train_loop
 from baselines.training.planes import PlanePairs
 from baselines.training.rendered import RenderedPairs
 from scene.bundle.scene import Scene
-from scene.storage.files import sole_writer
-from scene.storage.outputs import claim_folder
+from scene.storage.locks import write_lock
+from scene.storage.outputs import check_output_folder
 
 CARD: Final = "card.md"
 
@@ -44,7 +44,7 @@ def train(
         InputError: a scene is unfinished, distorted or overlaps nowhere; ``out`` holds another run
             or one that is under way; a process that makes pairs died.
     """
-    claim_folder(out, [*data, *validation])
+    check_output_folder(out, [*data, *validation])
     scenes = [Scene.open(path) for path in data]
     looked_at = [Scene.open(path) for path in validation]
     size, points = config.crop, config.points
@@ -55,7 +55,7 @@ def train(
     chosen = RenderedPairs(looked_at, size, points, 0.0) if looked_at else None
     described = {"method": method, "scenes": [scene.manifest.seed for scene in scenes]}
     first = join().rank == 0
-    with sole_writer(out) if first else nullcontext():
+    with write_lock(out) if first else nullcontext():
         weights = train_loop(make(config), config, rendered, planes, chosen, out, described)
         if first:
             write_card(out / CARD, method, config, scenes, looked_at, weights, out / LOG)

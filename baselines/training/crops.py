@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.training.pairs import Pinhole
-from baselines.views import resampled, turned_by
+from baselines.views import resampled, roll_rotation
 
 
 class Crop(NamedTuple):
@@ -48,7 +48,7 @@ def crop(
         size: S.
         angle: counter-clockwise, radians.
     """
-    turn = turned_by(angle)
+    turn = roll_rotation(angle)
     linear = scale * turn[:2, :2]
     affine = np.column_stack([linear, size / 2 - linear @ centre])
     cut = resampled(image, affine, np.array([size, size]))

@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from scene.storage.files import read_text, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import read_text
 
 _SMOOTHED = 25
 _WIDTH, _HEIGHT = 4.2, 2.8
@@ -39,7 +40,7 @@ def draw_curves(log: Path, picture: Path) -> None:
         axes.grid(alpha=0.3)
     for axes in figure.axes[len(names) :]:
         axes.set_visible(False)
-    with written_whole(picture) as partial:
+    with atomic_write(picture) as partial:
         figure.savefig(partial, format="png", dpi=90)
 
 

@@ -24,7 +24,9 @@ from baselines.training.curves import draw_curves
 from baselines.training.pairs import Pair, PairBatch, PairSource, collate
 from scene.errors import InputError, WriteError
 from scene.runtime.progress import progress_bar
-from scene.storage.files import parse_json, read_text, write_text, written_whole
+from scene.storage.atomic import atomic_write, write_text
+from scene.storage.files import parse_json, read_text
+from scene.storage.resumable import ResumableFolder
 
 WEIGHTS: Final = "weights.safetensors"
 _CHECKPOINT = "checkpoint.pt"
@@ -189,31 +191,43 @@ def join() -> Processes:
 
 
 def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
-    """Take the folder for this run, or find that it is this run's already."""
-    text = json.dumps(run, indent=2, sort_keys=True) + "\n"
-    path = out / _RUN
-    if path.is_file():
-        described = read_text(path, "description of the run")
-        try:
-            before = parse_json(described)
-            # Settings that came later than the run had the default's effect.
-            before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
-        except (ValueError, KeyError, TypeError):
-            raise InputError(f"{path} is damaged: name another folder, or remove {out}") from None
-        changed = [key for key in run if before.get(key) != json.loads(text)[key]]
-        if changed:
-            raise InputError(
-                f"{out} holds a run with another {changed[0]}: resume it with the same, or name "
-                "another folder"
-            )
-    elif rank == 0:
+    """Take the folder for this run, or find that it is this run's already.
+
+    The record stays when the run is finished, because a longer run may go on from it.
+    """
+    folder = _resumable(out, run)
+    if folder.resume(
+        lambda difference: (
+            f"{out} holds a run with another {difference}: resume it with the same, or name "
+            "another folder"
+        )
+    ):
+        return
+    if rank == 0:
         for name in (_CHECKPOINT, LOG, _CURVES, WEIGHTS):
             if os.path.lexists(out / name):
                 raise WriteError(
                     f"cannot write {out / name}: another file stands there, and {out} holds no run "
                     "of ours: name another folder"
                 )
-        write_text(path, text)
+        folder.begin()
+
+
+def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
+    request = json.dumps(run, indent=2, sort_keys=True) + "\n"
+
+    def difference(record: Path) -> str | None:
+        described = read_text(record, "description of the run")
+        try:
+            before = parse_json(described)
+            # Settings that came later than the run had the default's effect.
+            before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
+        except (ValueError, KeyError, TypeError):
+            raise InputError(f"{record} is damaged: name another folder, or remove {out}") from None
+        wanted = json.loads(request)
+        return next((key for key in run if before.get(key) != wanted[key]), None)
+
+    return ResumableFolder(out, out / _RUN, request, difference)
 
 
 def _loader(drawn: _Drawn, stretch: _Stretch, workers: int) -> DataLoader[Pair]:
@@ -292,7 +306,7 @@ def _share_gradients(network: nn.Module, world: int) -> None:
 
 def _save(path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, done: int) -> None:
     state = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "done": done}
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         torch.save(state, partial)
 
 

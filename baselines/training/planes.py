@@ -20,7 +20,7 @@ from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
 from scene.errors import InputError
 from scene.geometry.pose import so3_exp
 from scene.storage.images import read_rgb
-from scene.storage.listing import PHOTOGRAPHS, files_in
+from scene.storage.listing import PHOTOGRAPHS, list_files
 
 _HEIGHT_M = 80.0
 _TILT_DEG = 15.0
@@ -35,7 +35,7 @@ class PlanePairs:
 
     def __init__(self, folders: Sequence[Path], size: int, points: int, strength: float) -> None:
         self._paths = sorted(
-            path for folder in folders for path in files_in(folder, PHOTOGRAPHS, depth=None)
+            path for folder in folders for path in list_files(folder, PHOTOGRAPHS, depth=None)
         )
         if not self._paths:
             raise InputError(f"no photographs ({', '.join(PHOTOGRAPHS)}) in {folders[0]}")

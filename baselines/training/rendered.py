@@ -14,7 +14,7 @@ from baselines.training.augment import photometric
 from baselines.training.crops import crop
 from baselines.training.keypoints import keypoints
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
-from baselines.views import north, upright
+from baselines.views import north_angle, upright
 from scene.bundle.frames import DenseLayers
 from scene.bundle.scene import Scene
 from scene.errors import InputError
@@ -120,8 +120,8 @@ class RenderedPairs:
             match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
         # Light falls from the north in half of the world.
         joint = np.pi / 2 * rng.integers(4)
-        angle_a = joint + north(a.cam_from_world[:3, :3])
-        angle_b = joint + north(b.cam_from_world[:3, :3])
+        angle_a = joint + north_angle(a.cam_from_world[:3, :3])
+        angle_b = joint + north_angle(b.cam_from_world[:3, :3])
         angle_b += np.radians(rng.uniform(-_HEADING_DEG, _HEADING_DEG))
         zoom_b = zoom * match_scale
         cut_a = crop(photo_a, a.camera, xy_a[anchor] + jitter[0], zoom, self._size, angle_a)

@@ -1,1 +1,1 @@
-"""What localizers are scored on, whatever its form."""
+"""Data sets that localizers are scored on, and a reader for each kind."""

@@ -1,9 +1,9 @@
-"""Extended CMU Seasons: the public half of its query poses, scored offline, slice by slice.
+"""Reader of Extended CMU Seasons: the slices whose query poses are public.
 
-The reader takes the download as it is. Facts of the format that mislead (the data set's README and
-public loaders): pose files hold the camera's CENTRE, not a translation; each image's camera, c0 or
-c1, is in its name; pose files may be empty; images are distorted, whatever "rect" in an example
-says; the reference is of April 21, 2011, as its timestamps show.
+The reader takes the download as it is. Its README and public loaders mislead in some points: pose
+files hold the camera's centre, not a translation; the name of each image tells its camera, c0 or
+c1; pose files may be empty; images are distorted, although an example calls them "rect"; the
+reference traversal is that of April 21, 2011, as its timestamps show.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import parts_of
 from benchmark.datasets.textfiles import read_cameras, read_poses
 from scene.errors import InputError
-from scene.exports.cmu import CAMERAS, SIMULATED, ImageName, surroundings
+from scene.exports.cmu_names import CAMERAS, SIMULATED, ImageName, surroundings
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.colmap_files import read_model
 from scene.storage.files import read_text
-from scene.storage.listing import files_in
+from scene.storage.listing import list_files
 
 TRACK: Final = "cmu"
 SIMULATED_TRACK: Final = "cmu-sim"
@@ -31,7 +31,7 @@ SIMULATED_TRACK: Final = "cmu-sim"
 _INTRINSICS: Final = "intrinsics.txt"
 _SLICE: Final = re.compile(r"slice(\d+)")
 
-# What the data set's README says of each day; other days go by their date alone.
+# Descriptions of the days in the data set's README; other days are named by their date alone.
 _DAYS: Final = {
     "2010-09-01": "sunny, foliage",
     "2010-09-15": "sunny, foliage",
@@ -48,7 +48,7 @@ _DAYS: Final = {
 
 
 def is_cmu(path: Path) -> bool:
-    """Whether a folder is the data set, or one slice of it."""
+    """Return whether a folder is the data set, or one slice of it."""
     root = path.resolve()
     if _SLICE.fullmatch(root.name):
         root = root.parent
@@ -59,8 +59,8 @@ def open_cmu(path: Path) -> list[Dataset]:
     """Open every slice that carries public query poses, or one slice.
 
     Raises:
-        InputError: a file is missing or wrong, a name is not of this data set, or no slice has a
-            public query pose.
+        InputError: a file is missing or wrong, a name is not one of this data set, or no slice has
+            a public query pose.
     """
     folders, cameras = _find(path)
     datasets = [d for folder in folders if (d := _open_slice(folder, cameras)) is not None]
@@ -69,14 +69,32 @@ def open_cmu(path: Path) -> list[Dataset]:
     return datasets
 
 
+class CmuReader:
+    """Reads Extended CMU Seasons; see ``benchmark.datasets.open.Reader``."""
+
+    name = "cmu"
+    holds = f"{_INTRINSICS} and slice folders (Extended CMU Seasons)"
+
+    def is_one(self, path: Path) -> bool:
+        """Return whether a path is the folder of the data set, or of one slice of it."""
+        return path.is_dir() and is_cmu(path)
+
+    def open(self, path: Path) -> list[Dataset]:
+        """Open the slices; ``open_cmu`` says which errors are raised."""
+        return open_cmu(path)
+
+
+READER: Final = CmuReader()
+
+
 @dataclass(frozen=True)
 class Slice:
-    """A slice as a task: its query images, whether their poses are public or hidden.
+    """The query images of a slice, whether their poses are public or hidden.
 
     Attributes:
-        folder: of the slice.
+        folder: folder of the slice.
         queries: file names in its ``query`` folder, sorted.
-        cameras: c0 and c1.
+        cameras: the cameras c0 and c1 by name.
     """
 
     folder: Path
@@ -84,15 +102,16 @@ class Slice:
     cameras: Mapping[str, Camera]
 
     def camera(self, name: str) -> Camera:
-        """The camera that took an image, which its name tells."""
+        """Return the camera that took an image; the image's name tells it."""
         return self.cameras[ImageName.parse(name).camera]
 
 
 def open_slices(path: Path) -> list[Slice]:
-    """Every slice with query images, or one slice.
+    """Find every slice with query images, or open the one slice that a path names.
 
     Raises:
-        InputError: not this data set, a name that is not of it, or no query image anywhere.
+        InputError: the path is not this data set, an image's name is not one of it, or there is no
+            query image.
     """
     if not is_cmu(path):
         raise InputError(f"{path} is not Extended CMU Seasons, nor a slice of it")
@@ -100,7 +119,7 @@ def open_slices(path: Path) -> list[Slice]:
     found = []
     for folder in folders:
         photographs = folder / "query"
-        images = files_in(photographs, (".jpg",)) if photographs.is_dir() else []
+        images = list_files(photographs, (".jpg",)) if photographs.is_dir() else []
         names = tuple(image.name for image in images)
         for name in names:
             ImageName.parse(name)
@@ -112,7 +131,7 @@ def open_slices(path: Path) -> list[Slice]:
 
 
 def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:
-    """Folders of the slices meant, and the two cameras."""
+    """Return the folders of the slices that a path means, and the two cameras."""
     root = path.resolve()
     chosen = _slices(root)
     if _SLICE.fullmatch(root.name):
@@ -124,17 +143,17 @@ def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:
 
 
 def condition(name: str) -> str:
-    """Day and weather of an image, from the timestamp in its name.
+    """Return day and weather of an image from the timestamp in its name.
 
     Raises:
-        InputError: the name is not of this data set.
+        InputError: the name is not one of this data set.
     """
     day = ImageName.parse(name).day.isoformat()
     return f"{day} {_DAYS[day]}" if day in _DAYS else day
 
 
 def _slices(root: Path) -> list[Path]:
-    """Slice folders by number."""
+    """Return the slice folders, sorted by number."""
     numbered = {
         int(match.group(1)): folder
         for folder in root.glob("slice*")
@@ -144,10 +163,10 @@ def _slices(root: Path) -> list[Path]:
 
 
 def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
-    """One slice, or None when none of its query poses is public."""
+    """Open one slice, or return None when none of its query poses is public."""
     references: dict[str, Pose] = {}
     listed = folder / "camera-poses"
-    for file in files_in(listed, (".txt",)) if listed.is_dir() else []:
+    for file in list_files(listed, (".txt",)) if listed.is_dir() else []:
         for name, pose in read_poses(file, centres=True).items():
             if name in references:
                 raise InputError(f"{file}: {name} has a pose in another file already")
@@ -184,6 +203,6 @@ def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
 
 
 def _track(root: Path) -> str:
-    """Whether the photographs are the data set's own."""
+    """Return the track, which tells simulated photographs from the data set's own."""
     simulated = read_text(root / _INTRINSICS, "cameras").startswith(SIMULATED)
     return SIMULATED_TRACK if simulated else TRACK

@@ -1,4 +1,4 @@
-"""Flights of real photographs: a COLMAP map, queries, reference poses, and GPS as the prior."""
+"""Reader of flights: real photographs with a COLMAP map, queries, reference poses and GPS."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from scene.maps.sparse_map import SparseMap
 TRACK: Final = "flight"
 SPARSE_SUFFIX: Final = "-sparse"
 
-# Map and queries come from one flight: one season, one hour.
+# Map and queries come from one flight, so that season and light are the same.
 _CONDITION: Final = "same-flight"
 
-# Fewer residuals than this say nothing about how good the GPS is.
+# Fewer residuals than this do not tell how accurate the GPS is.
 _MIN_FIXES = 3
 # A sigma of zero would make a prior that no measurement can move.
 _MIN_SIGMA = 0.01
 
 
 def is_flight(path: Path) -> bool:
-    """Whether a folder looks like a flight, complete or not."""
+    """Return whether a folder looks like a flight, complete or not."""
     marks = ("queries.txt", "reference_poses.txt", "sparse")
     return any((path / mark).exists() for mark in marks)
 
@@ -51,7 +51,7 @@ def open_flight(path: Path, sparse: bool = False) -> list[Dataset]:
 
     Raises:
         InputError: a file is missing or wrong, a query has no reference pose or no photograph, a
-            reference pose has no query, or a query is one of the map's own photographs.
+            reference pose has no query, or a query is a photograph of the map.
     """
     name = path.resolve().name
     hard = path / "sparse" / "map_sparse"
@@ -63,7 +63,44 @@ def open_flight(path: Path, sparse: bool = False) -> list[Dataset]:
     return datasets
 
 
+class FlightReader:
+    """Reads flights; see ``benchmark.datasets.open.Reader``."""
+
+    name = "flight"
+    holds = "queries.txt, reference_poses.txt and sparse/map (a flight)"
+
+    def is_one(self, path: Path) -> bool:
+        """Return whether a path is a flight's folder, or that folder with the ending "-sparse"."""
+        if path.is_dir():
+            return is_flight(path)
+        whole = _without_suffix(path)
+        return whole != path and is_flight(whole)
+
+    def open(self, path: Path) -> list[Dataset]:
+        """Open a flight; ``open_flight`` says which errors are raised."""
+        if path.is_dir():
+            return open_flight(path)
+        opened = open_flight(_without_suffix(path), sparse=True)
+        return [dataset for dataset in opened if dataset.name == path.name]
+
+
+READER: Final = FlightReader()
+
+
+def _without_suffix(path: Path) -> Path:
+    """Return the folder of the flight whose hard split a path names."""
+    return path.with_name(path.name.removesuffix(SPARSE_SUFFIX)) if path.name else path
+
+
 def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
+    """Open one split of a flight.
+
+    Args:
+        path: folder of the flight.
+        name: of the data set.
+        model: folder of the split's map.
+        ending: of the names of the split's lists, before ".txt".
+    """
     query_list = path / f"queries{ending}.txt"
     pose_file = path / f"reference_poses{ending}.txt"
     cameras = read_cameras(query_list)
@@ -102,8 +139,8 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
 
 
 def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[str, Prior]:
-    """Starting information by photograph; empty where the flight has none."""
-    # What stands there, and be it a link to nowhere, is meant to be read.
+    """Return the starting information by photograph; it is empty where the flight has none."""
+    # A link to a file that does not exist is an error, too: somebody meant it to be read.
     if os.path.lexists(path / "priors.csv"):
         priors = read_priors(path / "priors.csv")
         require_same_case(path / "priors.csv", priors, photographs)
@@ -119,11 +156,18 @@ def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[st
 def gps_sigma(
     fixes: Mapping[str, NDArray[np.float64]], sparse_map: SparseMap
 ) -> NDArray[np.float64] | None:
-    """How far GPS is from the map's own photographs: rms per axis E, N, U in metres, (3,).
+    """Measure the accuracy of GPS on the map's photographs.
 
-    The table states no accuracy, and queries may not be asked: their poses are the answer. A
-    constant offset counts, because a localizer cannot remove it either. None when fewer than three
-    photographs of the map have a GPS row.
+    The table states no accuracy. The queries take no part, because their poses are the answer. A
+    constant offset counts, because a localizer cannot remove it either.
+
+    Args:
+        fixes: (3,) east, north, up in metres by photograph.
+        sparse_map: the map.
+
+    Returns:
+        (3,) root mean square difference per axis E, N, U in metres, or None when fewer than three
+        photographs of the map have a GPS row.
     """
     residuals = [
         fixes[name] - image.centre

@@ -1,8 +1,7 @@
-"""Which data set it is: digests of the bytes on disk, and of what is known of each query.
+"""The identity of a data set: digests of its bytes on disk and of what is known of each query.
 
-Hashed are the photographs, those of the queries and those of the map, and the files of the map. No
-digest is taken from a manifest. Names in it are relative: a copy in another folder is the same data
-set.
+The digests cover the photographs of the queries and of the map, and the files of the map. None is
+taken from a manifest. Names are relative, so that a copy in another folder is the same data set.
 """
 
 from __future__ import annotations
@@ -11,31 +10,29 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from scene.errors import InputError
 from scene.maps.colmap_files import MODEL_FILES
 from scene.storage.digests import digests
 
-if TYPE_CHECKING:
-    from benchmark.datasets.dataset import BenchmarkQuery, Dataset
-
-# A map photograph that is not there: a method that needs it says so, others do without.
+# Digest of a map photograph that does not exist: methods that need it report it themselves.
 _MISSING: Final = "missing"
-# So many parts are named where more differ.
+# Number of parts that a message names when more differ.
 _NAMED: Final = 3
 
 
 def parts_of(
     model: Path, images: Path, map_names: Iterable[str], queries: Sequence[BenchmarkQuery]
 ) -> dict[str, str]:
-    """Digests of all that a data set is made of, by what a person calls it.
+    """Return digests of everything a data set is made of, by descriptive names.
 
     Args:
         model: folder of the map's files.
         images: folder that ``map_names`` are relative to.
-        map_names: the map's photographs.
-        queries: in order.
+        map_names: names of the map's photographs.
+        queries: in the order of the data set.
 
     Raises:
         InputError: a photograph of a query or a file of the map is missing or cannot be read.
@@ -52,13 +49,8 @@ def parts_of(
     return parts
 
 
-def sha256_of_parts(parts: Mapping[str, str]) -> str:
-    """One digest of all parts, their names and their order."""
-    return hashlib.sha256(json.dumps(list(parts.items())).encode()).hexdigest()
-
-
 def changes(before: Mapping[str, str], after: Mapping[str, str]) -> str:
-    """What differs, in words; empty when nothing does."""
+    """Describe in words which parts differ; the text is empty when none does."""
     every = dict.fromkeys([*before, *after])
     differing = [part for part in every if before.get(part) != after.get(part)]
     if not differing and list(before) != list(after):
@@ -71,8 +63,12 @@ def changes(before: Mapping[str, str], after: Mapping[str, str]) -> str:
 def require_unchanged(dataset: Dataset, map_names: Iterable[str]) -> None:
     """Make sure that a data set is still the one that was opened.
 
+    Args:
+        dataset: as it was opened.
+        map_names: names of the map's photographs.
+
     Raises:
-        InputError: it was changed meanwhile, or as ``parts_of``.
+        InputError: the data set has changed, or ``parts_of`` raises it.
     """
     now = parts_of(dataset.model, dataset.images, map_names, dataset.queries)
     if changed := changes(dataset.parts, now):
@@ -80,12 +76,10 @@ def require_unchanged(dataset: Dataset, map_names: Iterable[str]) -> None:
 
 
 def _known(query: BenchmarkQuery) -> str:
-    """Digest of what is known of a query besides its photograph.
+    """Return the digest of what is known of a query besides its photograph.
 
-    Numbers enter rounded to nanometres, so that the last bit of another processor's arithmetic
-    does not make another data set.
+    Numbers are rounded to nanometres, because their last bits depend on the processor.
     """
-
     reference, prior = query.reference, query.prior
     told: list[list[float] | None] = [
         reference.rotation.flatten().tolist(),

@@ -1,5 +1,8 @@
-"""Scenes: simulated ones with exact reference poses and many conditions over one ground, and
-flights of real photographs whose reference poses are their own structure from motion."""
+"""Reader of scenes.
+
+Simulated scenes have exact reference poses and many conditions over one ground. Scenes of real
+photographs have reference poses from structure from motion.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +24,16 @@ TRACK: Final = "uav-sim"
 
 
 def is_scene(path: Path) -> bool:
-    """Whether a folder is a finished scene."""
+    """Return whether a folder is a finished scene."""
     return (path / MANIFEST).is_file()
 
 
 def open_scene(path: Path) -> Dataset:
-    """Open a scene: its map against the queries of every session.
+    """Open a scene: its map, and the queries of every session.
 
     Raises:
-        InputError: not a finished scene, one without map or queries, or lists that contradict each
-            other.
+        InputError: the scene is not finished, has no map or no queries, or its lists contradict
+            each other.
     """
     scene = Scene.open(path)
     queries = tuple(query for session in scene.splits.queries for query in _queries(scene, session))
@@ -52,7 +55,26 @@ def open_scene(path: Path) -> Dataset:
     )
 
 
+class SceneReader:
+    """Reads scenes; see ``benchmark.datasets.open.Reader``."""
+
+    name = "scene"
+    holds = f"{MANIFEST} (a finished scene)"
+
+    def is_one(self, path: Path) -> bool:
+        """Return whether a path is the folder of a finished scene."""
+        return is_scene(path)
+
+    def open(self, path: Path) -> list[Dataset]:
+        """Open a scene as one data set; ``open_scene`` says which errors are raised."""
+        return [open_scene(path)]
+
+
+READER: Final = SceneReader()
+
+
 def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
+    """Yield the queries of a session in the order of the scene's list."""
     frames = scene.frames(session)
     row_of = {name: row for row, name in enumerate(frames.names)}
     for name in scene.splits.queries[session]:
@@ -71,7 +93,12 @@ def _queries(scene: Scene, session: str) -> Iterator[BenchmarkQuery]:
 
 
 def _prior(frames: Frames, row: int, what: str) -> Prior | None:
-    """What was measured of a frame; None without a position."""
+    """Return what was measured of a frame, or None when its position was not.
+
+    Raises:
+        InputError: the attitude is not a rotation, or the position is not finite; ``what`` names
+            the prior in the message.
+    """
     if not frames.has_gps[row]:
         return None
     position, sigma = frames.gps_prior[row], frames.gps_sigma[row]
@@ -88,7 +115,7 @@ def _prior(frames: Frames, row: int, what: str) -> Prior | None:
 
 
 def _condition(scene: Scene, name: str) -> str:
-    """The condition a photograph was taken under; its session is the first part of its name."""
+    """Return the condition of a photograph; its session is the first part of its name."""
     session = name.split("/")[0]
     if session not in scene.sessions:
         raise InputError(f"scene {scene.path}: map image {name} belongs to no session")

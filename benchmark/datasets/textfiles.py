@@ -1,4 +1,4 @@
-"""Strict readers of the text files that describe flights; every fault is named by file and line."""
+"""Strict readers of the text files that describe flights; errors name the file and the line."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
-from scene.geometry.pose import FARTHEST_M, Pose
+from scene.geometry.geodesy import FARTHEST_M
+from scene.geometry.pose import Pose
 from scene.localizer import Prior
 from scene.maps.colmap_files import check_pose
-from scene.storage.files import inside, read_text
-from scene.storage.names import from_cell, leading_name, words, written
+from scene.storage.files import is_safe_path, read_text
+from scene.storage.names import quote_name, split_name, split_words, unquote_cell
 from scene.storage.tables import read_table
 
 _POSE: Final = ("name", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
 _PRIOR: Final = ("name", "e", "n", "u", "sigma_m", "qw", "qx", "qy", "qz", "sigma_deg")
 _GPS: Final = ("name", "e", "n", "u")
 
-# A sigma below this (m, deg) is none of a receiver or a gimbal, and weights beyond all numbers.
+# Smallest sigma (metres, degrees): no receiver or gimbal is better, and weights would overflow.
 _LEAST_SIGMA: Final = 1e-6
 
 # A name ends where the model of a camera begins.
@@ -35,23 +36,27 @@ T = TypeVar("T")
 
 
 def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
-    """Read ``name qw qx qy qz tx ty tz`` lines, world to camera, metres; in the file's order.
+    """Read poses from lines ``name qw qx qy qz tx ty tz``, world to camera, in metres.
 
-    Names are as ``scene.storage.names.written`` has them; one without quotes may hold spaces, too.
+    Names are written as by ``quote_name``; a name without quotes may hold spaces.
 
     Args:
-        path: of the file.
-        centres: the last three columns are the camera's centre in the world, not the translation.
+        path: text file.
+        centres: whether the last three columns are the camera's centre in the world instead of the
+            translation.
+
+    Returns:
+        cam_from_world by name, in the order of the file.
 
     Raises:
-        InputError: unreadable file, wrong number of columns, a number that is none or not finite, a
-            quaternion off unit length by more than 0.001, a camera further from the map than
-            anything on earth, or a name given twice.
+        InputError: the file cannot be read, or a line has the wrong number of columns, a word that
+            is not a finite number, a quaternion off unit length by more than 0.001, a camera
+            farther away than any place on earth, or a name that was given before.
     """
     poses: dict[str, Pose] = {}
     for where, line in _lines(path, "pose file"):
         try:
-            name, numbers = leading_name(line, len(_POSE) - 1)
+            name, numbers = split_name(line, len(_POSE) - 1)
         except ValueError as error:
             raise InputError(
                 f"{where}: expected {len(_POSE)} columns ({' '.join(_POSE)}), {error}"
@@ -66,16 +71,20 @@ def read_poses(path: Path, centres: bool = False) -> dict[str, Pose]:
 
 
 def pose_line(name: str, cam_from_world: Pose, decimals: int) -> str:
-    """A line that ``read_poses`` reads, without its end: ``name qw qx qy qz tx ty tz``."""
+    """Return a line that ``read_poses`` reads, without the line break."""
     numbers = [*cam_from_world.quaternion().tolist(), *cam_from_world.translation.tolist()]
-    return " ".join([written(name), *(f"{number:.{decimals}f}" for number in numbers)])
+    return " ".join([quote_name(name), *(f"{number:.{decimals}f}" for number in numbers)])
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read ``name MODEL width height params...`` lines; in the file's order.
+    """Read cameras from lines ``name MODEL width height params...``.
+
+    Returns:
+        Cameras by name, in the order of the file.
 
     Raises:
-        InputError: unreadable file, a line that is no camera, or a name given twice.
+        InputError: the file cannot be read, a line does not describe a camera, or a name is given
+            twice.
     """
     cameras: dict[str, Camera] = {}
     for where, line in _lines(path, "query list"):
@@ -88,9 +97,9 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def _camera_of(line: str) -> tuple[str, Camera]:
-    """A name, which may hold spaces where a camera's model follows it, and the camera."""
+    """Split a line into name and camera; the name may hold spaces before a camera's model."""
     if line.startswith('"'):
-        name, *rest = words(line)
+        name, *rest = split_words(line)
         return name, Camera.parse(rest)
     model = _MODEL.search(line) or _SPACE.search(line)
     if model is None:
@@ -99,15 +108,18 @@ def _camera_of(line: str) -> tuple[str, Camera]:
 
 
 def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
-    """Read the pair list of hloc: lines ``query reference``; references by query, in order.
+    """Read a pair list of hloc, which has lines ``query reference``.
+
+    Returns:
+        References by query, both in the order of the file.
 
     Raises:
-        InputError: unreadable file, a line of other than two names, or no line.
+        InputError: the file cannot be read, a line does not have two names, or there is no line.
     """
     pairs: dict[str, list[str]] = {}
     for where, line in _lines(path, "pair list"):
         try:
-            query, reference = words(line)
+            query, reference = split_words(line)
         except ValueError:
             raise InputError(
                 f"{where}: expected 'query reference', got {line!r}; names with spaces stand in "
@@ -120,10 +132,15 @@ def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
 
 
 def read_priors(path: Path) -> dict[str, Prior]:
-    """Read ``name,e,n,u,sigma_m,qw,qx,qy,qz,sigma_deg``: positions and attitudes with their sigmas.
+    """Read priors from a table ``name,e,n,u,sigma_m,qw,qx,qy,qz,sigma_deg``.
+
+    Positions are in metres, attitudes are cam_from_world, and sigmas hold per axis.
+
+    Returns:
+        Priors by photograph, in the order of the file.
 
     Raises:
-        InputError: as ``read_poses``, or a sigma that is not positive.
+        InputError: as for ``read_poses``, or a sigma is not positive or out of range.
     """
     priors: dict[str, Prior] = {}
     for where, row in read_table(path, "priors", _PRIOR):
@@ -144,11 +161,15 @@ def read_priors(path: Path) -> dict[str, Prior]:
 
 
 def read_gps(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Read the columns ``name``, ``e``, ``n``, ``u`` of a ``gps.csv``: (3,) metres by photograph.
+    """Read the columns ``name``, ``e``, ``n``, ``u`` of a ``gps.csv``.
+
+    Returns:
+        (3,) east, north, up in metres by photograph, in the order of the file.
 
     Raises:
-        InputError: unreadable file, a missing column, wrong number of columns, a number that is
-            none, not finite or not on earth, or a name given twice.
+        InputError: the file cannot be read, a column is missing, a row has the wrong number of
+            columns, a word that is not a finite number, a place that is not on earth, or a name
+            that was given before.
     """
     fixes: dict[str, NDArray[np.float64]] = {}
     for where, row in read_table(path, "GPS table", _GPS):
@@ -160,16 +181,17 @@ def read_gps(path: Path) -> dict[str, NDArray[np.float64]]:
 
 
 def require_same_case(path: Path, listed: Collection[str], photographs: Collection[str]) -> None:
-    """Refuse a table whose names differ from those of the photographs in capitals alone: on another
-    file system, or after a rename, every row of it would go unused without a word.
+    """Refuse a table whose names differ from those of the photographs in upper or lower case.
+
+    Without this check every row of such a table would silently go unused.
 
     Args:
-        path: of the table.
-        listed: names in it.
-        photographs: names they may be of.
+        path: file of the table, for the message.
+        listed: names in the table.
+        photographs: names of the photographs.
 
     Raises:
-        InputError: it names a photograph only so.
+        InputError: a name of the table equals a photograph's but for upper or lower case.
     """
     of = {name.casefold(): name for name in photographs if name not in listed}
     for name in listed:
@@ -182,7 +204,7 @@ def require_same_case(path: Path, listed: Collection[str], photographs: Collecti
 
 
 def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
-    """Where each line is, as ``file:line``, and the line; comments and blank lines are skipped."""
+    """Yield each line with its place ``file:line``; skip comments and blank lines."""
     for number, line in enumerate(read_text(path, what).split("\n"), 1):
         stripped = line.strip()
         if stripped and not stripped.startswith("#"):
@@ -190,13 +212,15 @@ def _lines(path: Path, what: str) -> Iterator[tuple[str, str]]:
 
 
 def _name(where: str, row: Mapping[str, str]) -> str:
+    """Return the photograph that a row of a table is about; ``where`` is the row's place."""
     try:
-        return from_cell(row["name"])
+        return unquote_cell(row["name"])
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
 
 
 def _numbers(where: str, words: Sequence[str]) -> NDArray[np.float64]:
+    """Return words as finite numbers, (N,); ``where`` is their place in the file."""
     values = []
     for word in words:
         try:
@@ -209,7 +233,8 @@ def _numbers(where: str, words: Sequence[str]) -> NDArray[np.float64]:
 
 
 def _add(table: dict[str, T], name: str, value: T, where: str) -> None:
-    if not inside(name):
+    """Add an entry to a table that must not hold its name yet; ``where`` is its place."""
+    if not is_safe_path(name):
         raise InputError(f"{where}: {name!r} does not lie in the folder of photographs")
     if name in table:
         raise InputError(f"{where}: {name} is listed twice")

@@ -1,10 +1,10 @@
-"""What the drill-down of the page shows of every query, whatever the method.
+"""The album of a data set: pictures and points that the leaderboard's page shows of every query.
 
 ``RESULTS/<dataset>/album.h5`` holds, for each query, a small photograph, the map photograph that
-shows most of the same ground, and a few map points: in the world, where the reference pose puts
-them, and where the map photograph sees them. With an estimated pose, which results hold, they
-project to where that pose puts them. One album serves all methods; no localizer reads it. It also
-keeps what the data set was made of, so that a later run can say what changed.
+shows most of the same ground, and a few map points: their world coordinates, their pixels at the
+reference pose, and their pixels in the map photograph. The page projects the points with the
+estimated poses of the results. One album serves all methods, and no localizer reads it. It also
+holds the digests of the parts of the data set, so that a later run can name what changed.
 """
 
 from __future__ import annotations
@@ -29,34 +29,35 @@ from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
-from scene.storage.files import parse_json, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import parse_json
 from scene.storage.hdf5 import array, attribute, group, groups, set_text
 from scene.storage.images import read_rgb
 
 ALBUM: Final = "album.h5"
 ALBUM_MARK: Final = b"dataset_sha256"
-"""What stands near the beginning of every album."""
-# Longest side of a photograph, pixels: sharp on a screen, and a page can still shrink it.
+"""These bytes stand near the beginning of every album."""
+# Longest side of a photograph, pixels; a page may shrink it further.
 SIDE: Final = 480
 _QUALITY: Final = 55
-# Of the encoder, 0 to 6: the usual 4 takes more than twice as long for 8 % fewer bytes.
+# Effort of the WebP encoder, 0 to 6. The default 4 takes over twice as long for 8 % fewer bytes.
 _EFFORT: Final = 2
-# Cells along the longest side; each holds one point at most.
+# Number of cells along the longest side of a photograph; a cell has one point at most.
 _CELLS: Final = 6
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One query.
+    """The album's entry of one query.
 
     Attributes:
-        camera: of the query.
-        photograph: WebP.
-        neighbour: name of the map photograph beside it; None when no map photograph sees a point
-            of the map that lies in this query.
-        world: (K, 3) map points that the neighbour sees, metres.
-        truth: (K, 2) their pixels at the reference pose.
-        seen: (K, 2) their pixels in the neighbour.
+        camera: camera of the query.
+        photograph: photograph as WebP.
+        neighbour: name of the map photograph that shows most of the same points; None where no map
+            photograph shows any.
+        world: (K, 3) map points that both show, world frame, metres.
+        truth: (K, 2) pixels of the points at the reference pose.
+        seen: (K, 2) pixels of the points in the neighbour.
     """
 
     camera: Camera
@@ -67,7 +68,7 @@ class Entry:
     seen: NDArray[np.float64]
 
     def estimated(self, cam_from_world: Pose) -> NDArray[np.float64]:
-        """(K, 2) pixels of the points at an estimated pose, NaN where it does not see them."""
+        """Return the (K, 2) pixels of the points at a pose; NaN where they are not visible."""
         points = cam_from_world.transform(torch.from_numpy(self.world))
         projected = self.camera.project(points)
         return np.where(projected.valid.numpy()[:, None], projected.xy.numpy(), np.nan)
@@ -75,7 +76,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A photograph of the map: its size in pixels, and itself as WebP."""
+    """A map photograph as WebP, with the size of the original in pixels."""
 
     width: int
     height: int
@@ -84,13 +85,14 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class Album:
-    """What the page shows of a data set.
+    """The album of a data set.
 
     Attributes:
-        sha256: of the data set.
-        entries: queries by name.
+        sha256: digest of the data set.
+        entries: entries by the name of the query.
         neighbours: map photographs by name.
-        parts: of the data set, see ``Dataset.parts``; none in an album of an older version.
+        parts: digests of the parts of the data set, see ``Dataset.parts``; empty in an album of an
+            older version.
     """
 
     sha256: str
@@ -100,10 +102,10 @@ class Album:
 
 
 def make_album(dataset: Dataset, sparse_map: SparseMap) -> Album:
-    """Look at every query once more.
+    """Make the album of a data set.
 
     Raises:
-        InputError: a photograph is missing or broken.
+        InputError: a photograph is missing or damaged.
     """
     entries: dict[str, Entry] = {}
     neighbours: dict[str, Neighbour] = {}
@@ -120,14 +122,15 @@ def make_album(dataset: Dataset, sparse_map: SparseMap) -> Album:
 
 
 def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
+    """Choose the neighbour of a query and the points to draw."""
     truth, visible = project_points(sparse_map.xyz, query.camera, query.reference)
-    seeing = {name: _seen(sparse_map, name, visible) for name in sparse_map.names}
-    away = np.linalg.norm(sparse_map.centres - query.reference.centre().numpy(), axis=1)
+    shared = {name: _seen(sparse_map, name, visible) for name in sparse_map.names}
+    distance = np.linalg.norm(sparse_map.centres - query.reference.centre().numpy(), axis=1)
     row = {name: k for k, name in enumerate(sparse_map.names)}
-    # Of those that show as much the nearest.
-    best = max(seeing, key=lambda name: (len(seeing[name]), -away[row[name]]), default=None)
-    neighbour = best if best is not None and len(seeing[best]) else None
-    observations = seeing[neighbour] if neighbour is not None else np.zeros(0, np.int64)
+    # Among photographs that share equally many points, the nearest is chosen.
+    best = max(shared, key=lambda name: (len(shared[name]), -distance[row[name]]), default=None)
+    neighbour = best if best is not None and len(shared[best]) else None
+    observations = shared[neighbour] if neighbour is not None else np.zeros(0, np.int64)
     drawn = sparse_map.images[neighbour].point_rows[observations] if neighbour else observations
     cell = max(query.camera.width, query.camera.height) / _CELLS
     kept = spaced_points(
@@ -145,13 +148,13 @@ def _entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
 
 
 def _seen(sparse_map: SparseMap, name: str, visible: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Observations of a map photograph whose points are among the visible."""
+    """Return the observations of a map photograph whose points are visible in the query."""
     rows = sparse_map.images[name].point_rows
     return np.flatnonzero((rows >= 0) & visible[rows]) if len(visible) else np.zeros(0, np.int64)
 
 
 def webp(rgb: NDArray[np.uint8], side: int = SIDE) -> bytes:
-    """A photograph (H, W, 3) as WebP whose longest side is at most ``side`` pixels."""
+    """Encode a photograph (H, W, 3) as WebP whose longest side is at most ``side`` pixels."""
     image = Image.fromarray(rgb)
     image.thumbnail((side, side), Image.Resampling.LANCZOS)
     stream = io.BytesIO()
@@ -160,16 +163,16 @@ def webp(rgb: NDArray[np.uint8], side: int = SIDE) -> bytes:
 
 
 def keep_album(path: Path, dataset: Dataset, sparse_map: SparseMap) -> None:
-    """Write the album of a data set, unless it lies there already.
+    """Write the album of a data set, unless the file already holds it.
 
     Raises:
-        InputError: as ``make_album`` and ``write_album``.
+        InputError: for the reasons of ``make_album`` and ``write_album``.
     """
     try:
         if read_album(path, dataset.sha256) is not None:
             return
     except InputError:
-        pass  # a damaged one is made again
+        pass  # a damaged album is made again
     write_album(path, make_album(dataset, sparse_map))
 
 
@@ -179,7 +182,7 @@ def write_album(path: Path, album: Album) -> None:
     Raises:
         InputError: the folder cannot be written, or the disk is full.
     """
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
         file.attrs["schema"] = 1
         set_text(file, "dataset_sha256", album.sha256)
         file["parts"] = np.frombuffer(json.dumps(album.parts).encode(), np.uint8)
@@ -199,8 +202,10 @@ def write_album(path: Path, album: Album) -> None:
 
 
 def album_parts(path: Path, sha256: str) -> dict[str, str] | None:
-    """The parts of the data set of an album; None where it is of another, or of nobody knows
-    what."""
+    """Return the parts of the data set of an album.
+
+    The answer is None where the album is missing, damaged, or of another data set.
+    """
     try:
         with h5py.File(path, "r") as file:
             if attribute(file, "dataset_sha256") != sha256:
@@ -216,7 +221,7 @@ def _parts(file: h5py.File) -> dict[str, str]:
 
 
 def read_album(path: Path, sha256: str) -> Album | None:
-    """Read the album of a data set; None where there is none, or one of other data.
+    """Read the album of a data set; None where it is missing or of another data set.
 
     Raises:
         InputError: the file is damaged.

@@ -1,4 +1,4 @@
-"""Tables of results as LaTeX, for ``booktabs``."""
+"""Tables of results as LaTeX, written for the package ``booktabs``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from benchmark.report.paper import TITLE, Cell, Line, columns
 from benchmark.report.tables import Table
 from benchmark.results import TOTAL
 from benchmark.score import THRESHOLDS
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 
 _ESCAPED: Final = str.maketrans(
     {
@@ -27,7 +27,7 @@ _ESCAPED: Final = str.maketrans(
 
 
 def latex(boards: Sequence[Table], lines: Sequence[Line], note: str) -> str:
-    """The leaderboard, and the paper's table beside ours, as floating tables."""
+    """Return the leaderboard, and the paper's table with our figures, as floating tables."""
     parts = [
         r"% \usepackage{booktabs} and \usepackage{textcomp} in the preamble.",
         "% Recall in %, Wilson 95 % intervals below it as indices; all listed queries count.",
@@ -39,8 +39,8 @@ def latex(boards: Sequence[Table], lines: Sequence[Line], note: str) -> str:
 
 
 def escape(text: str) -> str:
-    """Text that LaTeX prints as it is."""
-    return printed(text.replace("\n", " ")).translate(_ESCAPED)
+    """Escape text so that LaTeX prints it literally."""
+    return for_terminal(text.replace("\n", " ")).translate(_ESCAPED)
 
 
 def _caption(board: Table) -> str:
@@ -94,7 +94,7 @@ def _paper(lines: Sequence[Line]) -> Iterator[str]:
 def _tabular(
     header: Sequence[str], rows: Sequence[Sequence[str]], parts: Sequence[str]
 ) -> Iterator[str]:
-    """A rule stands wherever the part that a row belongs to changes."""
+    """Yield a tabular, with a rule between rows of different parts."""
     yield f"\\begin{{tabular}}{{ll{'r' * (len(header) - 2)}}}"
     yield r"\toprule"
     yield " & ".join(escape(cell) for cell in header) + r" \\"

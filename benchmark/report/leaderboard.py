@@ -1,4 +1,4 @@
-"""``leaderboard``: results files compared, as Markdown, LaTeX and one HTML page."""
+"""The command ``leaderboard``, which compares results files in Markdown, LaTeX and HTML."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from benchmark.report.markdown import markdown, paper_markdown
 from benchmark.report.page import page
 from benchmark.report.paper import note, side_by_side
 from benchmark.report.tables import groups, table
-from scene.storage.files import write_text
-from scene.storage.outputs import Output, claim
+from scene.storage.atomic import write_text
+from scene.storage.outputs import OutputFile, check_outputs
 
-# What stands near the beginning of each file that this command wrote.
+# These bytes stand near the beginning of each file that this command wrote.
 _MARKS: Final = {
     "leaderboard.md": b"Recall is the percentage of all listed queries",
     "leaderboard.tex": b"% \\usepackage{booktabs} and \\usepackage{textcomp} in the preamble.",
@@ -27,25 +27,27 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
 
     Args:
         results: results files, or folders of them.
-        out: where to write ``leaderboard.md``, ``leaderboard.tex`` and ``leaderboard.html``, or
-            None.
+        out: folder for ``leaderboard.md``, ``leaderboard.tex`` and ``leaderboard.html``; None
+            writes no file.
 
     Returns:
         The Markdown text.
 
     Raises:
-        InputError: no results, a file that is none or whose figures do not follow from its
-            queries, two files of one run that differ, a damaged album or basin beside it, or
-            ``out`` cannot be written.
+        InputError: there are no results, a file is no results file or its figures do not follow
+            from its queries, two files of one run differ, an album or basin beside it is damaged,
+            or ``out`` cannot be written.
     """
     if out is not None:
-        claim((Output(out / name, mark) for name, mark in _MARKS.items()), results, within=out)
-    found = groups(results)
-    boards = [table(group) for group in found]
-    lines = side_by_side(found)
+        check_outputs(
+            (OutputFile(out / name, mark) for name, mark in _MARKS.items()), results, within=out
+        )
+    runs = groups(results)
+    boards = [table(group) for group in runs]
+    lines = side_by_side(runs)
     text = markdown(boards) + paper_markdown(lines, note())
     if out is not None:
-        html = page(found)
+        html = page(runs)
         texts = (text, latex(boards, lines, note()), html)
         for name, written in zip(_MARKS, texts, strict=True):
             write_text(out / name, written)

@@ -10,20 +10,20 @@ from benchmark.report.paper import TITLE, Line, columns
 from benchmark.report.tables import Table, saturation
 from benchmark.results import TOTAL, Recall
 from benchmark.score import THRESHOLDS
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 
-# What Markdown or HTML would take for markup. A line within a word is none.
+# Characters that Markdown takes for markup. An underscore within a word is not markup.
 _MARKUP: Final = re.compile(r"[\\`*\[\]|~$]|(?<![^\W_])_|_(?![^\W_])")
 _HTML: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
 def escaped(text: str) -> str:
-    """A name from outside as Markdown shows it, on one line."""
-    return _MARKUP.sub(r"\\\g<0>", printed(text).translate(_HTML))
+    """Escape a name so that Markdown shows it literally on one line."""
+    return _MARKUP.sub(r"\\\g<0>", for_terminal(text).translate(_HTML))
 
 
 def markdown(boards: Sequence[Table]) -> str:
-    """The leaderboard as Markdown."""
+    """Return the leaderboard as Markdown."""
     lines = [
         "# Leaderboard",
         "",
@@ -40,7 +40,7 @@ def markdown(boards: Sequence[Table]) -> str:
 
 
 def paper_markdown(lines: Sequence[Line], note: str) -> str:
-    """The paper's table beside ours, as Markdown."""
+    """Return the paper's table with our figures as Markdown."""
     header = ["method", "source", *columns()]
     text = ["", f"## {TITLE}", "", note, "", _line(header)]
     text.append(_line(["---", "---", *["--:"] * (len(header) - 2)]))
@@ -51,6 +51,7 @@ def paper_markdown(lines: Sequence[Line], note: str) -> str:
 
 
 def _table(board: Table) -> Iterator[str]:
+    """Yield the lines of one table."""
     recalls = [f"{threshold} (%)" for threshold in THRESHOLDS]
     header = ["method", "condition", "queries", *recalls, "median m", "median °"]
     header += ["failed + fallback", "s/query"]

@@ -1,7 +1,7 @@
 """The leaderboard as one HTML page that needs no network and no server.
 
-``templates/page.html``, ``page.css`` and ``page.js`` are the page; everything measured goes into it
-as one block of JSON and reaches the screen as text only.
+The page is made of ``templates/page.html``, ``page.css`` and ``page.js``. All figures are inserted
+as one block of JSON, and the script shows them as text only.
 """
 
 from __future__ import annotations
@@ -35,33 +35,33 @@ from scene.runtime.progress import progress_bar
 
 log = logging.getLogger(__name__)
 
-# Bytes of all photographs of a page as they stand in it. With the numbers of 4 methods and 500
-# queries, which take less than 2 MB, a page stays below 15 MB.
+# Greatest size of all encoded photographs of a page. With the figures of 4 methods and 500 queries,
+# which take less than 2 MB, a page stays below 15 MB.
 PICTURE_BYTES: Final = 11_000_000
-# Photographs shrink until they fit, but not below what a person can judge by.
+# Photographs are shrunk until they fit, but not to a longest side below this, pixels.
 _MIN_SIDE: Final = 200
-# Bytes of a photograph grow with its side to this power; measured on real flights: 1.6 to 1.9.
+# Bytes of a photograph grow with its side to this power, which is 1.6 to 1.9 on real flights.
 _GROWTH: Final = 1.6
 _BASE64: Final = 4 / 3
-# Pixels of a photograph's longest side in the drawings over it.
+# Length of a photograph's longest side in the coordinates of drawings over it.
 _UNITS: Final = 1000
 
 
 def page(groups: Sequence[Group]) -> str:
-    """The page.
+    """Return the page.
 
     Args:
-        groups: of runs; albums and basins are read from where their results lie.
+        groups: groups of runs; albums and basins are read from the folders of their results.
 
     Raises:
         InputError: an album or a basin is damaged.
     """
     albums = [_album(group) for group in groups]
-    shelf = _Shelf(groups, albums)
+    photographs = _PagePhotographs(groups, albums)
     data = {
         "thresholds": [{"key": t.key, "text": str(t)} for t in THRESHOLDS],
         "boards": [
-            _board(group, album, shelf) for group, album in zip(groups, albums, strict=True)
+            _board(group, album, photographs) for group, album in zip(groups, albums, strict=True)
         ],
         "paper": {
             "title": TITLE,
@@ -80,12 +80,12 @@ def page(groups: Sequence[Group]) -> str:
                 for line in side_by_side(groups)
             ],
         },
-        "pictures": shelf.pictures,
+        "pictures": photographs.pictures,
     }
     return fill("page", data)
 
 
-def _board(group: Group, album: Album | None, shelf: _Shelf) -> dict[str, Any]:
+def _board(group: Group, album: Album | None, photographs: _PagePhotographs) -> dict[str, Any]:
     names = list(dict.fromkeys(q.name for run in group.runs for q in run.results.queries))
     condition_of = {q.name: q.condition for run in group.runs for q in run.results.queries}
     conditions = sorted(set(condition_of.values()))
@@ -103,7 +103,7 @@ def _board(group: Group, album: Album | None, shelf: _Shelf) -> dict[str, Any]:
             {
                 "name": name,
                 "condition": conditions.index(condition_of[name]),
-                **_pictures(entries.get(name), album, shelf),
+                **_pictures(entries.get(name), album, photographs),
             }
             for name in names
         ],
@@ -125,12 +125,12 @@ def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[s
             ALL: _summary(results.summary),
             **{name: _summary(part) for name, part in results.by_condition.items()},
         },
-        # Queries that a run lacks are null: they count as failed wherever runs are paired.
+        # Queries that a run lacks are null; they count as failed where runs are paired.
         "queries": [
             _query(by_name[name], entries.get(name)) if name in by_name else None for name in names
         ],
         "basin": _basin(run),
-        # Share right (%) of the surest 1, 2, 3 ... queries, for every threshold.
+        # For every threshold, the percentage of correct poses among the 1, 2, 3 ... most certain.
         "surest": [
             [round(100 - risk, 1) for _, risk in risk_coverage(results.queries, threshold)]
             for threshold in THRESHOLDS
@@ -139,13 +139,13 @@ def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[s
     }
 
 
-def _nees(found: Uncertainty | None) -> dict[str, Any] | None:
-    if found is None:
+def _nees(figures: Uncertainty | None) -> dict[str, Any] | None:
+    if figures is None:
         return None
     return {
-        "mean": _rounded(found.nees_mean),
-        "queries": found.queries,
-        "within": _recall(found.within_95),
+        "mean": _rounded(figures.nees_mean),
+        "queries": figures.queries,
+        "within": _recall(figures.within_95),
     }
 
 
@@ -180,12 +180,14 @@ def _query(query: QueryResult, entry: Entry | None) -> dict[str, Any]:
     }
 
 
-def _pictures(entry: Entry | None, album: Album | None, shelf: _Shelf) -> dict[str, Any]:
+def _pictures(
+    entry: Entry | None, album: Album | None, photographs: _PagePhotographs
+) -> dict[str, Any]:
     if entry is None or album is None:
         return {}
     camera = entry.camera
     shown: dict[str, Any] = {
-        "picture": shelf.number(entry.photograph),
+        "picture": photographs.number(entry.photograph),
         "size": [camera.width, camera.height],
         "truth": _units(entry.truth, camera.width, camera.height),
     }
@@ -193,7 +195,7 @@ def _pictures(entry: Entry | None, album: Album | None, shelf: _Shelf) -> dict[s
         beside = album.neighbours[entry.neighbour]
         shown["beside"] = {
             "name": entry.neighbour,
-            "picture": shelf.number(beside.photograph),
+            "picture": photographs.number(beside.photograph),
             "size": [beside.width, beside.height],
             "points": _units(entry.seen, beside.width, beside.height),
         }
@@ -201,9 +203,9 @@ def _pictures(entry: Entry | None, album: Album | None, shelf: _Shelf) -> dict[s
 
 
 def _units(xy: NDArray[np.float64], width: int, height: int) -> list[int | None]:
-    """Pixels (K, 2) as x, y, x, y in thousandths of the longest side; null where there is none.
+    """Return pixels (K, 2) as x, y, x, y ... in thousandths of the longest side.
 
-    Points far outside the picture are left out: their lines would leave it in any direction.
+    Pixels that are unknown or far outside the picture are null.
     """
     scaled = np.round(xy * (_UNITS / max(width, height)))
     known = np.isfinite(scaled).all(1) & (np.abs(np.nan_to_num(scaled)) < 3 * _UNITS).all(1)
@@ -217,20 +219,23 @@ def _units(xy: NDArray[np.float64], width: int, height: int) -> list[int | None]
 def _pairs(
     group: Group, names: Sequence[str], conditions: Sequence[str]
 ) -> Iterator[dict[str, Any]]:
-    """Every two runs, under every condition and threshold: the second minus the first."""
-    found = [{query.name: query for query in run.results.queries} for run in group.runs]
-    known = {name: query for queries in found for name, query in queries.items()}
+    """Yield the change from the first to the second of every two runs.
+
+    There is one entry for each condition and threshold.
+    """
+    queries_of = [{query.name: query for query in run.results.queries} for run in group.runs]
+    known = {name: query for queries in queries_of for name, query in queries.items()}
     for condition in conditions:
         listed = [name for name in names if condition in (ALL, known[name].condition)]
         flights = [known[name].group for name in listed]
         for number, threshold in enumerate(THRESHOLDS):
-            right = [
+            correct = [
                 [name in queries and is_correct(queries[name], threshold) for name in listed]
-                for queries in found
+                for queries in queries_of
             ]
-            for a, b in combinations(range(len(right)), 2):
-                change = compare(right[a], right[b])
-                clustered = difference_interval(right[a], right[b], flights)
+            for a, b in combinations(range(len(correct)), 2):
+                change = compare(correct[a], correct[b])
+                clustered = difference_interval(correct[a], correct[b], flights)
                 low, high = clustered or (change.low, change.high)
                 yield {
                     "condition": condition,
@@ -281,23 +286,27 @@ def _basin(run: Run) -> list[dict[str, Any]] | None:
 
 
 def _recall(recall: Recall) -> list[float]:
-    # The page shows one decimal: with six here, rounding twice shows the same.
+    # The page rounds to one decimal, which gives the same from six decimals as from all.
     return [round(x, 6) for x in (recall.value, recall.low, recall.high)]
 
 
 def _rounded(value: float | None) -> float | None:
-    """Four digits are more than any of these figures is good for."""
+    """Round a figure to four significant digits; None where it is unknown or not finite."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.4g}")
 
 
 def _album(group: Group) -> Album | None:
-    """The first album of the group's data beside one of its results files."""
+    """Return the first album of the group's data set beside one of its results files."""
     albums = (read_album(run.path.with_name(ALBUM), group.sha256) for run in group.runs)
     return next((album for album in albums if album is not None), None)
 
 
-class _Shelf:
-    """The photographs a page holds, within its bytes: the worst and best queries' come first."""
+class _PagePhotographs:
+    """The photographs of a page, which has room for the worst and the best queries first.
+
+    Attributes:
+        pictures: encoded photographs.
+    """
 
     def __init__(self, groups: Sequence[Group], albums: Sequence[Album | None]) -> None:
         ranked = list(dict.fromkeys(_by_rank(groups, albums)))
@@ -318,7 +327,7 @@ class _Shelf:
                 advance(done)
 
     def number(self, photograph: bytes) -> int | None:
-        """Where a photograph stands among ``pictures``; None when there was no room for it."""
+        """Return the index of a photograph in ``pictures``; None where there was no room for it."""
         return self._numbers.get(photograph)
 
 
@@ -328,7 +337,7 @@ def _shrunk(photograph: bytes, side: int) -> bytes:
 
 
 def _by_rank(groups: Sequence[Group], albums: Sequence[Album | None]) -> Iterator[bytes]:
-    """Photographs in turn: every run's worst query, its best, its second worst, and so on."""
+    """Yield the photographs of every run's worst query, its best, its second worst, and so on."""
     ranked = [
         (album, [query.name for query in sorted(run.results.queries, key=_badness)])
         for group, album in zip(groups, albums, strict=True)
@@ -339,7 +348,7 @@ def _by_rank(groups: Sequence[Group], albums: Sequence[Album | None]) -> Iterato
         for album, names in ranked:
             if place >= len(names):
                 continue
-            # 0, 1, 2, 3 -> the last, the first, the last but one, the second.
+            # Places 0, 1, 2, 3 are the last name, the first, the last but one, the second.
             name = names[place // 2] if place % 2 else names[-1 - place // 2]
             if (entry := album.entries.get(name)) is not None:
                 yield entry.photograph
@@ -348,5 +357,5 @@ def _by_rank(groups: Sequence[Group], albums: Sequence[Album | None]) -> Iterato
 
 
 def _badness(query: QueryResult) -> tuple[bool, bool, float]:
-    """Best first: localized by position error, then fallback poses, then failures."""
+    """Return a sort key: localized queries by position error, then fallbacks, then failures."""
     return query.t_err_m is None, query.status is not Status.OK, query.t_err_m or 0.0

@@ -1,8 +1,8 @@
-"""Table I of the object-connect paper, and our own figures for the same columns.
+"""Table I of the object-connect paper, with the figures of this project for the same columns.
 
-The paper's figures stand here as it prints them, for every method, also for those that are not its
-own. They were not measured by this project, and nobody can say from the paper alone how its runs
-of the other methods were set up.
+The figures of the paper are given as printed, for its own method and the others. They were not
+measured by this project, and the paper does not say how its runs of the other methods were
+configured.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TITLE: Final = "Table I of the object-connect paper, beside ours"
 REPORTED: Final = "as reported by the paper"
 _THRESHOLD: Final = Threshold(0.5, 5)
 
-# Data sets of ours that belong to a column, by track and beginning of the name.
+# The data sets of each column, by their track and the beginning of their name.
 _COLUMNS: Final = {
     "CMU urban": (CMU, "cmu-urban"),
     "CMU suburban": (CMU, "cmu-suburban"),
@@ -37,7 +37,10 @@ _PAPER: Final = {
 
 @dataclass(frozen=True)
 class Cell:
-    """Recall in percent at 0.5 m, 5°; the paper states no intervals and no numbers of queries."""
+    """The recall at 0.5 m, 5° in percent.
+
+    The paper states neither intervals nor numbers of queries; they are None there.
+    """
 
     value: float
     low: float | None = None
@@ -45,7 +48,7 @@ class Cell:
     queries: int | None = None
 
     def text(self) -> str:
-        """For a table of text."""
+        """Return the cell for a table of text."""
         if self.low is None:
             return f"{self.value:.1f}"
         return f"{self.value:.1f} [{self.low:.1f}, {self.high:.1f}] of {self.queries}"
@@ -53,7 +56,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Line:
-    """A method's figures; a cell is None where there is none."""
+    """The figures of a method, one cell for each column; None where there is no figure."""
 
     method: str
     source: str
@@ -62,12 +65,12 @@ class Line:
 
 
 def columns() -> tuple[str, ...]:
-    """Headings of the cells of every line."""
+    """Return the headings of the columns."""
     return tuple(_COLUMNS)
 
 
 def note() -> str:
-    """What a reader has to know before comparing."""
+    """Return what a reader has to know before comparing."""
     return (
         f"Recall in % at {_THRESHOLD}. The upper lines stand as the paper reports them, for all of "
         "its methods; they are not measurements of this project. Ours pool all queries of the data "
@@ -78,7 +81,7 @@ def note() -> str:
 
 
 def side_by_side(groups: Sequence[Group]) -> list[Line]:
-    """The paper's lines, then one for each of our methods and starts."""
+    """Return the lines of the paper, then one for each of our methods and starts."""
     reported = [
         Line(method, REPORTED, True, tuple(Cell(value) for value in values))
         for method, values in _PAPER.items()
@@ -87,6 +90,7 @@ def side_by_side(groups: Sequence[Group]) -> list[Line]:
 
 
 def _ours(groups: Sequence[Group]) -> Iterator[Line]:
+    """Yield a line for each method and start, over all queries of a column's data sets."""
     pooled: dict[tuple[str, str], dict[str, list[QueryResult]]] = {}
     for group in groups:
         for column, (track, beginning) in _COLUMNS.items():
@@ -104,5 +108,5 @@ def _ours(groups: Sequence[Group]) -> Iterator[Line]:
 
 
 def _cell(queries: Sequence[QueryResult]) -> Cell:
-    found: Interval = recall(queries, _THRESHOLD)
-    return Cell(*found, queries=len(queries))
+    interval: Interval = recall(queries, _THRESHOLD)
+    return Cell(*interval, queries=len(queries))

@@ -1,4 +1,4 @@
-"""Pictures of results for people."""
+"""Pictures of results."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.localizer import Status
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.printed import drawn
-from scene.storage.files import written_whole
+from scene.runtime.escaping import for_figure
+from scene.storage.atomic import atomic_write
 from scene.storage.images import read_rgb
-from scene.storage.marks import PNG_METADATA
+from scene.storage.provenance import PNG_METADATA
 
-# One point per cell of this many pixels: enough to judge by, few enough to see the ground.
+# Side of the cells, pixels, in each of which one point is drawn, so that the ground stays visible.
 _CELL = 48
 _REFERENCE, _ESTIMATE = "#00e5ff", "#ff2d95"
 _WIDTH_INCHES, _DPI = 9.0, 130
 
 
 def median_query(queries: Sequence[QueryResult]) -> QueryResult | None:
-    """The localized query (status ``ok``) of median position error; None without one."""
+    """Return the localized query (status ``ok``) of median position error; None without any."""
     localized = [query for query in queries if query.status is Status.OK]
     ranked = sorted(localized, key=lambda query: query.t_err_m or 0.0)
     return ranked[(len(ranked) - 1) // 2] if ranked else None
@@ -40,21 +40,21 @@ def query_overlay(
 ) -> None:
     """Draw map points into a query at its reference pose and at an estimated pose.
 
-    Rings are where the points belong, crosses where the estimate puts them; a line joins the two.
+    Rings show the points at the reference pose, crosses at the estimated pose; lines join the two.
 
     Args:
         query: the photograph, its camera and its reference pose.
-        sparse_map: whose points are drawn, thinned to one per small cell.
-        estimated: ``cam_from_world``, float64.
-        path: of the PNG.
-        method: named in the title.
+        sparse_map: map of the points, which are thinned to one per cell.
+        estimated: estimated pose ``cam_from_world``, float64.
+        path: path of the PNG file.
+        method: name of the method for the title.
 
     Raises:
         InputError: the photograph cannot be read or the picture cannot be written.
     """
     image = read_rgb(query.image, query.camera)
-    truth, seen = project_points(sparse_map.xyz, query.camera, query.reference)
-    rows = spaced_points(truth, seen, sparse_map.track_length, _CELL)
+    truth, visible = project_points(sparse_map.xyz, query.camera, query.reference)
+    rows = spaced_points(truth, visible, sparse_map.track_length, _CELL)
     truth = truth[rows]
     guess, valid = project_points(sparse_map.xyz[rows], query.camera, estimated)
 
@@ -62,7 +62,8 @@ def query_overlay(
     figure = Figure(figsize=(_WIDTH_INCHES, _WIDTH_INCHES * height / width + 0.75), dpi=_DPI)
     figure.set_layout_engine("constrained")
     axes = figure.add_subplot()
-    # Faded, so that markers stand out; COLMAP's pixels put the corner of the picture at (0, 0).
+    # The photograph is faded so that markers stand out. In COLMAP's pixel coordinates the corner of
+    # the picture is (0, 0).
     faded = (255 - 0.75 * (255.0 - image)).astype(np.uint8)
     axes.imshow(faded, extent=(0, width, height, 0))
     axes.add_collection(
@@ -91,19 +92,19 @@ def query_overlay(
     axes.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
     metres, degrees = estimated.error_to(query.reference)
     axes.set_title(
-        drawn(f"{query.name}  ({query.condition}), {method}: ")
+        for_figure(f"{query.name}  ({query.condition}), {method}: ")
         + f"{float(metres):.3f} m, {float(degrees):.3f}° from the reference",
         fontsize=10,
     )
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", metadata=PNG_METADATA)
 
 
 def project_points(
     points: NDArray[np.float64], camera: Camera, pose: Pose
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Pixels (M, 2) of world points, and whether each lies in the picture."""
+    """Return the pixels (M, 2) of world points (M, 3) and whether each lies in the picture (M,)."""
     projected = camera.project(pose.transform(torch.from_numpy(points)))
     inside = projected.valid & camera.contains(projected.xy)
     return projected.xy.numpy(), inside.numpy()
@@ -111,19 +112,19 @@ def project_points(
 
 def spaced_points(
     xy: NDArray[np.float64],
-    seen: NDArray[np.bool_],
+    visible: NDArray[np.bool_],
     track_length: NDArray[np.int64],
     cell: float,
 ) -> NDArray[np.int64]:
-    """Rows of the points to draw: in every cell of the picture the one with the longest track.
+    """Return the rows of the points to draw: the one with the longest track in every cell.
 
     Args:
         xy: (M, 2) pixels.
-        seen: (M,) which of them may be drawn.
-        track_length: (M,).
-        cell: its side, pixels.
+        visible: (M,) whether a point may be drawn.
+        track_length: (M,) number of observations of each point.
+        cell: side of the cells, pixels.
     """
-    rows = np.flatnonzero(seen)
+    rows = np.flatnonzero(visible)
     rows = rows[np.argsort(-track_length[rows], kind="stable")]
     cells = np.floor(xy[rows] / cell).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)

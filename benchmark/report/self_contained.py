@@ -1,8 +1,8 @@
-"""HTML pages that hold everything they show: no network, no server, no other file.
+"""HTML pages that contain everything they show and need no network, server or other file.
 
-A page ``NAME`` is ``templates/NAME.html``, ``.css`` and ``.js``. Its data goes in as one block of
-JSON, in which nothing can end the block. A content security policy names the one script by its
-digest and allows no connection at all.
+A page ``NAME`` is made of ``templates/NAME.html``, ``.css`` and ``.js``. Its data is inserted as
+one block of JSON, which is escaped so that no name in it can end the block. A content security
+policy names the one script by its digest and allows no connection.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 
 def fill(page: str, data: Mapping[str, Any]) -> str:
-    """The page of that name around its data."""
+    """Return the page of this name with its data."""
     folder = files("benchmark.report") / "templates"
     style, script, whole = (
         (folder / f"{page}.{kind}").read_text(encoding="utf-8") for kind in ("css", "js", "html")
@@ -32,11 +32,11 @@ def fill(page: str, data: Mapping[str, Any]) -> str:
 
 
 def embedded(data: Mapping[str, Any]) -> str:
-    """JSON that can stand in a script element: no name in it can end the element or begin one."""
+    """Return JSON for a script element, escaped so that no name in it can end the element."""
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
-    # A file name may hold bytes that are no text.
+    # A file name may contain bytes that are not valid UTF-8.
     return text.encode("utf-8", "replace").decode("utf-8")
 
 

@@ -1,10 +1,10 @@
-"""Results side by side: one table per data set and starting information."""
+"""Tables that compare results, one per data set and starting information."""
 
 from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,13 +13,13 @@ from benchmark.results import Results, Summary, load, results_files
 from benchmark.score import THRESHOLDS
 from scene.bundle.manifest import ALL_CONDITIONS
 from scene.errors import InputError
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.storage.files import sha256_of
 
 log = logging.getLogger(__name__)
 
-# The classical method that sets the bar, and the recall (percent) that leaves none to reach.
-_BAR: Final = "sift"
+# The classical reference method, and the recall in percent above which it saturates a threshold.
+_REFERENCE: Final = "sift"
 _SATURATED: Final = 99.0
 
 ALL: Final = ALL_CONDITIONS
@@ -34,7 +34,7 @@ _STARTS: Final = {
 
 @dataclass(frozen=True)
 class Run:
-    """One results file, and how it is called beside the others of its group."""
+    """A results file, with the label that distinguishes it within its group."""
 
     label: str
     path: Path
@@ -43,7 +43,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that can be compared: the same data set, bit for bit, and the same start."""
+    """Runs that can be compared: on the same data set, bit for bit, and from the same start."""
 
     track: str
     dataset: str
@@ -55,7 +55,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table: a method under one condition, or under "all" of several."""
+    """A line of a table: the figures of a method under one condition, or under "all"."""
 
     method: str
     condition: str
@@ -64,7 +64,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """The figures of a group."""
+    """The table of a group."""
 
     track: str
     dataset: str
@@ -74,7 +74,7 @@ class Table:
     rows: tuple[Row, ...]
 
     def facts(self) -> str:
-        """What holds for every row, as one line."""
+        """Return one line of facts that hold for every row."""
         return (
             f"Start: {start_in_words(self.start)}. Map: {', '.join(self.map_conditions)}. "
             f"Data set {self.sha256[:12]}."
@@ -82,14 +82,14 @@ class Table:
 
 
 def groups(results: Sequence[Path]) -> list[Group]:
-    """Results by track, data set and start.
+    """Group results by track, data set and start.
 
     Args:
         results: results files, or folders of them.
 
     Raises:
-        InputError: no results, a file that is none or whose figures do not follow from its
-            queries, or two files of one run that differ.
+        InputError: there are no results, a file is no results file or its figures do not follow
+            from its queries, or two files of one run differ.
     """
     loaded: dict[tuple[str, str, str, str], list[tuple[Path, Results]]] = {}
     for path, run in _distinct([file for given in results for file in results_files(given)]):
@@ -103,7 +103,7 @@ def groups(results: Sequence[Path]) -> list[Group]:
 
 
 def table(group: Group) -> Table:
-    """The figures of a group: a row for each method and condition."""
+    """Return the table of a group, with a row for each method and condition."""
     return Table(
         group.track,
         group.dataset,
@@ -115,30 +115,30 @@ def table(group: Group) -> Table:
 
 
 def tables(results: Sequence[Path]) -> list[Table]:
-    """The leaderboard as figures.
+    """Return all tables of the leaderboard.
 
     Raises:
-        InputError: as ``groups``.
+        InputError: for the reasons of ``groups``.
     """
     return [table(group) for group in groups(results)]
 
 
 def start_in_words(start: str) -> str:
-    """What methods were told about each query."""
+    """Return a description of what the methods were told about each query."""
     kind, _, value = start.partition("=")
     return _STARTS.get(kind, start).format(value)
 
 
 def saturation(board: Table) -> str | None:
-    """What the table cannot show: thresholds that plain SIFT + PnP leaves no room under."""
+    """Return a note on the thresholds that SIFT + PnP saturates; None if there are none."""
     same = [
         row
         for row in board.rows
-        if row.method.split()[0] == _BAR and row.condition in board.map_conditions
+        if row.method.split()[0] == _REFERENCE and row.condition in board.map_conditions
     ]
     notes = []
     for condition in dict.fromkeys(row.condition for row in same):
-        full = [
+        saturated = [
             str(threshold)
             for threshold in THRESHOLDS
             if any(
@@ -146,22 +146,22 @@ def saturation(board: Table) -> str | None:
                 for row in same
             )
         ]
-        if full:
+        if saturated:
             notes.append(
                 f"Saturated: under `{_code(condition)}`, the map's own condition, SIFT + PnP "
-                f"already reaches {_SATURATED:g} % or more at {', '.join(full)}; another method "
-                "can only keep up there."
+                f"already reaches {_SATURATED:g} % or more at {', '.join(saturated)}; another "
+                "method can only keep up there."
             )
     return "\n".join(notes) or None
 
 
 def _code(name: str) -> str:
-    """A name between Markdown's backticks."""
-    return printed(name).replace("`", "'")
+    """Return a name that can stand between the backticks of Markdown."""
+    return for_terminal(name).replace("`", "'")
 
 
 def _distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:
-    """Every run once: queries that are counted twice make intervals too narrow."""
+    """Yield every run once, because queries that are counted twice make intervals too narrow."""
     by_bytes: dict[str, Path] = {}
     by_run: dict[str, Path] = {}
     for path in files:
@@ -181,15 +181,17 @@ def _distinct(files: Sequence[Path]) -> Iterator[tuple[Path, Results]]:
 
 
 def _run_of(results: Results) -> str:
-    """What was run on what: two results of which this is the same are of the same run."""
+    """Return a key that is equal for two results of the same run."""
     dataset, start = results.dataset.sha256, results.start
     queries = [query.name for query in results.queries]
     return json.dumps([dataset, start, queries, results.method.model_dump()], sort_keys=True)
 
 
 def _name_versions(datasets: Iterable[tuple[str, str, str]]) -> None:
-    """Say which data sets (track, name, digest) go by one name: they may be one that was changed,
-    and stand apart."""
+    """Log which data sets (track, name, digest) share a name.
+
+    They may be versions of one data set, and each has tables of its own.
+    """
     versions: dict[tuple[str, str], dict[str, None]] = {}
     for track, name, sha256 in datasets:
         versions.setdefault((track, name), {})[sha256[:12]] = None
@@ -218,16 +220,30 @@ def _runs(together: Sequence[tuple[Path, Results]]) -> Iterator[Run]:
 
 
 def _label(run: Results, namesakes: Sequence[Results]) -> str:
-    """The method's name, and what sets it apart from other runs of the same method."""
+    """Return the method's name, with the settings that differ from other runs of the method."""
     own = _settings(run)
+    others = [_settings(other) for other in namesakes]
+    # A nested option that an older run does not record says nothing of how the two differ.
     differing = [
-        key for key in own if any(_settings(other).get(key) != own[key] for other in namesakes)
+        key
+        for key, value in own.items()
+        if any(other.get(key, value if "." in key else None) != value for other in others)
     ]
     if not differing:
         return run.method.name
     return f"{run.method.name} ({', '.join(f'{key}={own[key]}' for key in differing)})"
 
 
+def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of a nested configuration by their dotted keys."""
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
 def _settings(run: Results) -> dict[str, Any]:
+    """Return the settings of a run; those of nested configurations by dotted keys."""
     weights = run.method.weights_sha256
-    return run.method.config | ({"weights": weights[:8]} if weights else {})
+    return dict(_flat(run.method.config)) | ({"weights": weights[:8]} if weights else {})

@@ -1,7 +1,7 @@
-"""A scene in space, as one page for a browser and as a picture: cameras, points, objects, queries.
+"""The command ``view``, which shows a scene as an interactive page and as a picture.
 
-``templates/view.*`` draws on a plain 2D canvas: some hundred thousand points need no graphics card,
-and so the page opens wherever a browser does, without a library and without a network.
+Both show cameras, points, objects and queries. ``templates/view.*`` draws some hundred thousand
+points on a 2D canvas, so that the page needs no graphics card, no library and no network.
 """
 
 from __future__ import annotations
@@ -18,50 +18,49 @@ from numpy.typing import NDArray
 
 from benchmark.report.album import webp
 from benchmark.report.self_contained import fill
+from benchmark.report.view_content import Cloud, MapObject, Method, QueryEstimate
 from benchmark.report.view_picture import draw
 from benchmark.results import Results, load, results_files
 from dense.command import DENSE
 from dense.workspace import Workspace
-from scene.bundle.manifest import SceneObject
 from scene.bundle.object_points import objects_of_points
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
-from scene.geometry.rectangle import rectangle
 from scene.maps.sparse_map import MapImage, SparseMap
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.files import write_text
+from scene.storage.atomic import write_text
 from scene.storage.images import read_rgb
-from scene.storage.marks import PNG_MARK
-from scene.storage.outputs import Output, claim
+from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.provenance import PNG_MARK
 
 PAGE = Path("pictures", "view.html")
 PICTURE = Path("pictures", "view.png")
 MOST_POINTS: Final = {"sparse": 150_000, "added": 20_000, "dense": 250_000}
-"""Points of a kind that a page holds; of more, so many are chosen at random."""
+"""Greatest number of points of each kind on a page, which are chosen at random from more."""
 MOST_PHOTOGRAPHS: Final = 300
-"""Photographs that a page holds; of more, so many evenly spread over their order."""
+"""Greatest number of photographs on a page, which are chosen at even steps from more."""
 
 log = logging.getLogger(__name__)
 
 _ENDINGS = (".html", ".htm")
-# Stands near the beginning of every page.
+# These bytes stand near the beginning of every page.
 _MARK = b"<title>ObjConnect scene</title>"
 _SIDE = 360
-# Points stand on a grid of so many steps along each side of their cloud.
+# Points are rounded to a grid with this many steps along each side of their cloud.
 _STEPS = 65535
 
 
 @dataclass(frozen=True)
 class SceneView:
-    """What ``view`` wrote.
+    """The files that ``view`` wrote.
 
     Attributes:
-        page: opens as a file, and holds everything it shows.
-        picture: the same from above.
-        points: of the map, those added to it, and of the dense cloud, as far as there are any.
+        page: HTML file that contains everything it shows.
+        picture: PNG file of the scene from above.
+        points: number of points by kind, "sparse", "added" and "dense", where there are any.
     """
 
     page: Path
@@ -69,76 +68,18 @@ class SceneView:
     points: dict[str, int]
 
 
-@dataclass(frozen=True)
-class Cloud:
-    """Points of one kind: "sparse", "added" or "dense"; xyz (M, 3) world metres, rgb (M, 3)."""
-
-    layer: str
-    xyz: NDArray[np.float64]
-    rgb: NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class Thing:
-    """An object in the map's photographs, and whether a point of the map lies on it.
-
-    Attributes:
-        item: of ``objects.json``.
-        before: has a point that was not added.
-        after: has any point.
-    """
-
-    item: SceneObject
-    before: bool
-    after: bool
-
-    @property
-    def corners(self) -> NDArray[np.float64]:
-        """Of its box seen from above, (4, 2)."""
-        return rectangle(self.item.centre[:2], self.item.size[:2], np.radians(self.item.yaw_deg))
-
-
-@dataclass(frozen=True)
-class Found:
-    """A query as a method found it.
-
-    Attributes:
-        name: of the photograph.
-        truth: (3,) true camera centre.
-        centre: (3,) the estimate, or None.
-        error: its distance from the truth, metres, or None.
-        angle: of the rotation, degrees, or None.
-        status: of ``scene.localizer.Status``.
-    """
-
-    name: str
-    truth: NDArray[np.float64]
-    centre: NDArray[np.float64] | None
-    error: float | None
-    angle: float | None
-    status: str
-
-
-@dataclass(frozen=True)
-class Method:
-    """Queries of one results file."""
-
-    name: str
-    queries: tuple[Found, ...]
-
-
 def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> SceneView:
-    """Write a scene as a page in which one can move, and as a picture.
+    """Write a scene as an interactive page and as a picture.
 
     Args:
-        path: of a finished scene with its map.
+        path: folder of a finished scene with its map.
         results: files that ``evaluate`` wrote for this scene, or folders with such files.
-        out: of the page, an HTML file, the picture beside it as PNG; else both lie among the
-            scene's pictures. Files there are replaced only if this command wrote them.
+        out: HTML file of the page; the picture is written beside it as PNG. None writes both into
+            the scene's folder of pictures. Files are replaced only if this command wrote them.
 
     Raises:
-        InputError: not a finished scene, no map, a damaged file, results of other photographs or
-            of other scenes alone, or ``out`` cannot be written.
+        InputError: the path is not a finished scene with a map, a file is damaged, the results are
+            of other photographs or only of other scenes, or ``out`` cannot be written.
     """
     scene = Scene.open(path)
     page, picture = _outputs(path, results, out)
@@ -149,45 +90,47 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
         for session in scene.sessions
         for name, pose in zip(*_posed(scene, session), strict=True)
     }
-    found, others = [], []
+    methods, others = [], []
     for source in results:
         for file in results_files(source):
             read = load(file)
-            # A folder may hold other data sets beside this one.
+            # A folder may also contain results of other data sets.
             if source.is_file() or read.dataset.name == scene.name:
-                found.append(_method(read, poses, file))
+                methods.append(_method(read, poses, file))
             else:
                 others.append(read.dataset.name)
     if others:
-        named = ", ".join(printed(name) for name in dict.fromkeys(others))
-        if not found:
+        named = ", ".join(for_terminal(name) for name in dict.fromkeys(others))
+        if not methods:
             raise InputError(f"the results are of {named}, none of the scene {scene.name}")
         log.warning("not shown are %d results of %s", len(others), named)
     clouds = _clouds(scene, sparse_map, added)
-    things = _things(scene, sparse_map, added)
-    ways = [
+    objects = _map_objects(scene, sparse_map, added)
+    query_paths = [
         np.array([poses[name].centre().numpy() for name in names])
         for names in scene.splits.queries.values()
         if names
     ]
-    write_text(page, fill("view", _data(scene, sparse_map, poses, clouds, things, ways, found)))
-    draw(scene.name, sparse_map.centres, clouds, things, ways, found, picture)
+    data = _data(scene, sparse_map, poses, clouds, objects, query_paths, methods)
+    write_text(page, fill("view", data))
+    draw(scene.name, sparse_map.centres, clouds, objects, query_paths, methods, picture)
     return SceneView(page, picture, {cloud.layer: len(cloud.xyz) for cloud in clouds})
 
 
 def _outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Path, Path]:
-    """Page and picture, none of which may replace what this command did not write."""
+    """Return the paths of the page and the picture, after checking that they may be written."""
     if out is None:
-        claim([path / PAGE, path / PICTURE], within=path)
+        check_outputs([path / PAGE, path / PICTURE], within=path)
         return path / PAGE, path / PICTURE
     if out.suffix.lower() not in _ENDINGS:
         raise InputError(f"{out} is no name for a page: let it end in .html")
     picture = out.with_suffix(".png")
-    claim([Output(out, _MARK), Output(picture, PNG_MARK)], [path, *results])
+    check_outputs([OutputFile(out, _MARK), OutputFile(picture, PNG_MARK)], [path, *results])
     return out, picture
 
 
 def _posed(scene: Scene, session: str) -> tuple[tuple[str, ...], list[Pose]]:
+    """Return the names of a session's photographs and their true poses."""
     frames = scene.frames(session)
     return frames.names, [Pose.from_matrix(matrix) for matrix in frames.cam_from_world]
 
@@ -200,7 +143,7 @@ def _method(results: Results, poses: dict[str, Pose], path: Path) -> Method:
         numbers = query.cam_from_world
         estimate = None if numbers is None else Pose.from_quaternion(numbers[:4], numbers[4:])
         queries.append(
-            Found(
+            QueryEstimate(
                 name=query.name,
                 truth=poses[query.name].centre().numpy(),
                 centre=None if estimate is None else estimate.centre().numpy(),
@@ -222,7 +165,7 @@ def _clouds(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> li
     return clouds
 
 
-def _things(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> list[Thing]:
+def _map_objects(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> list[MapObject]:
     seen: set[int] = set()
 
     def instances() -> Iterator[tuple[MapImage, NDArray[np.uint16]]]:
@@ -233,7 +176,7 @@ def _things(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> li
     owners = objects_of_points(len(added), instances())
     before, after = set(owners[~added].tolist()), set(owners.tolist())
     return [
-        Thing(item, item.id in before, item.id in after)
+        MapObject(item, item.id in before, item.id in after)
         for item in scene.objects.objects
         if item.id in seen
     ]
@@ -244,12 +187,12 @@ def _data(
     sparse_map: SparseMap,
     poses: Mapping[str, Pose],
     clouds: Sequence[Cloud],
-    things: Sequence[Thing],
-    ways: Sequence[NDArray[np.float64]],
+    objects: Sequence[MapObject],
+    query_paths: Sequence[NDArray[np.float64]],
     methods: Sequence[Method],
 ) -> dict[str, Any]:
-    """Everything of the page, for ``templates/view.js``."""
-    # A few points far away, as on the horizon, would make everything small.
+    """Return the data of the page, which ``templates/view.js`` reads."""
+    # The extreme points are left out, because a few far ones would make everything else small.
     around = np.concatenate([np.percentile(sparse_map.xyz, [2, 98], axis=0), sparse_map.centres])
     low, high = around.min(0), around.max(0)
     return {
@@ -259,18 +202,18 @@ def _data(
         "clouds": [_packed(cloud) for cloud in clouds],
         "objects": [
             {
-                "size": thing.item.size_class,
-                "corners": thing.corners.tolist(),
-                "low": thing.item.centre[2] - thing.item.size[2] / 2,
-                "high": thing.item.centre[2] + thing.item.size[2] / 2,
-                "before": thing.before,
-                "after": thing.after,
+                "size": shown.item.size_class,
+                "corners": shown.corners.tolist(),
+                "low": shown.item.centre[2] - shown.item.size[2] / 2,
+                "high": shown.item.centre[2] + shown.item.size[2] / 2,
+                "before": shown.before,
+                "after": shown.after,
             }
-            for thing in things
+            for shown in objects
         ],
         "cameras": _cameras(scene, sparse_map, poses),
         "photographs": _photographs(scene, sparse_map),
-        "ways": [way.tolist() for way in ways],
+        "ways": [path.tolist() for path in query_paths],
         "methods": [
             {
                 "name": method.name,
@@ -292,7 +235,7 @@ def _data(
 
 
 def _packed(cloud: Cloud) -> dict[str, Any]:
-    """A cloud on a grid of 65536 steps a side: of 250 m, four millimetres each."""
+    """Encode a cloud with 16 bits per coordinate; along 250 m a step is four millimetres."""
     total, most = len(cloud.xyz), MOST_POINTS[cloud.layer]
     kept = np.arange(total)
     if total > most:
@@ -312,7 +255,7 @@ def _packed(cloud: Cloud) -> dict[str, Any]:
 
 
 def _shown(scene: Scene, sparse_map: SparseMap) -> list[str]:
-    """Photographs of the map and queries, in this order."""
+    """Return the names of the map's photographs, then of the queries."""
     queries = [name for names in scene.splits.queries.values() for name in names]
     return [*sparse_map.names, *queries]
 

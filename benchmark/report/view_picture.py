@@ -1,10 +1,9 @@
-"""A scene from above, before and after points were added to its map."""
+"""A picture of a scene from above, before and after points were added to its map."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,12 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from scene.runtime.printed import drawn
-from scene.storage.files import written_whole
-from scene.storage.marks import PNG_METADATA
-
-if TYPE_CHECKING:
-    from benchmark.report.view import Cloud, Method, Thing
+from benchmark.report.view_content import Cloud, MapObject, Method
+from scene.runtime.escaping import for_figure
+from scene.storage.atomic import atomic_write
+from scene.storage.provenance import PNG_METADATA
 
 _DPI = 110
 _SIDE = 8.0
@@ -28,21 +25,21 @@ def draw(
     name: str,
     centres: NDArray[np.float64],
     clouds: Sequence[Cloud],
-    things: Sequence[Thing],
-    ways: Sequence[NDArray[np.float64]],
+    objects: Sequence[MapObject],
+    query_paths: Sequence[NDArray[np.float64]],
     methods: Sequence[Method],
     path: Path,
 ) -> None:
-    """One panel, or two where points were added: points, objects, cameras, queries.
+    """Draw points, objects, cameras and queries in one panel, or in two where points were added.
 
     Args:
-        name: of the scene.
-        centres: (N, 3) of the map's cameras.
-        clouds: of points; the dense one is left out.
-        things: objects.
-        ways: (K, 3) of the queries of each session.
-        methods: whose estimates are drawn.
-        path: of the PNG.
+        name: name of the scene.
+        centres: (N, 3) centres of the map's cameras, metres.
+        clouds: clouds of points; the dense one is not drawn.
+        objects: objects; the small ones are drawn.
+        query_paths: (K, 3) true camera centres of the queries of each session, metres.
+        methods: methods with their estimates.
+        path: path of the PNG file.
 
     Raises:
         InputError: the folder cannot be written.
@@ -52,8 +49,8 @@ def draw(
     figure = Figure(figsize=(_SIDE * len(states), _SIDE), layout="constrained")
     axes = figure.subplots(1, len(states), squeeze=False, sharex=True, sharey=True)[0]
     for ax, (state, after) in zip(axes, states, strict=True):
-        small = [thing for thing in things if thing.item.size_class == "small"]
-        having = sum(thing.after if after else thing.before for thing in small)
+        small = [shown for shown in objects if shown.item.size_class == "small"]
+        having = sum(shown.after if after else shown.before for shown in small)
         for cloud in clouds:
             if cloud.layer == "sparse":
                 size = float(np.clip(2e4 / max(len(cloud.xyz), 1), 0.5, 8))
@@ -61,27 +58,27 @@ def draw(
             elif cloud.layer == "added" and after:
                 ax.scatter(*cloud.xyz[:, :2].T, s=14, c=_ADDED, marker="x", linewidths=1.2,
                            label=f"{len(cloud.xyz)} added points", zorder=5)  # fmt: skip
-        for thing in small:
-            colour = _HAS if (thing.after if after else thing.before) else _NONE
-            ax.add_patch(Polygon(thing.corners, fill=False, edgecolor=colour, linewidth=1.5))
+        for shown in small:
+            colour = _HAS if (shown.after if after else shown.before) else _NONE
+            ax.add_patch(Polygon(shown.corners, fill=False, edgecolor=colour, linewidth=1.5))
         ax.plot(*centres[:, :2].T, "o", color="C0", markersize=3, label="photographs of the map")
-        for way in ways:
-            ax.plot(*way[:, :2].T, "-", color="0.3", linewidth=0.8)
+        for centres_of_queries in query_paths:
+            ax.plot(*centres_of_queries[:, :2].T, "-", color="0.3", linewidth=0.8)
         for number, method in enumerate(methods):
             _draw_method(ax, method, f"C{number + 1}")
-        words = [drawn(name), *([state] if state else [])]
+        words = [for_figure(name), *([state] if state else [])]
         words += [f"{having} of {len(small)} small objects have a point"] if small else []
         ax.set_title(", ".join(words), fontsize=10)
         ax.set(aspect="equal", xlabel="east (m)", ylabel="north (m)")
         ax.legend(loc="upper left", fontsize=8)
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=_DPI, metadata=PNG_METADATA)
 
 
 def _draw_method(ax: Axes, method: Method, colour: str) -> None:
-    """Estimates, each joined with where its camera truly was."""
-    # A label that begins with a line is none to Matplotlib.
-    label = drawn(method.name).lstrip("_") or "a method"
+    """Draw the estimates of a method, each joined with its true camera centre."""
+    # Matplotlib ignores labels that begin with an underscore.
+    label = for_figure(method.name).lstrip("_") or "a method"
     for query in method.queries:
         if query.centre is None:
             continue

@@ -28,7 +28,7 @@ _PICTURE = Path("pictures", "diagnosis.png")
 
 @dataclass(frozen=True)
 class Figures:
-    """Of the points of a map.
+    """Figures of the points of a map.
 
     Attributes:
         points: how many.
@@ -48,7 +48,7 @@ class Figures:
     uniformity: Uniformity | None
 
     def text(self) -> str:
-        """For a person."""
+        """Return the figures as text."""
         lines = [f"{self.points} points"]
         lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
         lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
@@ -81,11 +81,11 @@ class Diagnosis:
     picture: Path
 
     def as_dict(self) -> dict[str, Any]:
-        """For a program."""
+        """Return the figures as a dictionary for JSON."""
         return asdict(self)
 
     def text(self) -> str:
-        """For a person."""
+        """Return the figures as text."""
         lines = [
             f"{self.reprojection_error_px:.2f} px mean reprojection error, tracks of "
             f"{self.track_length:.1f} images",

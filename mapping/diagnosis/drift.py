@@ -63,13 +63,13 @@ class Drift:
 
     @staticmethod
     def of(distances: NDArray[np.float64]) -> Drift:
-        """Of distances (K,) in metres, infinite without a surface; at least one."""
+        """Summarise distances (K,) in metres, infinite without a surface; at least one."""
         known = distances[np.isfinite(distances)]
         middle, high = np.percentile(known, [50, 90]).tolist() if len(known) else (None, None)
         return Drift(len(distances), float((distances < CLOSE_M).mean()), middle, high)
 
     def text(self) -> str:
-        """For a person."""
+        """Return the figures as text."""
         spread = "" if self.median_m is None else f"median {self.median_m:.3f} m, "
         spread += "" if self.p90_m is None else f"90 % under {self.p90_m:.3f} m, "
         return f"{spread}{self.close:.1%} of {self.points} within {CLOSE_M} m"
@@ -114,7 +114,7 @@ def _distances(
     xyz: NDArray[np.float64],
     owners: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Of the points an image observes, (K,), from what it shows around the observations."""
+    """Measure how far the points an image observes are from the surface it shows, (K,)."""
     observed = image.point_rows >= 0
     rows = image.point_rows[observed]
     height, width = layers["depth"].shape

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from objconnect.segmentation import NOTHING, Labels
 from scene.maps.sparse_map import MapImage
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 
 _DPI = 110
 _SIDE = 7.5
@@ -84,7 +84,7 @@ def draw(
         ax.set_axis_off()
     if drift is not None:
         figure.colorbar(shown, ax=list(row), shrink=0.7, label="distance from the true surface (m)")
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=_DPI)
 
 

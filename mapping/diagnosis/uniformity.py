@@ -40,7 +40,7 @@ class Uniformity:
     entropy: float
 
     def text(self) -> str:
-        """For a person."""
+        """Return the figures as text."""
         return (
             f"{self.empty:.1%} of {self.cells} cells of {self.cell_m:g} m without a point, "
             f"entropy {self.entropy:.3f} of 1"
@@ -73,7 +73,7 @@ def seen_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray[np
 def uniformity(
     xyz: NDArray[np.float64], cells: NDArray[np.int64], cell_m: float
 ) -> Uniformity | None:
-    """Of points (M, 3) over the ``cells`` (C, 2); None where nothing is seen twice."""
+    """Measure how evenly points (M, 3) cover ``cells`` (C, 2); None where none is seen twice."""
     if not len(cells):
         return None
     held = Counter(_cells(xyz, cell_m))

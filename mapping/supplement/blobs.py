@@ -9,24 +9,23 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from mapping.supplement.association import Detections
+from mapping.supplement.config import BlobOptions
 from objconnect.network import ObjConnectNet
+from objconnect.objects import Objects
 from objconnect.segmentation import NOTHING, Labels, at_pixels, segment
 
-# Radii of blobs (px), and how much wider what they are held against is.
 SIGMAS: Final = (0.8, 1.3, 2.1)
-_WIDER: Final = 2.5
-_COLOUR_SIGMA: Final = 0.7
-# Difference from around (units of CIE L*a*b*), and how many of a photograph at most.
-_STRONG: Final = 5.0
-_MOST: Final = 12000
-_BORDER: Final = 8
+"""Radii of blobs (px); the trained classifier takes the appearance at each."""
+
+_DEFAULTS: Final = BlobOptions()
 
 
 @dataclass(frozen=True)
 class Blobs:
-    """Of one photograph, N of them.
+    """The N blobs of one photograph.
 
     Attributes:
         detections: their pixels, confidence, and descriptors: of a network, or their looks.
@@ -49,66 +48,64 @@ class Blobs:
 
 
 def in_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """CIE L*a*b* of a photograph (H, W, 3)."""
+    """Convert a photograph (H, W, 3) to CIE L*a*b*."""
     scaled = rgb.astype(np.float32) / 255
     return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB), np.float32)
 
 
 @torch.inference_mode()
 def find(
-    rgb: NDArray[np.uint8], network: ObjConnectNet | None = None, masks: Labels | None = None
+    rgb: NDArray[np.uint8],
+    network: ObjConnectNet | None = None,
+    masks: Labels | None = None,
+    options: BlobOptions = _DEFAULTS,
 ) -> Blobs:
-    """Blobs of a photograph (H, W, 3): local maxima of the difference of Gaussians of its colours
-    (Lowe, IJCV 2004, at a few small radii and without orientation).
+    """Find blobs of a photograph: local maxima of the difference of Gaussians of its colours.
+
+    After Lowe (IJCV 2004), at a few small radii and without orientation.
 
     Args:
-        rgb: the photograph.
-        network: whose centres of objects are looked at too; it says how confident a blob is and
-            describes it. Without, all are equally confident.
+        rgb: (H, W, 3) the photograph.
+        network: its centres of objects become blobs too, and it gives every blob a confidence and
+            a descriptor. Without it, all are equally confident.
         masks: labels (H, W) of objects; blobs outside them are left out.
+        options: which blobs count.
     """
     lab = in_lab(rgb)
-    contrast = np.stack(
-        [cv2.GaussianBlur(lab, (0, 0), s) - cv2.GaussianBlur(lab, (0, 0), s * _WIDER)
-         for s in SIGMAS]
-    )  # fmt: skip
+    contrast = np.stack([_contrast(lab, sigma, options.surround_ratio) for sigma in SIGMAS])
     strength = np.linalg.norm(contrast, axis=-1)
-    found = [_peaks(s) for s in strength]
-    xy = np.concatenate(found)
-    radius = np.repeat(np.arange(len(SIGMAS)), [len(each) for each in found])
+    peaks = [_peaks(each, options.min_contrast) for each in strength]
+    xy = np.concatenate(peaks)
+    radius = np.repeat(np.arange(len(SIGMAS)), [len(each) for each in peaks])
     image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
     labels = None if masks is None else torch.from_numpy(masks)[None]
+    segments: Tensor | None = None
+    objects: Objects | None = None
     if network is not None:
-        own = segment(image, network.config) if labels is None else labels
-        objects = network.objects(image, own)
-        there = objects.present[0]
-        centres = objects.centres[0, there].double().numpy()
+        segments = segment(image, network.config) if labels is None else labels
+        objects = network.objects(image, segments)
+        centres = objects.centres[0, objects.present[0]].double().numpy()
         row, column = _pixel(centres, rgb.shape)
         xy = np.concatenate([xy, centres])
         radius = np.concatenate([radius, strength[:, row, column].argmax(0)])
     row, column = _pixel(xy, rgb.shape)
-    far = np.array([rgb.shape[1], rgb.shape[0]]) - _BORDER
-    kept = ((xy >= _BORDER) & (xy <= far)).all(1)
+    far = np.array([rgb.shape[1], rgb.shape[0]]) - options.border_px
+    inside = ((xy >= options.border_px) & (xy <= far)).all(1)
     if labels is not None:
-        inside = at_pixels(labels, image, torch.from_numpy(xy)[None])[0] != NOTHING
-        kept &= inside.numpy()
-    kept = np.flatnonzero(kept)
-    best = np.argsort(-strength[radius, row, column][kept], kind="stable")[:_MOST]
-    kept = np.sort(kept[best])
+        labelled = at_pixels(labels, image, torch.from_numpy(xy)[None])[0] != NOTHING
+        inside &= labelled.numpy()
+    kept = np.flatnonzero(inside)
+    order = np.argsort(-strength[radius, row, column][kept], kind="stable")
+    kept = np.sort(kept[order[: options.max_count]])
     xy, radius, row, column = xy[kept], radius[kept], row[kept], column[kept]
     look = contrast[:, row, column].transpose(1, 0, 2).reshape(len(xy), -1).astype(np.float64)
-    if network is None:
+    if objects is None or segments is None:
         length = np.linalg.norm(look, axis=1, keepdims=True)
         descriptors, confidence = look / length.clip(1e-6), np.ones(len(xy))
     else:
-        index = at_pixels(own, image, torch.from_numpy(xy)[None])[0]
-        index = torch.where(index < len(there), index, NOTHING)
-        known = (index != NOTHING).numpy()
-        # Blobs in none of its segments have no confidence.
-        confidence = np.where(known, objects.confidence[0, index].double().numpy(), 0)
-        vectors = torch.nn.functional.normalize(objects.vectors[0, index], dim=-1)
-        descriptors = np.where(known[:, None], vectors.double().numpy(), 0)
-    smooth = cv2.GaussianBlur(lab, (0, 0), _COLOUR_SIGMA)
+        index = at_pixels(segments, image, torch.from_numpy(xy)[None])[0]
+        descriptors, confidence = _described(objects, index)
+    smooth = cv2.GaussianBlur(lab, (0, 0), options.colour_sigma_px)
     return Blobs(
         Detections(xy, descriptors.astype(np.float32), confidence),
         look,
@@ -118,17 +115,39 @@ def find(
     )
 
 
+def _contrast(lab: NDArray[np.float32], sigma: float, surround_ratio: float) -> NDArray[np.float32]:
+    """Return the difference of Gaussians (H, W, 3) of a picture at a radius."""
+    wide = cv2.GaussianBlur(lab, (0, 0), sigma * surround_ratio)
+    return np.asarray(cv2.GaussianBlur(lab, (0, 0), sigma) - wide, np.float32)
+
+
+def _described(objects: Objects, index: Tensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return descriptors (N, C) and confidences (N,) of blobs by the objects they lie in.
+
+    Blobs outside all objects have zeros.
+
+    Args:
+        objects: of the picture.
+        index: (N,) object of each blob.
+    """
+    index = torch.where(index < objects.present.shape[1], index, NOTHING)
+    known = (index != NOTHING).numpy()
+    confidence = np.where(known, objects.confidence[0, index].double().numpy(), 0)
+    vectors = torch.nn.functional.normalize(objects.vectors[0, index], dim=-1)
+    return np.where(known[:, None], vectors.double().numpy(), 0), confidence
+
+
 def _pixel(
     xy: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Row and column of places in a picture of a shape."""
+    """Return row and column of pixels (N, 2) in a picture of a shape."""
     column, row = np.floor(xy).astype(np.int64).T
     return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 
-def _peaks(strength: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Local maxima (N, 2) of a picture (H, W), each at the top of the parabola around it."""
-    top = (strength >= cv2.dilate(strength, np.ones((3, 3)))) & (strength > _STRONG)
+def _peaks(strength: NDArray[np.float32], min_contrast: float) -> NDArray[np.float64]:
+    """Find local maxima (N, 2) of a picture (H, W), each at the top of the parabola around it."""
+    top = (strength >= cv2.dilate(strength, np.ones((3, 3)))) & (strength > min_contrast)
     top[[0, -1]] = top[:, [0, -1]] = False
     row, column = np.nonzero(top)
     at = strength[row, column]

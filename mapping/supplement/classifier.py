@@ -1,5 +1,6 @@
-"""Whether a place is on a thing or on the ground: what photographs measured there, weighed by a
-small network that learned it on towns whose things are known.
+"""A classifier of places: on a thing or on the ground, from what photographs measured there.
+
+A small network learned it on towns whose things are known.
 
 A thing of 4 pixels lies a pixel or two away from where the ground under it would be. No single
 figure tells it from a mark on the ground; many together do.
@@ -43,21 +44,21 @@ def measured(
     blobs: Sequence[Blobs],
     ground: Ground,
     tracks: Tracks,
-    found: NDArray[np.float64],
+    place_costs: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """What is known of places, (T, ``FIGURES``).
+    """Compute the figures of places that the classifier takes, (T, ``FIGURES``).
 
-    The height above the ground (m), its standard deviation (log) and their ratio; reprojection
-    error, photographs that show a blob there and that have the place in view; how the colours
-    agree at heights, beside the ground's; the blobs' strength, size and difference from what is
-    around, but not their colours themselves; from how many sides they are seen.
+    They are the height above the ground (m), its standard deviation (log) and their ratio;
+    reprojection error, photographs that show a blob there and that have the place in view; how the
+    colours agree at heights, beside the ground's; the blobs' strength, size and difference from
+    what is around, but not their colours themselves; from how many sides they are seen.
 
     Args:
         images: photographs.
-        blobs: of each.
+        blobs: of each photograph.
         ground: under them.
         tracks: T places.
-        found: (T, H) of ``raised.costs``.
+        place_costs: (T, H) of ``photoconsistency.costs``.
     """
     count = len(tracks.xyz)
     views = tracks.views.clip(1)
@@ -85,7 +86,7 @@ def measured(
     crossing = np.sqrt(views * ((spread**2).sum(0) + 1e-9))
     sigma = tracks.error_px * pixel / crossing
     above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
-    beside = costs_beside_ground(found, above)
+    beside = costs_beside_ground(place_costs, above)
     strength, look = seen("strength"), seen("look")
     figures = [
         above,
@@ -134,9 +135,9 @@ class PlaceClassifier(nn.Module):
 
     @torch.inference_mode()
     def likely(self, figures: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Probabilities (T,) of places."""
-        found = torch.sigmoid(self(torch.from_numpy(figures)))
-        return np.asarray(found.numpy(), np.float64)
+        """Return the probability of each place being on a thing, (T,)."""
+        probabilities = torch.sigmoid(self(torch.from_numpy(figures)))
+        return np.asarray(probabilities.numpy(), np.float64)
 
 
 def read_classifier(path: Path | None = None) -> PlaceClassifier:

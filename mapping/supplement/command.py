@@ -1,4 +1,4 @@
-"""Small things that a map misses, added to it as points; and what that changed."""
+"""The command ``supplement``: adds points on small things that a map misses."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class SupplementReport:
     diagnosis: Diagnosis
 
     def as_dict(self) -> dict[str, Any]:
-        """For a program."""
+        """Return the report as a dictionary for JSON."""
         return asdict(self)
 
     def text(self) -> str:
-        """For a person."""
+        """Return the report as text."""
         added = f"{self.points} points with {self.observations} observations added"
         return f"{added}\n\n{self.diagnosis.text()}"
 

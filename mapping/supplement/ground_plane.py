@@ -1,4 +1,4 @@
-"""What stands on the ground: points a little above the plane that lies under them."""
+"""The ground under a point cloud, and heights above it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Ground:
 
     @staticmethod
     def of(cloud: NDArray[np.float64]) -> Ground:
-        """Of points (M, 3); see ``heights``."""
+        """Estimate the ground under points (M, 3); see ``heights``."""
         low, high = np.percentile(cloud[:, :2], [0.5, 99.5], axis=0)
         corner = low - _BESIDE_M
         columns, rows = (np.ceil((high + _BESIDE_M - corner) / _CELL_M) + 1).astype(int)
@@ -55,7 +55,7 @@ class Ground:
         return Ground(corner, -np.concatenate([heights(p, cloud) for p in parts]).reshape(x.shape))
 
     def at(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Heights (N,) at places (N, 2), linear between corners; beyond the last, as there."""
+        """Return heights (N,) of the ground at places (N, 2), interpolated between corners."""
         size = np.array(self.z.shape[::-1])
         cells = ((xy - self.corner) / _CELL_M).clip(0, size - 1.001)
         column, row = cells.astype(int).T
@@ -65,7 +65,7 @@ class Ground:
         return np.asarray(south * (1 - up) + north * up)
 
     def under(self, image: MapImage, xy: NDArray[np.float64], above: float) -> NDArray[np.float64]:
-        """Where the rays of pixels (N, 2) are so high above it, (N, 3)."""
+        """Return where the rays of pixels (N, 2) are at a height above the ground, (N, 3)."""
         rays = image.camera.unproject(torch.from_numpy(xy))[0].numpy()
         rays = rays @ image.cam_from_world[:3, :3]
         z = np.full(len(xy), np.median(self.z))
@@ -78,9 +78,9 @@ class Ground:
 
 
 def heights(xyz: NDArray[np.float64], cloud: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of points (N, 3) above the plane that most of the cloud (M, 3) around them lies in, (N,).
+    """Return heights (N,) of points (N, 3) above the plane of most of the cloud around them.
 
-    World metres, up is z; infinite where the cloud has too few points.
+    World metres, up is z; infinite where the cloud (M, 3) has too few points.
     """
     if len(cloud) < _AROUND or not len(xyz):
         return np.full(len(xyz), math.inf)
@@ -101,7 +101,7 @@ def heights(xyz: NDArray[np.float64], cloud: NDArray[np.float64]) -> NDArray[np.
 def nearest(
     query: NDArray[np.float64], cloud: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The points of a cloud (M, D) nearest to others (N, D): rows and distances, (N, count)."""
+    """Find the points of a cloud (M, D) nearest to others (N, D): rows, distances (N, count)."""
     middle = cloud.mean(0)
     tree = cv2.flann.Index((cloud - middle).astype(np.float32), _EXACT)
     rows, squares = tree.knnSearch((query - middle).astype(np.float32), count, params=_UNLIMITED)

@@ -54,7 +54,7 @@ class Lessons(NamedTuple):
 
 
 def lessons(path: Path) -> Lessons:
-    """Of a rendered scene with its map.
+    """Read the places of a rendered scene with its map, and which lie on things.
 
     Raises:
         InputError: not such a scene.
@@ -77,7 +77,7 @@ def lessons(path: Path) -> Lessons:
 
 
 def _as_map(sparse_map: SparseMap, places: Places) -> SparseMap:
-    """Places as the points of a map, whose truth can be read."""
+    """Make places the points of a map, so that their truth can be read."""
     tracks, images = places.tracks, {}
     for view, image in enumerate(places.images):
         mine = tracks.view == view
@@ -89,7 +89,7 @@ def _as_map(sparse_map: SparseMap, places: Places) -> SparseMap:
 
 
 def learn(taught: Sequence[Lessons], steps: int = STEPS, seed: int = 0) -> PlaceClassifier:
-    """A classifier of what scenes teach.
+    """Train a classifier on the places of scenes.
 
     Raises:
         InputError: they have no place at all.
@@ -121,7 +121,7 @@ def learn(taught: Sequence[Lessons], steps: int = STEPS, seed: int = 0) -> Place
 
 
 def report(classifier: PlaceClassifier, looked_at: Lessons) -> list[str]:
-    """How many small things the likeliest places reach, while so many of them are on things."""
+    """Report how many small things the likeliest places reach, at several shares on things."""
     likely = classifier.likely(looked_at.figures)
     order = np.argsort(-likely, kind="stable")
     share = np.cumsum(looked_at.on_thing[order]) / np.arange(1, len(order) + 1)

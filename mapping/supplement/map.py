@@ -1,4 +1,4 @@
-"""Lifted centres as points of a scene's map, and the map as it was."""
+"""Adds triangulated centres to a scene's map as points, and removes them again."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from mapping.supplement.association import Detections
 from mapping.supplement.triangulation import Lifted
 from scene.bundle.manifest import write_json
-from scene.bundle.scene import MAP_FILES, Scene, finish
+from scene.bundle.scene import MAP_FILES, Scene, finish_scene
 from scene.bundle.supplement import (
     ADDED_FEATURES,
     SUPPLEMENT,
@@ -23,8 +23,9 @@ from scene.colmap.models import NewPoint, add_points, remove_points
 from scene.errors import InputError
 from scene.maps.colmap_files import read_model
 from scene.maps.features import Features, write_features
-from scene.storage.files import folder_written_whole, remove_partial, sole_writer
+from scene.storage.atomic import atomic_folder, remove_partial
 from scene.storage.images import read_rgb
+from scene.storage.locks import write_lock
 
 
 def add_to_map(
@@ -45,11 +46,11 @@ def add_to_map(
         InputError: not a finished scene, one that another run is writing, no map, or a damaged one.
     """
     scene = Scene.open(path)
-    with sole_writer(path):
+    with write_lock(path):
         remove_partial(path)
         scene.sparse_map()  # says what is missing or damaged
         new = [_new_point(scene, point, detections) for point in points]
-        with folder_written_whole(scene.map_path, MAP_FILES) as folder:
+        with atomic_folder(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
             before = read_model(folder)
             ids = add_points(folder, new, folder)
@@ -60,7 +61,7 @@ def add_to_map(
             supplement = Supplement(points=tuple(added), map_sha256=before.sha256)
             write_json(folder / SUPPLEMENT, supplement)
             write_features(folder / ADDED_FEATURES, _features(points, detections))
-        finish(path, scene.manifest)
+        finish_scene(path, scene.manifest)
     return supplement
 
 
@@ -74,18 +75,18 @@ def remove_from_map(path: Path) -> int:
         InputError: as ``add_to_map``, nothing was added, or the map was changed since.
     """
     scene = Scene.open(path)
-    with sole_writer(path):
+    with write_lock(path):
         supplement = read_supplement(scene.map_path)
         if supplement is None:
             raise InputError(f"nothing was added to the map of {path}")
-        with folder_written_whole(scene.map_path, MAP_FILES) as folder:
+        with atomic_folder(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
-        finish(path, scene.manifest)
+        finish_scene(path, scene.manifest)
     return len(supplement.points)
 
 
 def _copy_before(scene: Scene, folder: Path) -> None:
-    """The map as it was before anything was added to it."""
+    """Copy the map as it was before anything was added to it."""
     for file in scene.map_path.iterdir():
         if file.name in MAP_FILES and file.name not in (SUPPLEMENT, ADDED_FEATURES):
             shutil.copyfile(file, folder / file.name)
@@ -95,7 +96,7 @@ def _copy_before(scene: Scene, folder: Path) -> None:
 
 
 def _new_point(scene: Scene, point: Lifted, detections: Mapping[str, Detections]) -> NewPoint:
-    """With the colour of the photograph that is surest of it."""
+    """Make a map point with its colour in the photograph of highest confidence."""
     xy = {name: detections[name].xy[row] for name, row in point.rows.items()}
     surest = max(point.rows, key=lambda name: detections[name].confidence[point.rows[name]])
     rgb = read_rgb(scene.images_root / surest)
@@ -108,7 +109,7 @@ def _new_point(scene: Scene, point: Lifted, detections: Mapping[str, Detections]
 def _features(
     points: Sequence[Lifted], detections: Mapping[str, Detections]
 ) -> dict[str, Features]:
-    """The detections that became observations, by photograph, in the order of their points."""
+    """Return the detections that became observations, by photograph, in order of their points."""
     rows: dict[str, list[int]] = {}
     for point in points:
         for name, row in point.rows.items():

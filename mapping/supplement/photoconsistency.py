@@ -1,4 +1,4 @@
-"""Whether photographs agree on a place where it was found, and not on the ground under it.
+"""Photoconsistency: whether photographs agree on a place itself, or on the ground below it.
 
 Most pixels around a thin object show the ground, and a plain window would say so. Each pixel
 counts here as far as it has the colour of the place (Yoon and Kweon, "Adaptive support-weight
@@ -7,8 +7,8 @@ approach for correspondence search", PAMI 2006).
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -18,24 +18,39 @@ import torch
 from numpy.typing import NDArray
 
 from mapping.supplement.blobs import Blobs, in_lab
+from mapping.supplement.config import PhotoconsistencyOptions
 from mapping.supplement.ground_plane import Ground
 from mapping.supplement.tracks import Tracks, project
 from scene.maps.sparse_map import MapImage
 from scene.runtime.progress import progress_bar
 from scene.storage.images import read_rgb
+from scene.storage.lru_cache import LruCache
 
-# Heights above the ground that are compared (m); those of the ground itself.
 HEIGHTS: Final = np.arange(-0.45, 3.5, 0.15)
+"""Heights above the ground that are compared (m); the trained classifier takes a figure of each."""
+
 _GROUND: Final = np.abs(HEIGHTS) < 0.16
-# The window: pixels within this of the middle; how fast they count less beside it (px) and of
-# another colour (L*a*b*), and the difference from which on a pixel is no match at all.
-_REACH: Final = 2
-_FADE: Final = 6.0
-_SOFT: Final = 8.0
-_DIFFERENT: Final = 15.0
-_BLUR_PX: Final = 0.5
-_HELD: Final = 16
+# The difference that stands for an unknown one, as the trained classifier knows it.
+_UNKNOWN: Final = 15.0
+# Photographs of the largest size for which there is room in the cache.
+_CACHED: Final = 16
+# Rows that OpenCV takes at a time.
 _ROWS: Final = 30000
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Windows of one photograph around N places.
+
+    Attributes:
+        colours: (N, P, 3) CIE L*a*b*.
+        weights: (N, P) of sum one.
+        places: (N, H, P, 3) where the rays of their pixels are at each height, world metres.
+    """
+
+    colours: NDArray[np.float32]
+    weights: NDArray[np.float64]
+    places: NDArray[np.float64]
 
 
 def costs(
@@ -44,74 +59,100 @@ def costs(
     blobs: Sequence[Blobs],
     ground: Ground,
     tracks: Tracks,
+    options: PhotoconsistencyOptions,
 ) -> NDArray[np.float64]:
-    """Mean difference of the colours around places, at each of ``HEIGHTS``, (T, H).
+    """Return the mean colour difference around places, at each of ``HEIGHTS``, (T, H).
 
-    The window is that of the photograph that looks down most steeply, held against all that have
-    the place in their picture; NaN where no other has.
+    The window of the photograph that looks down most steeply is compared with all photographs that
+    have the place in view; NaN where no other has.
 
     Args:
         images: photographs.
         folder: where their files are.
-        blobs: of each.
+        blobs: of each photograph.
         ground: under them.
         tracks: places.
+        options: how colours are compared.
 
     Raises:
         InputError: a photograph is missing or damaged.
     """
-    held: OrderedDict[int, NDArray[np.float32]] = OrderedDict()
 
-    def look(view: int) -> NDArray[np.float32]:
-        if view not in held:
-            image = images[view]
-            lab = in_lab(read_rgb(folder / image.name, image.camera))
-            held[view] = np.asarray(cv2.GaussianBlur(lab, (0, 0), _BLUR_PX), np.float32)
-            while len(held) > _HELD:
-                held.popitem(last=False)
-        held.move_to_end(view)
-        return held[view]
+    def read(view: int) -> NDArray[np.float32]:
+        image = images[view]
+        lab = in_lab(read_rgb(folder / image.name, image.camera))
+        return np.asarray(cv2.GaussianBlur(lab, (0, 0), options.blur_px), np.float32)
 
-    unit = np.arange(-_REACH, _REACH + 1)
-    window = np.array([(x, y) for x in unit for y in unit if x * x + y * y <= _REACH**2 + 1])
-    above = HEIGHTS - (tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2]))[:, None]
+    largest = max((image.camera.width * image.camera.height for image in images), default=0)
+    photograph = LruCache(read, _CACHED * 3 * np.dtype(np.float32).itemsize * largest)
+    above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
     steepest, row = _steepest(images, tracks)
-    found = np.full((len(tracks.xyz), len(HEIGHTS)), np.nan)
-    with progress_bar("held against the ground", len(images)) as advance:
-        for view, image in enumerate(images):
+    result = np.full((len(tracks.xyz), len(HEIGHTS)), np.nan)
+    with progress_bar("compared with the ground", len(images)) as advance:
+        for view in range(len(images)):
             at = np.flatnonzero(steepest == view)
             if len(at):
-                pixels = blobs[view].xy[row[at]][:, None] + window
-                own = _looked_up(look(view), pixels)
-                middle = own[:, len(window) // 2, None]
-                weight = np.exp(-np.abs(own - middle).sum(2) / _SOFT)
-                weight *= np.exp(-(window**2).sum(1) / _FADE)
-                weight /= weight.sum(1, keepdims=True)
-                rays, _ = image.camera.unproject(torch.from_numpy(pixels.reshape(-1, 2)))
-                toward = (rays.numpy() @ image.cam_from_world[:3, :3]).reshape(*pixels.shape[:2], 3)
-                z = tracks.xyz[at, 2, None] + above[at]
-                along = (z[:, :, None] - image.centre[2]) / toward[:, None, :, 2]
-                places = image.centre + toward[:, None] * along[..., None]
-                total, views = np.zeros((len(at), len(HEIGHTS))), np.zeros((len(at), 1))
-                for other in range(len(images)):
-                    inside = other != view and project(images[other], tracks.xyz[at])[1]
-                    seen = np.flatnonzero(inside)
-                    if other == view or not len(seen):
-                        continue
-                    xy, _ = project(images[other], places[seen].reshape(-1, 3))
-                    theirs = _looked_up(look(other), xy.reshape(*places[seen].shape[:3], 2))
-                    off = np.abs(theirs - own[seen][:, None]).sum(3).clip(max=_DIFFERENT)
-                    total[seen] += (off * weight[seen][:, None]).sum(2)
-                    views[seen] += 1
-                found[at] = np.where(views > 0, total / views.clip(1), np.nan)
+                xyz, xy = tracks.xyz[at], blobs[view].xy[row[at]]
+                z = xyz[:, 2, None] + (HEIGHTS - above[at][:, None])
+                windows = _windows(images[view], photograph(view), xy, z, options)
+                result[at] = _mean_difference(images, view, photograph, windows, xyz, options)
             advance(view + 1)
-    return found
+    return result
+
+
+def _windows(
+    image: MapImage,
+    picture: NDArray[np.float32],
+    xy: NDArray[np.float64],
+    z: NDArray[np.float64],
+    options: PhotoconsistencyOptions,
+) -> _Windows:
+    """Cut windows around pixels (N, 2) of a photograph and follow their rays to heights (N, H)."""
+    radius = options.radius_px
+    unit = np.arange(-radius, radius + 1)
+    window = np.array([(x, y) for x in unit for y in unit if x * x + y * y <= radius**2 + 1])
+    pixels = xy[:, None] + window
+    colours = _sampled(picture, pixels)
+    middle = colours[:, len(window) // 2, None]
+    weights = np.exp(-np.abs(colours - middle).sum(2) / options.colour_scale)
+    weights *= np.exp(-(window**2).sum(1) / options.distance_scale)
+    weights /= weights.sum(1, keepdims=True)
+    rays, _ = image.camera.unproject(torch.from_numpy(pixels.reshape(-1, 2)))
+    toward = (rays.numpy() @ image.cam_from_world[:3, :3]).reshape(*pixels.shape[:2], 3)
+    along = (z[:, :, None] - image.centre[2]) / toward[:, None, :, 2]
+    return _Windows(colours, weights, image.centre + toward[:, None] * along[..., None])
+
+
+def _mean_difference(
+    images: Sequence[MapImage],
+    view: int,
+    photograph: LruCache[int, NDArray[np.float32]],
+    windows: _Windows,
+    xyz: NDArray[np.float64],
+    options: PhotoconsistencyOptions,
+) -> NDArray[np.float64]:
+    """Average the difference of windows over the other photographs with a place in view, (N, H)."""
+    total, views = np.zeros((len(xyz), len(HEIGHTS))), np.zeros((len(xyz), 1))
+    for other, image in enumerate(images):
+        if other == view:
+            continue
+        seen = np.flatnonzero(project(image, xyz)[1])
+        if not len(seen):
+            continue
+        places = windows.places[seen]
+        xy, _ = project(image, places.reshape(-1, 3))
+        theirs = _sampled(photograph(other), xy.reshape(*places.shape[:3], 2))
+        off = np.abs(theirs - windows.colours[seen][:, None]).sum(3)
+        off = off.clip(max=options.max_difference)
+        total[seen] += (off * windows.weights[seen][:, None]).sum(2)
+        views[seen] += 1
+    return np.where(views > 0, total / views.clip(1), np.nan)
 
 
 def _steepest(
     images: Sequence[MapImage], tracks: Tracks
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Of each place the photograph that looks down on it most steeply, and its blob there."""
+    """Return, per place, the photograph that looks down on it most steeply, and its blob there."""
     centres = np.array([image.centre for image in images])
     beside = np.linalg.norm((tracks.xyz[tracks.track] - centres[tracks.view])[:, :2], axis=1)
     order = np.lexsort((beside, tracks.track))
@@ -135,17 +176,24 @@ class BesideGround(NamedTuple):
     curve: NDArray[np.float64]
 
 
-def costs_beside_ground(found: NDArray[np.float64], height: NDArray[np.float64]) -> BesideGround:
-    """Of costs (T, H) as ``costs`` gives them, and heights (T,) of the places above the ground."""
-    known = np.where(np.isnan(found), _DIFFERENT, found)
+def costs_beside_ground(
+    place_costs: NDArray[np.float64], height: NDArray[np.float64]
+) -> BesideGround:
+    """Compare the costs of places with those of the ground under them.
+
+    Args:
+        place_costs: (T, H) of ``costs``.
+        height: (T,) of the places above the ground, metres.
+    """
+    known = np.where(np.isnan(place_costs), _UNKNOWN, place_costs)
     on_ground = known[:, _GROUND].min(1)
     curve = known / np.maximum(on_ground, 1e-9)[:, None]
-    share = np.where(np.isnan(found).all(1), np.inf, curve.min(1))
+    share = np.where(np.isnan(place_costs).all(1), np.inf, curve.min(1))
     return BesideGround(share, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, curve)
 
 
-def _looked_up(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Values (..., 3) of a picture at pixels (..., 2)."""
+def _sampled(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Sample a picture at pixels (..., 2), (..., 3)."""
     # OpenCV counts from the first pixel's centre, and takes so many rows at most.
     flat = (xy.reshape(-1, 2) - 0.5).astype(np.float32)
     parts = [

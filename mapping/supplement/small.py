@@ -1,4 +1,4 @@
-"""Points on small things that stand on the ground, and of which a map has none."""
+"""Points on small things that stand on the ground and have no point in the map."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def find_places(
     network: ObjConnectNet | None = None,
     masks: Mapping[str, Labels] | None = None,
 ) -> Places:
-    """Every place where a small thing may be; arguments and errors as ``supplement_points``."""
+    """Find the places where a small thing may be; arguments and errors as ``supplement_points``."""
     names = [name for name in sparse_map.names if masks is None or name in masks]
     images = [sparse_map.images[name] for name in names]
     # The classifier learned from above.
@@ -63,15 +63,18 @@ def find_places(
     with progress_bar("blobs", len(images)) as advance:
         for image in images:
             rgb = read_rgb(folder / image.name, image.camera)
-            blobs.append(find(rgb, network, None if masks is None else masks[image.name]))
+            given = None if masks is None else masks[image.name]
+            blobs.append(find(rgb, network, given, config.blobs))
             advance(len(blobs))
     ground = Ground.of(sparse_map.xyz)
-    tracks = follow(images, blobs, ground, config.views)
-    tracks = distinct(solve(images, blobs, tracks, config.views), config.views)
+    tracks = follow(images, blobs, ground, config.views, config.tracks)
+    tracks = solve(images, blobs, tracks, config.views, config.tracks)
+    tracks = distinct(tracks, config.views, config.tracks)
     above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
     tracks = tracks.only((above > config.above_m) & (above < config.below_m))
-    found = costs(images, folder, blobs, ground, tracks)
-    return Places(images, blobs, tracks, measured(images, blobs, ground, tracks, found))
+    place_costs = costs(images, folder, blobs, ground, tracks, config.photoconsistency)
+    figures = measured(images, blobs, ground, tracks, place_costs)
+    return Places(images, blobs, tracks, figures)
 
 
 def supplement_points(
@@ -88,7 +91,7 @@ def supplement_points(
         sparse_map: without added points; up is z.
         folder: of its photographs.
         config: thresholds.
-        classifier: who says which places are on things.
+        classifier: says which places are on things.
         network: see ``blobs.find``.
         masks: of objects, by photograph; photographs without are left out.
 
@@ -112,7 +115,7 @@ def supplement_points(
 
 
 def _missing(sparse_map: SparseMap, points: list[Lifted], config: SupplementConfig) -> list[Lifted]:
-    """Those away from what the map has."""
+    """Return the points that are far enough from those of the map."""
     if not points:
         return []
     _, off = nearest(np.array([point.xyz for point in points]), sparse_map.xyz, 1)

@@ -11,25 +11,15 @@ import torch
 from numpy.typing import NDArray
 
 from mapping.supplement.blobs import SIGMAS, Blobs
+from mapping.supplement.config import TrackOptions
 from mapping.supplement.ground_plane import Ground
 from scene.maps.sparse_map import MapImage
 from scene.runtime.progress import progress_bar
 
-# Heights above the ground that a blob may have (m).
-_HEIGHTS: Final = np.arange(-0.75, 3.3, 0.25)
-# Photographs that a photograph is compared with, if they show so much of the same ground.
-_MOST_OTHERS: Final = 24
-_LEAST_OVERLAP: Final = 0.05
-# Two blobs are alike: pixels beside the projection, cosine of looks, share of strength, colour.
-_BESIDE_PX: Final = 1.3
-_COSINE: Final = 0.75
-_STRENGTH: Final = 0.4
-_COLOUR: Final = 15.0
 # Cells to a pixel of the picture in which the blob nearest to a pixel is looked up.
 _CELLS: Final = 2
-_GATE_PX: Final = 1.5
-_ROUNDS: Final = 4
-_MARGIN: Final = 4.0
+# Rounds of the refinement before outliers are dropped.
+_SETTLING: Final = 2
 
 
 @dataclass(frozen=True)
@@ -52,11 +42,11 @@ class Tracks:
 
     @property
     def views(self) -> NDArray[np.int64]:
-        """Observations of each, (T,)."""
+        """Count the observations of each place, (T,)."""
         return np.bincount(self.track, minlength=len(self.xyz))
 
     def only(self, kept: NDArray[np.bool_]) -> Tracks:
-        """Some of them (T,)."""
+        """Select places by a mask (T,)."""
         number = np.cumsum(kept) - 1
         mine = kept[self.track]
         return Tracks(
@@ -70,22 +60,30 @@ class Tracks:
 
 
 def follow(
-    images: Sequence[MapImage], blobs: Sequence[Blobs], ground: Ground, views: int
+    images: Sequence[MapImage],
+    blobs: Sequence[Blobs],
+    ground: Ground,
+    views: int,
+    options: TrackOptions,
 ) -> Tracks:
-    """For every blob the height above the ground at which most other photographs show it too.
+    """Find, for every blob, the height above the ground at which most photographs show it too.
 
     Args:
         images: photographs.
-        blobs: of each.
+        blobs: of each photograph.
         ground: under them.
-        views: that must show a place, its own among them.
+        views: photographs that must show a place, its own among them.
+        options: which heights are tried, and which blobs match.
     """
     shapes = [(image.camera.height, image.camera.width) for image in images]
-    charts = [_chart(found, shape) for found, shape in zip(blobs, shapes, strict=True)]
+    tables = [
+        _nearest_blobs(each, shape, options.max_offset_px)
+        for each, shape in zip(blobs, shapes, strict=True)
+    ]
     parts = []
     with progress_bar("compare", len(images)) as advance:
         for view in range(len(images)):
-            parts.append(_follow(view, images, blobs, charts, ground, views))
+            parts.append(_followed(view, images, blobs, tables, ground, views, options))
             advance(view + 1)
     first = np.cumsum([0] + [len(part.xyz) for part in parts])
     return Tracks(
@@ -98,71 +96,71 @@ def follow(
     )
 
 
-def _chart(blobs: Blobs, shape: tuple[int, int]) -> NDArray[np.int32]:
-    """By radius and cell of the picture, the nearest blob within reach, -1 for none."""
-    reach = int(_CELLS * _BESIDE_PX) + 1
+def _nearest_blobs(blobs: Blobs, shape: tuple[int, int], max_offset_px: float) -> NDArray[np.int32]:
+    """Tabulate the nearest blob within reach of each cell, -1 for none, by radius, row and column.
+
+    Args:
+        blobs: of one photograph.
+        shape: height and width of the photograph.
+        max_offset_px: how far a blob may be.
+    """
+    reach = int(_CELLS * max_offset_px) + 1
     steps = [(x, y) for x in range(-reach, reach + 1) for y in range(-reach, reach + 1)]
-    chart = np.full((len(SIGMAS), *(_CELLS * side + 2 * reach for side in shape)), -1, np.int32)
+    table = np.full((len(SIGMAS), *(_CELLS * side + 2 * reach for side in shape)), -1, np.int32)
     column, row = np.floor(blobs.xy * _CELLS).astype(int).T + reach
     number = np.arange(len(column))
-    # The nearer overwrite the farther.
+    # Nearer blobs overwrite farther ones.
     for x, y in sorted(steps, key=lambda step: -(step[0] ** 2 + step[1] ** 2)):
-        chart[blobs.radius, row + y, column + x] = number
-    return chart[:, reach:-reach, reach:-reach]
+        table[blobs.radius, row + y, column + x] = number
+    return table[:, reach:-reach, reach:-reach]
 
 
 def project(
-    image: MapImage, xyz: NDArray[np.float64]
+    image: MapImage, xyz: NDArray[np.float64], border_px: float = 4.0
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Pixels (N, 2) of places in the world, and whether they lie well in the picture, (N,)."""
+    """Project places in the world to pixels (N, 2), and say which lie inside the border, (N,)."""
     seen = image.camera.project(image.pose.transform(torch.from_numpy(xyz)))
-    return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, _MARGIN)).numpy()
+    return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, border_px)).numpy()
 
 
-def _follow(
+def _followed(
     view: int,
     images: Sequence[MapImage],
     blobs: Sequence[Blobs],
-    charts: Sequence[NDArray[np.int32]],
+    tables: Sequence[NDArray[np.int32]],
     ground: Ground,
     views: int,
+    options: TrackOptions,
 ) -> Tracks:
-    mine, heights = blobs[view], len(_HEIGHTS)
-    low = ground.under(images[view], mine.xy, 0.0)
-    up = ground.under(images[view], mine.xy, 1.0) - low
-    places = (low[:, None] + up[:, None] * _HEIGHTS[:, None]).reshape(-1, 3)
-    owner = np.repeat(np.arange(len(low)), heights)
-    overlap = [
-        0.0 if k == view or not len(low) else float(project(image, low[::50])[1].mean())
-        for k, image in enumerate(images)
-    ]
-    others = [
-        k
-        for k in np.argsort(-np.array(overlap), kind="stable")[:_MOST_OTHERS].tolist()
-        if overlap[k] > _LEAST_OVERLAP
-    ]
+    """Follow the blobs of one photograph into the others; arguments as of ``follow``.
+
+    Args:
+        view: row of the photograph.
+        tables: of ``_nearest_blobs``, by photograph.
+    """
+    own = blobs[view]
+    heights = np.arange(options.lowest_m, options.highest_m, options.height_step_m)
+    low = ground.under(images[view], own.xy, 0.0)
+    up = ground.under(images[view], own.xy, 1.0) - low
+    places = (low[:, None] + up[:, None] * heights[:, None]).reshape(-1, 3)
+    owner = np.repeat(np.arange(len(low)), len(heights))
+    others = _overlapping(view, images, low, options)
     score = np.zeros(len(places))
     visible = np.zeros(len(places), np.int64)
     members = np.full((len(others), len(places)), -1, np.int32)
     for k, other in enumerate(others):
-        there = blobs[other]
-        xy, inside = project(images[other], places)
+        xy, inside = project(images[other], places, options.border_px)
         visible += inside
         at = np.flatnonzero(inside)
-        column, row = (xy[at] * _CELLS).astype(int).T
-        blob = charts[other][mine.radius[owner[at]], row, column]
-        at, blob = at[blob >= 0], blob[blob >= 0]
-        beside = np.linalg.norm(there.xy[blob] - xy[at], axis=1)
-        near = beside < _BESIDE_PX
-        at, blob, beside = at[near], blob[near], beside[near]
-        cosine, alike = _alike(mine, owner[at], there, blob)
-        at, blob = at[alike], blob[alike]
-        score[at] += cosine[alike] * (1 - 0.5 * (beside[alike] / _BESIDE_PX) ** 2)
+        at, blob, match_score = _matched(
+            own, owner[at], blobs[other], tables[other], (at, xy[at]), options
+        )
+        score[at] += match_score
         members[k, at] = blob
-    best = score.reshape(-1, heights).argmax(1) + heights * np.arange(len(low))
+    best = score.reshape(-1, len(heights)).argmax(1) + len(heights) * np.arange(len(low))
     chosen = members[:, best]
     enough = (chosen >= 0).sum(0) >= views - 1
-    best, chosen, own = best[enough], chosen[:, enough], np.flatnonzero(enough)
+    best, chosen, row = best[enough], chosen[:, enough], np.flatnonzero(enough)
     which, track = np.nonzero(chosen >= 0)
     number = np.arange(len(best))
     return Tracks(
@@ -171,27 +169,87 @@ def _follow(
         np.full(len(best), np.inf),
         np.concatenate([number, track]),
         np.concatenate([np.full(len(best), view), np.array(others, np.int64)[which]]),
-        np.concatenate([own, chosen[which, track]]),
+        np.concatenate([row, chosen[which, track]]),
     )
 
 
-def _alike(
-    a: Blobs, rows_a: NDArray[np.int64], b: Blobs, rows_b: NDArray[np.int64]
+def _overlapping(
+    view: int, images: Sequence[MapImage], ground: NDArray[np.float64], options: TrackOptions
+) -> list[int]:
+    """Return the photographs that show most of the ground (N, 3) under a photograph's blobs."""
+    overlap = [
+        0.0
+        if k == view or not len(ground)
+        else float(project(image, ground[::50], options.border_px)[1].mean())
+        for k, image in enumerate(images)
+    ]
+    order = np.argsort(-np.array(overlap), kind="stable")[: options.max_photographs]
+    return [k for k in order.tolist() if overlap[k] > options.min_overlap]
+
+
+def _matched(
+    own: Blobs,
+    rows: NDArray[np.int64],
+    theirs: Blobs,
+    table: NDArray[np.int32],
+    projected: tuple[NDArray[np.int64], NDArray[np.float64]],
+    options: TrackOptions,
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+    """Match places of a photograph's blobs to the nearest blobs of another.
+
+    Args:
+        own: blobs of the photograph.
+        rows: (P,) the blob that each place belongs to.
+        theirs: blobs of the other photograph.
+        table: of ``_nearest_blobs`` for it.
+        projected: numbers (P,) of the places, and pixels (P, 2) of the other photograph.
+        options: which blobs match.
+
+    Returns:
+        Of the places that match: their numbers, rows of their blobs, and scores.
+    """
+    at, xy = projected
+    column, row = (xy * _CELLS).astype(int).T
+    blob = table[own.radius[rows], row, column]
+    some = np.flatnonzero(blob >= 0)
+    offset = np.linalg.norm(theirs.xy[blob[some]] - xy[some], axis=1)
+    near = offset < options.max_offset_px
+    some, offset = some[near], offset[near]
+    cosine, similar = _similar(own, rows[some], theirs, blob[some], options)
+    some, cosine, offset = some[similar], cosine[similar], offset[similar]
+    return at[some], blob[some], cosine * (1 - 0.5 * (offset / options.max_offset_px) ** 2)
+
+
+def _similar(
+    a: Blobs,
+    rows_a: NDArray[np.int64],
+    b: Blobs,
+    rows_b: NDArray[np.int32],
+    options: TrackOptions,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Cosine of the looks of pairs of blobs, and whether they may be one, (P,) each."""
+    """Return the cosine of pairs of blobs' appearances, and whether they may be one, (P,) each."""
     look_a, look_b = a.look[rows_a], b.look[rows_b]
     lengths = np.linalg.norm(look_a, axis=1) * np.linalg.norm(look_b, axis=1)
     cosine = (look_a * look_b).sum(1) / lengths.clip(1e-6)
     strong, weak = a.strength[rows_a], b.strength[rows_b]
-    same = np.minimum(strong, weak) > _STRENGTH * np.maximum(strong, weak)
-    colour = np.linalg.norm(a.colour[rows_a] - b.colour[rows_b], axis=1) < _COLOUR
-    return cosine, (cosine > _COSINE) & same & colour
+    same = np.minimum(strong, weak) > options.min_strength_ratio * np.maximum(strong, weak)
+    difference = np.linalg.norm(a.colour[rows_a] - b.colour[rows_b], axis=1)
+    same &= difference < options.max_colour_difference
+    return cosine, (cosine > options.min_cosine) & same
 
 
-def solve(images: Sequence[MapImage], blobs: Sequence[Blobs], tracks: Tracks, views: int) -> Tracks:
-    """Places of least reprojection error (Gauss-Newton, Cauchy's weights); observations beyond
-    the gate leave, and places that too few remain of."""
-    for round_ in range(_ROUNDS + 1):
+def solve(
+    images: Sequence[MapImage],
+    blobs: Sequence[Blobs],
+    tracks: Tracks,
+    views: int,
+    options: TrackOptions,
+) -> Tracks:
+    """Move places to their least reprojection error by Gauss-Newton with Cauchy's weights.
+
+    Observations with too large an error are dropped, and places with fewer than ``views`` of them.
+    """
+    for round_ in range(options.iterations + 1):
         count = len(tracks.xyz)
         normal, right = np.tile(1e-9 * np.eye(3), (count, 1, 1)), np.zeros((count, 3))
         error = np.full(len(tracks.track), np.inf)
@@ -210,11 +268,11 @@ def solve(images: Sequence[MapImage], blobs: Sequence[Blobs], tracks: Tracks, vi
             weight = 1 / (1 + error[at][known] ** 2)
             normal[of[known]] += np.einsum("nij,nik,n->njk", slope, slope, weight)
             right[of[known]] += np.einsum("nij,ni,n->nj", slope, off[known], weight)
-        if round_ < _ROUNDS:
+        if round_ < options.iterations:
             step = np.linalg.solve(normal, right[..., None])[..., 0]
             tracks = replace(tracks, xyz=tracks.xyz + step)
-        if round_ >= 2:
-            good = error < _GATE_PX
+        if round_ >= _SETTLING:
+            good = error < options.max_error_px
             tracks = replace(
                 tracks, track=tracks.track[good], view=tracks.view[good], row=tracks.row[good]
             )
@@ -224,9 +282,12 @@ def solve(images: Sequence[MapImage], blobs: Sequence[Blobs], tracks: Tracks, vi
     return tracks.only(tracks.views >= views)
 
 
-def distinct(tracks: Tracks, views: int) -> Tracks:
-    """Each blob to one place: those of most photographs first, then the most exact; what loses
-    three of ten of its blobs to others, or has too few left, is no place."""
+def distinct(tracks: Tracks, views: int, options: TrackOptions) -> Tracks:
+    """Assign each blob to one place: places seen by most photographs first, then the most exact.
+
+    Places that lose too large a share of their blobs to others are dropped, and places with fewer
+    than ``views`` of them.
+    """
     order = np.argsort(-(tracks.views - tracks.error_px), kind="stable")
     by_track = np.argsort(tracks.track, kind="stable")
     ends = np.concatenate([[0], np.cumsum(tracks.views)])
@@ -236,7 +297,7 @@ def distinct(tracks: Tracks, views: int) -> Tracks:
     for track in order.tolist():
         mine = by_track[ends[track] : ends[track + 1]].tolist()
         left = [k for k in mine if keys[k] not in taken]
-        if len(left) >= max(views, 0.7 * len(mine)):
+        if len(left) >= max(views, options.min_free_share * len(mine)):
             kept[track] = free[left] = True
             taken.update(keys[k] for k in left)
     tracks = replace(tracks, track=tracks.track[free], view=tracks.view[free], row=tracks.row[free])

@@ -1,4 +1,4 @@
-"""Which frames see the same surface."""
+"""Covisibility: which frames of a scene see the same surface, and how much of it."""
 
 from __future__ import annotations
 
@@ -8,30 +8,29 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.camera import Camera
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array
 
 COVISIBLE = 0.1
 """Two frames are covisible when each sees at least this share of the other's surface."""
 
-# A point this much (relative) behind what a frame sees there is hidden; nearer than that it may be
-# the slope of the surface within the pixel.
-_BEHIND = 0.01
+# A point is hidden when it is deeper than the depth image by more than this share of the depth. A
+# smaller difference can come from the slope of the surface within the pixel.
+_DEPTH_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
 class Covisibility:
-    """How much of each other the N frames of a scene see.
+    """How much of each other's surface the N frames of a scene see.
 
     Attributes:
         names: image names, in the order of the sessions and of their frames.
         overlap: (N, N) float64 in 0..1; ``overlap[i, j]`` is the share of the surface in frame i
-            that frame j sees too, zero on the diagonal.
+            that frame j sees too. The diagonal is zero.
     """
 
     names: tuple[str, ...]
@@ -39,14 +38,14 @@ class Covisibility:
 
     @property
     def mutual(self) -> NDArray[np.float64]:
-        """The smaller share of the two frames of each pair, (N, N), symmetric."""
+        """Return the smaller share of the two frames of each pair, (N, N), symmetric."""
         return np.minimum(self.overlap, self.overlap.T)
 
     def of(self, names: Sequence[str]) -> Covisibility:
-        """The same for some frames only, in the order given.
+        """Return the covisibility of some of the frames, in the order given.
 
         Raises:
-            InputError: a frame is not in the list.
+            InputError: a frame is unknown.
         """
         row = {name: k for k, name in enumerate(self.names)}
         missing = [name for name in names if name not in row]
@@ -57,14 +56,14 @@ class Covisibility:
 
 
 def write_covisibility(path: Path, covisibility: Covisibility) -> None:
-    """Write ``covisibility.h5``: names, overlap, and the covisible pairs with their share.
+    """Write ``covisibility.h5``: names, overlap, and the covisible pairs with their mutual share.
 
     Raises:
         InputError: the file cannot be written.
     """
     mutual = covisibility.mutual
     pairs = np.argwhere(np.triu(mutual) >= COVISIBLE)
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
         file["names"] = np.array([name.encode() for name in covisibility.names], "S")
         file.create_dataset("overlap", data=covisibility.overlap, compression="gzip", shuffle=True)
         file["pairs"] = pairs.astype(np.uint32)
@@ -75,7 +74,7 @@ def read_covisibility(path: Path) -> Covisibility:
     """Read ``covisibility.h5``.
 
     Raises:
-        InputError: missing or damaged file.
+        InputError: the file is missing or damaged.
     """
     if not path.is_file():
         raise InputError(f"{path} does not exist: simulate writes it with the scene")
@@ -96,14 +95,18 @@ def surface_points(
     depth: NDArray[np.float32],
     per_side: int = 8,
 ) -> NDArray[np.float64]:
-    """World points seen on a coarse grid of a picture, (per_side^2, 3); NaN at the sky.
+    """Return the world points seen on a coarse grid of an image, (per_side^2, 3).
+
+    Points of pixels without a surface (sky) are NaN.
 
     Args:
-        camera: of the picture.
+        camera: camera of the image.
         cam_from_world: (4, 4).
-        depth: (H, W) planar metres, 0 where there is no surface.
-        per_side: grid points per side.
+        depth: (H, W) planar depth, metres; 0 where there is no surface.
+        per_side: number of grid points per side.
     """
+    import torch
+
     steps = (np.arange(per_side) + 0.5) / per_side
     rows, columns = (steps * camera.height).astype(int), (steps * camera.width).astype(int)
     xy = np.stack(np.meshgrid(columns + 0.5, rows + 0.5), -1).reshape(-1, 2)
@@ -119,18 +122,21 @@ def visible_share(
     points: NDArray[np.float64],
     depths: Iterable[NDArray[np.float32]] | None = None,
 ) -> NDArray[np.float64]:
-    """Share of each frame's surface that each other frame sees.
+    """Return the share of each frame's surface that each other frame sees.
 
     Args:
-        cameras: N of them.
+        cameras: N cameras.
         cam_from_world: (N, 4, 4).
-        points: (N, S, 3) of ``surface_points``.
-        depths: of the N frames, (H, W) metres, consumed one at a time: what lies behind the
-            surface seen there is hidden. None leaves occlusion out.
+        points: (N, S, 3) from ``surface_points``.
+        depths: depth images (H, W) of the N frames, metres, consumed one at a time; points behind
+            the surface seen in them are hidden. None ignores occlusion.
 
     Returns:
-        (N, N) in 0..1: of row's surface what column sees; zero on the diagonal.
+        (N, N) in 0..1: entry (i, j) is the share of frame i's surface that frame j sees; the
+        diagonal is zero.
     """
+    import torch
+
     world = torch.from_numpy(points)
     real = torch.isfinite(world).all(-1)
     shares = np.zeros((len(cameras), len(cameras)))
@@ -142,11 +148,11 @@ def visible_share(
         seen = projected.valid & camera.contains(projected.xy) & real
         if images is not None:
             depth = torch.from_numpy(next(images))
-            # The far edges of the picture belong to its last pixels.
+            # A point on the right or lower edge of the image belongs to the last pixel.
             column = projected.xy[..., 0][seen].long().clamp_max(camera.width - 1)
             row = projected.xy[..., 1][seen].long().clamp_max(camera.height - 1)
-            there = depth[row, column].double() * (1 + _BEHIND)
-            seen[seen.clone()] = local[..., 2][seen] <= there
+            limit = depth[row, column].double() * (1 + _DEPTH_TOLERANCE)
+            seen[seen.clone()] = local[..., 2][seen] <= limit
         shares[:, j] = (seen.sum(-1) / real.sum(-1).clamp_min(1)).numpy()
     np.fill_diagonal(shares, 0)
     return shares
@@ -157,15 +163,16 @@ def overlap_matrix(
     cam_from_world: NDArray[np.float64],
     points: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Share of each frame's surface that each other frame has in view, occlusion left out.
+    """Return the share of each frame's surface that each other frame has in view, without
+    occlusion.
 
     Args:
-        cameras: N of them.
+        cameras: N cameras.
         cam_from_world: (N, 4, 4).
-        points: (N, S, 3) of ``surface_points``.
+        points: (N, S, 3) from ``surface_points``.
 
     Returns:
-        (N, N) in 0..1, symmetric (the smaller share of the two), zero on the diagonal.
+        (N, N) in 0..1, symmetric (the smaller share of the two); the diagonal is zero.
     """
     shares = visible_share(cameras, cam_from_world, points)
     return np.minimum(shares, shares.T)

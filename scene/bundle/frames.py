@@ -1,4 +1,4 @@
-"""``frames.h5``: poses, cameras, priors and dense annotations of one session."""
+"""``frames.h5``: the poses, cameras, priors and dense annotations of one session."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import h5py
 import numpy as np
@@ -15,9 +15,13 @@ from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.camera import Camera
-from scene.geometry.pose import FARTHEST_M, Pose
-from scene.storage.files import inside, written_whole
+from scene.geometry.geodesy import FARTHEST_M
+from scene.storage.atomic import atomic_write
+from scene.storage.files import is_safe_path
 from scene.storage.hdf5 import array, dataset
+
+if TYPE_CHECKING:
+    from scene.geometry.pose import Pose
 
 Layer = Literal["depth", "instance", "semantic", "normal"]
 LAYERS: dict[Layer, np.dtype[Any]] = {
@@ -26,24 +30,25 @@ LAYERS: dict[Layer, np.dtype[Any]] = {
     "semantic": np.dtype("u1"),
     "normal": np.dtype("i1"),
 }
+"""The type in which the values of every dense layer are stored."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of one session, N of them.
+    """The N frames of one session.
 
-    What a real flight did not measure is NaN: a time, a position with its sigma, an attitude with
-    its sigma.
+    A value that a real flight did not measure is NaN: a time, a position with its sigma, or an
+    attitude with its sigma.
 
     Attributes:
         names: image names, relative to the scene's ``sessions`` folder.
-        cameras: one per frame.
+        cameras: one camera per frame.
         cam_from_world: (N, 4, 4) float64.
         time: (N,) seconds since 1970.
-        gps_prior: (N, 3) camera centre as GNSS measured it, world metres.
-        gps_sigma: (N, 3) its standard deviation per axis, metres.
-        attitude_prior: (N, 4) quaternions w x y z of ``cam_from_world`` as measured.
-        attitude_sigma_deg: (N,) its standard deviation, degrees.
+        gps_prior: (N, 3) camera centre measured by GNSS, world metres.
+        gps_sigma: (N, 3) standard deviation of ``gps_prior`` per axis, metres.
+        attitude_prior: (N, 4) measured rotation of ``cam_from_world``, quaternion w x y z.
+        attitude_sigma_deg: (N,) standard deviation of ``attitude_prior``, degrees.
     """
 
     names: tuple[str, ...]
@@ -57,31 +62,26 @@ class Frames:
 
     @property
     def poses(self) -> Pose:
-        """All poses as one batch."""
+        """Return all poses as one batch."""
+        from scene.geometry.pose import Pose
+
         return Pose.from_matrix(self.cam_from_world)
 
     @property
     def has_gps(self) -> NDArray[np.bool_]:
-        """Whether each frame's position was measured, (N,)."""
+        """Return whether each frame's position was measured, (N,)."""
         return np.asarray(np.isfinite(self.gps_prior).all(1))
 
     @property
     def has_attitude(self) -> NDArray[np.bool_]:
-        """Whether each frame's attitude was measured, (N,)."""
+        """Return whether each frame's attitude was measured, (N,)."""
         return np.asarray(np.isfinite(self.attitude_prior).all(1))
 
     def __len__(self) -> int:
         return len(self.names)
 
 
-_VECTORS = (
-    "cam_from_world",
-    "time",
-    "gps_prior",
-    "gps_sigma",
-    "attitude_prior",
-    "attitude_sigma_deg",
-)
+# The arrays of a session, with the shape that each has per frame.
 _SHAPES: dict[str, tuple[int, ...]] = {
     "cam_from_world": (4, 4),
     "time": (),
@@ -90,25 +90,23 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "attitude_prior": (4,),
     "attitude_sigma_deg": (),
 }
-
-
-# Measured together, or not at all.
+# Groups of arrays that a flight measured together, or not at all.
 _MEASURED = (("time",), ("gps_prior", "gps_sigma"), ("attitude_prior", "attitude_sigma_deg"))
 
 
 class DenseLayers:
-    """Reads annotations frame by frame from an open file."""
+    """A reader of dense annotations, one frame at a time, from an open file."""
 
     def __init__(self, file: h5py.File, path: Path) -> None:
         self._file = file
         self._path = path
 
     def has(self, layer: Layer) -> bool:
-        """Whether the session carries the layer at all."""
+        """Return whether the session has the layer."""
         return layer in self._file
 
     def read(self, layer: Layer, index: int) -> NDArray[Any]:
-        """One frame of a layer: depth and the like (H, W), normal (H, W, 3).
+        """Read one frame of a layer: (H, W), or (H, W, 3) for normals.
 
         Raises:
             InputError: the layer is missing or its bytes are damaged.
@@ -129,22 +127,22 @@ def write_frames(
     """Write a session's ``frames.h5`` atomically.
 
     Args:
-        path: of the file.
-        frames: poses and the like.
+        path: file to write.
+        frames: poses, cameras and priors.
         dense: layers to write.
         images: one dictionary of layers per frame, in order; consumed one at a time.
 
     Raises:
-        ValueError: fewer images than frames.
+        ValueError: there are fewer images than frames.
         InputError: the file cannot be written.
     """
     cameras = list(dict.fromkeys(frames.cameras))
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
-        # Strings of fixed length: damaged ones of variable length make the HDF5 library crash.
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+        # The HDF5 library can crash on damaged strings of variable length, so these are fixed.
         file["cameras"] = np.array([str(camera).encode() for camera in cameras], "S")
         file["names"] = np.array([name.encode() for name in frames.names], "S")
         file["camera_index"] = [cameras.index(camera) for camera in frames.cameras]
-        for key in _VECTORS:
+        for key in _SHAPES:
             file[key] = getattr(frames, key)
         done = 0
         for index, layers in enumerate(images):
@@ -180,21 +178,21 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
 @contextmanager
 def dense_layers(path: Path) -> Iterator[DenseLayers]:
-    """Open the annotations of a ``frames.h5``.
+    """Open the dense annotations of a ``frames.h5``.
 
     Raises:
-        InputError: missing or damaged file.
+        InputError: the file is missing or damaged.
     """
     with _opened(path) as file:
         yield DenseLayers(file, path)
 
 
 def read_frames(path: Path) -> Frames:
-    """Read everything but the dense layers.
+    """Read a ``frames.h5`` without its dense layers.
 
     Raises:
-        InputError: missing or damaged file, arrays of the wrong shape, or a number that is not
-            finite or not on earth; the message names the first frame at fault.
+        InputError: the file is missing or damaged, an array has the wrong shape, or a number is not
+            finite or not on earth; the message names the first frame concerned.
     """
     with _opened(path) as file:
         try:
@@ -204,18 +202,33 @@ def read_frames(path: Path) -> Frames:
             if (rows < 0).any():
                 raise IndexError("a camera index is negative")
             cameras = tuple(table[int(k)] for k in rows)
-            arrays = {key: array(file, key).astype(np.float64) for key in _VECTORS}
+            arrays = {key: array(file, key).astype(np.float64) for key in _SHAPES}
         except HDF5_DAMAGE as error:
             raise InputError(f"{path} is damaged or incomplete: {error}") from None
+    _check_arrays(path, names, arrays)
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(f"{path}: frame {name!r} is there twice")
+        if not is_safe_path(name):
+            raise InputError(f"{path}: frame {name!r} does not lie in the scene")
+    if len(cameras) != len(names):
+        raise InputError(f"{path}: {len(names)} frames but {len(cameras)} cameras")
+    return Frames(names, cameras, **arrays)
+
+
+def _check_arrays(
+    path: Path, names: tuple[str, ...], arrays: dict[str, NDArray[np.float64]]
+) -> None:
+    """Refuse arrays of a wrong shape, and values that are neither measured nor wholly absent."""
     for key, values in arrays.items():
         if values.shape != (len(names), *_SHAPES[key]):
             raise InputError(
                 f"{path}: {key} has shape {values.shape}, expected {(len(names), *_SHAPES[key])}"
             )
-    absent = {key: np.zeros(len(names), bool) for key in _VECTORS}
+    absent = {key: np.zeros(len(names), bool) for key in arrays}
     for group in _MEASURED:
-        nowhere = [np.isnan(arrays[k]).all(tuple(range(1, arrays[k].ndim))) for k in group]
-        absent |= dict.fromkeys(group, np.logical_and.reduce(nowhere))
+        unknown = [np.isnan(arrays[k]).all(tuple(range(1, arrays[k].ndim))) for k in group]
+        absent |= dict.fromkeys(group, np.logical_and.reduce(unknown))
     for key, values in arrays.items():
         finite = np.isfinite(values).all(tuple(range(1, values.ndim))) | absent[key]
         if not finite.all():
@@ -225,11 +238,3 @@ def read_frames(path: Path) -> Frames:
             raise InputError(
                 f"{path}: {key} of frame {names[int(near.argmin())]} is beyond {FARTHEST_M:g}"
             )
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise InputError(f"{path}: frame {name!r} is there twice")
-        if not inside(name):
-            raise InputError(f"{path}: frame {name!r} does not lie in the scene")
-    if len(cameras) != len(names):
-        raise InputError(f"{path}: {len(names)} frames but {len(cameras)} cameras")
-    return Frames(names, cameras, **arrays)

@@ -1,4 +1,4 @@
-"""Semantic labels of a scene's pixels, by class."""
+"""The semantic labels of a scene's pixels."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ CLASSES: dict[str, int] = {
     "pallet": 36,
     "boat": 37,
 }
-"""Semantic label of every class; labels below `FIRST_OBJECT_LABEL` are sky and ground cover."""
+"""The semantic label of every class."""
 
 FIRST_OBJECT_LABEL = 16
+"""Labels below this one are sky and ground cover; the others are objects."""

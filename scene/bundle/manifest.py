@@ -20,14 +20,15 @@ from pydantic import (
 from scene.config import describe
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, is_on_earth
-from scene.storage.files import inside, parse_json, read_text, write_text
+from scene.storage.atomic import write_text
+from scene.storage.files import is_safe_path, parse_json, read_text
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 SizeClass = Literal["small", "medium", "large"]
 
 
 def _name(value: str) -> str:
-    if not inside(value):
+    if not is_safe_path(value):
         raise ValueError("it does not lie in the scene")
     return value
 
@@ -45,7 +46,7 @@ def _condition(value: str) -> str:
 
 
 ALL_CONDITIONS: Final = "all"
-"""How tables call all conditions of a data set together, and so the name of none."""
+"""The row of result tables that takes all conditions together; no condition may have this name."""
 
 Condition = Annotated[str, AfterValidator(_condition)]
 Name = Annotated[str, AfterValidator(_name)]
@@ -57,15 +58,16 @@ class _File(BaseModel):
 
 
 class DeclaredChange(_File):
-    """What stands in a session that the scene's other sessions may not have, by object id.
+    """How the objects of a session differ from those of the scene's other sessions, by object id.
 
-    An id always means one box of ``objects.json``: what moved has another id in its new place.
+    An id always means one box of ``objects.json``: an object that moved has another id in its new
+    place.
 
     Attributes:
         moved: old and new id of each object that stands elsewhere.
-        removed: objects that are gone.
-        added: objects that are new.
-        bare: trees that shed their leaves; their box stays, what fills it does not.
+        removed: ids of objects that are gone.
+        added: ids of objects that are new.
+        bare: ids of trees without leaves; their box is the same, but it is less full.
     """
 
     moved: tuple[tuple[int, int], ...] = ()
@@ -78,15 +80,14 @@ class Session(_File):
     """One flight under one condition.
 
     Attributes:
-        condition: season and light, as "summer-noon".
-        flight: kind of flight, as "nadir".
-        role: whether its frames build the map, are localized in it, or some do one and some the
-            other.
-        change: how its world differs from that of the scene's seed.
-        readout_s: between the readouts of the top and the bottom of its photographs. Where it is
-            not zero (a rolling shutter), poses are those of the middle row, cameras move in between
-            with the central difference of their positions, and depth and the other layers are of
-            each row's own pose.
+        condition: season and light, for example "summer-noon".
+        flight: kind of flight, for example "nadir".
+        role: whether the frames build the map, are queries, or are split between the two.
+        change: how the objects differ from those of the scene's seed.
+        readout_s: seconds between the readout of the top and the bottom row of a photograph. Where
+            it is not zero (a rolling shutter), poses are those of the middle row, the camera moves
+            during the readout with the central difference of its positions, and depth and the other
+            layers of each row belong to the pose of that row.
     """
 
     condition: Condition
@@ -97,19 +98,19 @@ class Session(_File):
 
 
 class Manifest(_File):
-    """``scene.json``: what the scene is and how it was made. Written last.
+    """``scene.json``: what the scene is and how it was made. It is the last file to be written.
 
     Attributes:
-        versions: generator, renderer and library versions by name.
+        versions: versions of generator, renderer and libraries, by name.
         preset: kind of world, or None for a real flight.
-        seed: of the world, or None for a real flight.
-        config: everything else that made it.
-        origin: geodetic place of the world's origin.
-        reference: where the frames' poses come from: "exact" ones were rendered; those of "sfm" are
-            the structure from motion of all photographs together, good to centimetres at best.
-        sessions: by folder name.
+        seed: random seed of the world, or None for a real flight.
+        config: all other options the scene was made with.
+        origin: geodetic coordinates of the world's origin.
+        reference: source of the frames' poses: "exact" for rendered frames; "sfm" for structure
+            from motion of all photographs together, accurate to centimetres at best.
+        sessions: sessions by folder name.
         sha256: digest of every other file of the scene, by relative path.
-        pixels_sha256: by image name, digests of its decoded "image" and of each of its layers, to
+        pixels_sha256: by image name, digests of the decoded "image" and of each of its layers, to
             compare scenes whose files were compressed by different library versions.
     """
 
@@ -136,12 +137,12 @@ class SceneObject(_File):
     """One object of the world.
 
     Attributes:
-        id: the value of its pixels in the instance images.
-        class_name: as "car".
-        centre: of the box, world metres.
-        size: of the box along its own axes, metres.
-        yaw_deg: of the box about the vertical, counter-clockwise from east.
-        size_class: small under 3 m, medium under 10 m, by the longest side.
+        id: value of its pixels in the instance images.
+        class_name: semantic class, for example "car".
+        centre: centre of the bounding box, world metres.
+        size: side lengths of the box along its own axes, metres.
+        yaw_deg: rotation of the box about the vertical, counter-clockwise from east.
+        size_class: class of the longest side: small under 3 m, medium under 10 m, else large.
     """
 
     id: int
@@ -153,13 +154,21 @@ class SceneObject(_File):
 
 
 class Surroundings(_File):
-    """A named part of the place, as "urban": its outline seen from above, east and north metres."""
+    """A named part of the place, for example "urban".
+
+    Attributes:
+        name: name of the part.
+        outline: polygon seen from above, (east, north) metres.
+    """
 
     name: str
     outline: tuple[tuple[FiniteFloat, FiniteFloat], ...]
 
     def hold(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the points (N, 2 or more) lie inside, counting crossings to the east."""
+        """Return which points (N, 2 or more; metres) lie inside the outline, (N,) bool.
+
+        A point is inside when a ray to the east crosses the outline an odd number of times.
+        """
         start = np.array(self.outline)
         end = np.roll(start, -1, axis=0)
         step = end - start
@@ -171,9 +180,12 @@ class Surroundings(_File):
 
 
 class Objects(_File):
-    """``objects.json``: classes of the semantic images, every object, and the place's parts.
+    """``objects.json``: semantic classes, all objects, and the parts of the place.
 
-    Parts do not overlap and cover the place, or there are none.
+    Attributes:
+        classes: semantic label by class name.
+        objects: every object of the world.
+        surroundings: parts of the place; they cover it without overlap, or there are none.
     """
 
     classes: dict[str, int]
@@ -181,7 +193,7 @@ class Objects(_File):
     surroundings: tuple[Surroundings, ...] = ()
 
     def surroundings_at(self, points: NDArray[np.float64]) -> list[str | None]:
-        """The name of the part each of the points (N, 2 or more; metres) lies in, None in none."""
+        """Return the name of the part that each point (N, 2 or more; metres) lies in, or None."""
         names: list[str | None] = [None] * len(points)
         for part in self.surroundings:
             for k in np.flatnonzero(part.hold(points)).tolist():
@@ -202,7 +214,7 @@ class Splits(_File):
 
 
 def size_class(size: tuple[float, float, float]) -> SizeClass:
-    """Size class of a box (metres) by its longest side."""
+    """Return the size class of a box (side lengths in metres) by its longest side."""
     longest = max(size)
     if longest < 3:
         return "small"
@@ -213,10 +225,15 @@ F = TypeVar("F", bound=BaseModel)
 
 
 def read_json(path: Path, model: type[F], what: str) -> F:
-    """Read and check a JSON file.
+    """Read and validate a JSON file.
+
+    Args:
+        path: file to read.
+        model: class of its contents.
+        what: what the file is, for the message.
 
     Raises:
-        InputError: missing, not JSON, an unknown key or a bad value.
+        InputError: the file is missing, not JSON, or has an unknown key or a bad value.
     """
     text = read_text(path, what)
     try:

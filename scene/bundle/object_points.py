@@ -1,4 +1,4 @@
-"""Which object of a scene each point of its map lies on, and how many objects have one."""
+"""Which object of a scene each point of its map lies on, and how many objects have a point."""
 
 from __future__ import annotations
 
@@ -14,14 +14,20 @@ from scene.maps.sparse_map import MapImage
 
 @dataclass(frozen=True)
 class ObjectCoverage:
-    """Objects of one kind: how many were seen, how many have a point, and their points."""
+    """Counts of the objects of one kind.
+
+    Attributes:
+        seen: number of objects seen.
+        with_points: number of those with at least one point.
+        points: number of points on them.
+    """
 
     seen: int
     with_points: int
     points: int
 
     def text(self) -> str:
-        """For a person."""
+        """Return the counts as one line for a person."""
         return (
             f"{self.with_points} of {self.seen} seen have a point "
             f"({self.with_points / self.seen:.0%}), {self.points / self.seen:.2f} points each"
@@ -33,12 +39,12 @@ def coverage(
     objects: Sequence[SceneObject],
     kind: Callable[[SceneObject], str],
 ) -> dict[str, ObjectCoverage]:
-    """Objects and their points by kind.
+    """Count objects and their points by kind.
 
     Args:
         owners: identifier of the object that each point lies on, (M,).
-        objects: those to count.
-        kind: of an object, as its size class.
+        objects: objects to count.
+        kind: function that returns the kind of an object, for example its size class.
     """
     points: dict[str, list[int]] = {}
     for item in objects:
@@ -52,20 +58,21 @@ def coverage(
 def objects_of_points(
     points: int, seen: Iterable[tuple[MapImage, NDArray[np.uint16]]]
 ) -> NDArray[np.int64]:
-    """The object that each point of a map lies on, by most of the photographs that observe it.
+    """Return the object that each point of a map lies on, by majority of the photographs observing
+    it.
 
     Args:
-        points: M of the map.
-        seen: photographs of the map with their instance images (H, W).
+        points: number M of points of the map.
+        seen: photographs of the map, each with its instance image (H, W).
 
     Returns:
-        (M,) identifiers, 0 where there is none.
+        Identifiers of objects, (M,); 0 for points on none.
     """
     votes = [np.zeros((0, 2), np.int64)]
     for image, instance in seen:
         observed = image.point_rows >= 0
         columns, rows = np.floor(image.xy[observed]).astype(int).T
-        # The far edges of the picture belong to its last pixels.
+        # A keypoint on the right or lower edge of the image belongs to the last pixel.
         ids = instance[rows.clip(0, instance.shape[0] - 1), columns.clip(0, instance.shape[1] - 1)]
         votes.append(np.stack([image.point_rows[observed], ids], -1).astype(np.int64))
     ballots, counts = np.unique(np.concatenate(votes), axis=0, return_counts=True)

@@ -1,23 +1,23 @@
-"""Pictures of a scene for people: contact sheet and flight plan."""
+"""Figures of a scene for people: a contact sheet and a flight plan."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from scene.bundle.scene import Scene
 from scene.geometry.rectangle import rectangle
-from scene.runtime.printed import drawn
-from scene.storage.files import written_whole
+from scene.runtime.escaping import for_figure
+from scene.storage.atomic import atomic_write
 from scene.storage.images import read_rgb
 
-# Frames shown of each session on the contact sheet, each with depth and instances beside it.
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Number of frames of each session on the contact sheet, each with its depth and instances.
 _FRAMES = 2
 _MARKERS = {"map": "o", "query": "^"}
 _FOOTPRINTS = {"building": "0.45", "tree": "#9fbf8f", "hedge": "#9fbf8f", "car": "#c05050"}
@@ -34,12 +34,14 @@ def draw_pictures(scene: Scene) -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format="png", dpi=110)
 
 
 def _contact_sheet(scene: Scene) -> Figure:
-    """A row per session: photographs, each with its depth and its instances."""
+    """Draw one row per session: photographs, each with its depth and its instances."""
+    from matplotlib.figure import Figure
+
     rows, columns = len(scene.sessions), 3 * _FRAMES
     figure = Figure(figsize=(2.2 * columns + 1, 2.45 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
@@ -53,7 +55,7 @@ def _contact_sheet(scene: Scene) -> Figure:
             instance = [dense.read("instance", k) for k in chosen]
         surface = np.concatenate([image[image > 0] for image in depth])
         low, high = np.percentile(surface, [1, 99]) if len(surface) else (0.0, 1.0)
-        row[0].set_title(drawn(session), fontsize=10, loc="left")
+        row[0].set_title(for_figure(session), fontsize=10, loc="left")
         for k, index in enumerate(chosen):
             photograph, planar, objects = row[3 * k : 3 * k + 3]
             photograph.imshow(read_rgb(scene.images_root / frames.names[index]))
@@ -66,28 +68,34 @@ def _contact_sheet(scene: Scene) -> Figure:
 
 
 def _coloured(instance: NDArray[Any]) -> NDArray[Any]:
-    """Identifiers as colours: neighbouring numbers far apart in hue, the ground black."""
+    """Return colours of instance ids, (H, W, 3): consecutive ids differ in hue, the ground is
+    black."""
+    import matplotlib as mpl
+
     hues = mpl.colormaps["hsv"]((instance.astype(np.int64) * 0.6180339887) % 1.0)[..., :3]
     return np.where(instance[..., None] > 0, hues, 0.0)
 
 
 def _flight_plan(scene: Scene) -> Figure:
-    """Camera positions and headings from above, over the map's points when there is a map."""
+    """Draw camera positions and headings from above, over the map's points or the objects."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon
+
     figure = Figure(figsize=(8, 8), layout="constrained")
     ax = figure.subplots()
     if scene.map_path.is_dir():
         sparse_map = scene.sparse_map()
         xyz, rgb = sparse_map.xyz, sparse_map.rgb / 255
-        # Many points need small dots, few points large ones, to read as a picture.
+        # The size of the dots is chosen so that they cover about the same area in every map.
         size = float(np.clip(2e4 / len(xyz), 0.5, 8))
         ax.scatter(xyz[:, 0], xyz[:, 1], s=size, c=rgb, linewidths=0)
-        ax.set_title(f"{drawn(scene.name)}: flights over the map's {len(xyz)} points")
+        ax.set_title(f"{for_figure(scene.name)}: flights over the map's {len(xyz)} points")
     else:
         for item in scene.objects.objects:
             colour = _FOOTPRINTS.get(item.class_name, "0.7")
             box = rectangle(item.centre[:2], item.size[:2], np.radians(item.yaw_deg))
             ax.add_patch(Polygon(box, facecolor=colour, edgecolor="none"))
-        ax.set_title(f"{drawn(scene.name)}: flights over the objects' footprints")
+        ax.set_title(f"{for_figure(scene.name)}: flights over the objects' footprints")
     for k, (name, session) in enumerate(scene.sessions.items()):
         poses = scene.frames(name).poses
         centres, rotation = poses.centre().numpy(), poses.rotation.numpy()
@@ -101,9 +109,9 @@ def _flight_plan(scene: Scene) -> Figure:
             color=colour,
             s=26,
             zorder=3,
-            label=drawn(name),
+            label=for_figure(name),
         )
-        # The top of the picture, -y of the camera, shows the heading also when looking down.
+        # The top of the image (-y of the camera) gives a heading also when looking straight down.
         top = -rotation[:, 1, :2]
         ax.quiver(*centres[:, :2].T, *top.T, color=colour, width=0.003, scale=30, zorder=3)
     side = 0.62 * float(scene.manifest.config["area"])

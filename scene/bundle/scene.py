@@ -1,4 +1,4 @@
-"""A scene on disk (DESIGN: "A scene on disk").
+"""A scene on disk: a folder whose parts are read when they are asked for.
 
 ``scene.json`` is written last, so a folder without it is an unfinished scene.
 """
@@ -28,16 +28,23 @@ MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
 FEATURES = "features.h5"
 MAP_FILES = (*MODEL_FILES, *RIG_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
-"""What we write into the folder of a map, for ``folder_written_whole``."""
+"""The files that this program writes into the folder of a map, for ``atomic_folder``."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A finished scene, read lazily.
+    """A finished scene; its parts are read from disk when they are asked for.
 
     Attributes:
-        path: of the folder.
-        manifest: its ``scene.json``.
+        path: folder of the scene.
+        manifest: contents of ``scene.json``.
+
+    Example:
+        >>> scene = Scene.open(Path("hamlet"))  # doctest: +SKIP
+        >>> for session in scene.sessions:  # doctest: +SKIP
+        ...     frames = scene.frames(session)
+        ...     print(session, len(frames), frames.cam_from_world.shape)
+        summer-nadir 120 (120, 4, 4)
     """
 
     path: Path
@@ -48,7 +55,13 @@ class Scene:
         """Open a finished scene.
 
         Raises:
-            InputError: no such folder, no finished scene in it, or a damaged manifest.
+            InputError: the folder does not exist, holds no finished scene, or its manifest is
+                damaged.
+
+        Example:
+            >>> Scene.open(Path("/no/such/folder"))
+            Traceback (most recent call last):
+            scene.errors.InputError: scene folder /no/such/folder does not exist
         """
         if not path.is_dir():
             raise InputError(f"scene folder {path} does not exist")
@@ -61,54 +74,54 @@ class Scene:
 
     @property
     def name(self) -> str:
-        """The folder's name."""
+        """Return the name of the folder."""
         return self.path.resolve().name
 
     @property
     def sessions(self) -> dict[str, Session]:
-        """Flights by name."""
+        """Return the sessions (flights) by name."""
         return self.manifest.sessions
 
     @property
     def images_root(self) -> Path:
-        """The folder that image names of frames, splits and map are relative to."""
+        """Return the folder that image names of frames, splits and map are relative to."""
         return self.path / "sessions"
 
     @property
     def map_path(self) -> Path:
-        """The COLMAP model."""
+        """Return the folder of the COLMAP model."""
         return self.path / "map"
 
     @cached_property
     def splits(self) -> Splits:
-        """Map and query frames."""
+        """Return which frames build the map and which are queries."""
         return read_json(self.path / "splits.json", Splits, "split list")
 
     @cached_property
     def objects(self) -> Objects:
-        """Every object of the world, and the semantic classes."""
+        """Return every object of the world, and the semantic classes."""
         return read_json(self.path / "objects.json", Objects, "object list")
 
     @cached_property
     def covisibility(self) -> Covisibility:
-        """How much of each other all frames of all sessions see."""
+        """Return how much of each other the frames of all sessions see."""
         return read_covisibility(self.path / COVISIBILITY)
 
     def sparse_map(self) -> SparseMap:
-        """The map.
+        """Read the map.
 
         Raises:
-            InputError: it was not built yet, or is damaged or empty.
+            InputError: the map was not built yet, or is damaged or empty.
         """
         if not self.map_path.is_dir():
             raise InputError(f"scene {self.path} has no map yet: run 'objconnect map {self.path}'")
         return read_model(self.map_path)
 
     def added_points(self, sparse_map: SparseMap) -> NDArray[np.bool_]:
-        """Which points of the map were added to what the photographs' features made of it, (M,).
+        """Return which points of the map were added after it was built from features, (M,) bool.
 
         Raises:
-            InputError: the list of them is damaged or not of this map.
+            InputError: the list of added points is damaged or does not belong to this map.
         """
         return added_rows(self.map_path, len(sparse_map.xyz))
 
@@ -116,7 +129,7 @@ class Scene:
         """Read every list of the scene, before long work that needs them at its end.
 
         Raises:
-            InputError: one is missing or damaged.
+            InputError: a list is missing or damaged.
         """
         _ = self.objects
         for session in self.sessions:
@@ -125,17 +138,28 @@ class Scene:
                 pass
 
     def frames(self, session: str) -> Frames:
-        """Poses, cameras and priors of a session."""
+        """Read poses, cameras and priors of a session.
+
+        Raises:
+            InputError: the session is unknown, or its file is missing or damaged.
+        """
         return read_frames(self._frames_path(session))
 
     def dense(self, session: str) -> AbstractContextManager[DenseLayers]:
-        """Open the depth, instance, semantic and normal images of a session."""
+        """Open the depth, instance, semantic and normal images of a session.
+
+        Raises:
+            InputError: the session is unknown, or its file is missing or damaged.
+        """
         return dense_layers(self._frames_path(session))
 
     def mapped_layers(
         self, sparse_map: SparseMap, *layers: Layer
     ) -> Iterator[tuple[MapImage, dict[Layer, NDArray[Any]]]]:
-        """The photographs of a map with layers of them, where their session has these at all."""
+        """Yield the photographs of a map with some of their layers.
+
+        Sessions that lack one of the layers are left out.
+        """
         for session in self.sessions:
             with self.dense(session) as dense:
                 if not all(dense.has(layer) for layer in layers):
@@ -153,15 +177,15 @@ class Scene:
         return self.images_root / session / "frames.h5"
 
     def changed_files(self) -> list[str]:
-        """Files that differ from the digests of the manifest, are missing, or were added."""
+        """Return the files that differ from the manifest's digests, are missing, or were added."""
         present = digests(self.path)
         recorded = self.manifest.sha256
         names = sorted(present.keys() | recorded.keys())
         return [name for name in names if present.get(name) != recorded.get(name)]
 
 
-def finish(path: Path, manifest: Manifest) -> Scene:
-    """Write the manifest with the digest of every file: from now on the scene is whole.
+def finish_scene(path: Path, manifest: Manifest) -> Scene:
+    """Write the manifest with the digest of every file, which marks the scene as finished.
 
     Raises:
         InputError: the folder cannot be written.
@@ -172,7 +196,7 @@ def finish(path: Path, manifest: Manifest) -> Scene:
 
 
 def digests(path: Path) -> dict[str, str]:
-    """SHA-256 of every file of a scene but the manifest and pictures made for people."""
+    """Return the SHA-256 of every file of a scene but the manifest and the figures for people."""
     return {name: sha256_of(path / name) for name in _data_files(path)}
 
 

@@ -1,4 +1,4 @@
-"""Points that were added to a map, marked so that they can be told apart and taken out again."""
+"""Points that were added to a map; a list beside the map names them, so they can be removed."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ from scene.errors import InputError
 from scene.maps.colmap_files import read_point_ids
 
 SUPPLEMENT = "supplement.json"
+"""The file beside a map that lists the points which were added to it."""
+
 ADDED_FEATURES = "supplement.h5"
-"""Descriptors of the added keypoints, in the order these have in each photograph."""
+"""The file with the descriptors of the added keypoints, in their order in each photograph."""
 
 
 class AddedPoint(BaseModel):
     """One point that was added.
 
     Attributes:
-        id: of the point in COLMAP's files.
-        object: number of the object it stands for; points of one object share it.
-        confidence: 0..1, as whatever found it says.
+        id: identifier of the point in COLMAP's files.
+        object: number of the object that the point represents; points of one object share it.
+        confidence: 0..1, as given by the method that found the point.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -36,9 +38,10 @@ class AddedPoint(BaseModel):
 
 
 class Supplement(BaseModel):
-    """``supplement.json`` beside a map: which of its points were added, and to what.
+    """``supplement.json`` beside a map: which of its points were added, and to which map.
 
     Attributes:
+        points: added points.
         map_sha256: ``SparseMap.sha256`` of the map without them.
     """
 
@@ -50,7 +53,7 @@ class Supplement(BaseModel):
 
 
 def read_supplement(folder: Path) -> Supplement | None:
-    """What was added to the map in a folder; None where nothing was.
+    """Read the list of points added to the map of a folder; None without such a list.
 
     Raises:
         InputError: the file is damaged.
@@ -60,11 +63,11 @@ def read_supplement(folder: Path) -> Supplement | None:
 
 
 def added_rows(folder: Path, points: int) -> NDArray[np.bool_]:
-    """Which points of the map in a folder were added, in the order of ``SparseMap.xyz``.
+    """Return which points of the map in a folder were added, in the order of ``SparseMap.xyz``.
 
     Args:
-        folder: of the model.
-        points: M of the map.
+        folder: folder of the model.
+        points: number M of points of the map.
 
     Returns:
         (M,) bool.

@@ -1,7 +1,7 @@
-"""The ways poses, pixels and depths are commonly misread.
+"""The common ways to misread poses, pixels and depths.
 
-Each reading turns data written by its convention into ours. When our own reading of a scene does
-not agree with itself and another one does, that one names the mistake.
+Each reading converts data written in another convention into ours. If a scene does not agree with
+itself in our own reading but does in another, that reading names the mistake.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _opengl(matrices: Array) -> Array:
 
 
 def shifted(camera: Camera, pixels: float) -> Camera:
-    """The camera with its principal point moved by ``pixels`` along both axes."""
+    """Return the camera with its principal point moved by ``pixels`` along both axes."""
     names = MODELS[camera.model]
     params = tuple(
         p + pixels if name in ("cx", "cy") else p
@@ -55,11 +55,12 @@ def shifted(camera: Camera, pixels: float) -> Camera:
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read a scene.
+    """One convention in which a scene may have been written.
 
     Attributes:
-        fault: what is wrong with a scene that only this reading explains; empty for our own.
-        poses: cam_from_world (N, 4, 4) out of what is written.
+        fault: what is wrong with a scene that agrees with itself only in this reading; empty for
+            our own.
+        poses: function from the written poses to cam_from_world, (N, 4, 4).
         principal_shift: pixels to add to the principal point.
         radial_depth: whether depth is the distance along the ray.
     """

@@ -1,8 +1,8 @@
-"""Does a scene's ground truth agree with itself from frame to frame?
+"""Cross-frame reprojection: does the ground truth of a scene agree with itself?
 
-A pixel is lifted through its depth and pose into the world, projected into another frame, lifted
-through that frame's depth and projected back: where the same surface is seen, it must return to
-where it began.
+A pixel is lifted into the world by its depth and pose, projected into another frame, lifted by
+that frame's depth and projected back. Where both frames see the same surface, it must return to
+where it started.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from scene.bundle.covisibility import overlap_matrix, surface_points
@@ -20,27 +19,28 @@ from scene.checks.conventions import OURS, READINGS, Reading, shifted
 from scene.checks.report import Check
 from scene.geometry.camera import Camera
 
-# The exactness every scene is held to: median cross-frame reprojection, pixels.
 TOLERANCE_PX = 0.05
+"""The largest median cross-frame reprojection error (px) of a valid scene."""
 
 _PAIRS = 60
 _PIXELS_PER_PAIR = 600
 _MIN_OVERLAP = 0.15
-# A pixel that returns within this distance saw the same surface in both frames.
+# A pixel that returns to within this distance saw the same surface in both frames.
 _AGREES_PX = 1.0
-# Another reading explains a scene when its residual is this much smaller than ours.
+# Another reading explains a scene when its residual is smaller than this share of ours.
 _EXPLAINS = 0.5
 
 
 @dataclass(frozen=True)
 class DepthFrames:
-    """Frames with depth, N of them.
+    """N frames with depth.
 
     Attributes:
-        cameras: one per frame.
+        cameras: one camera per frame.
         cam_from_world: (N, 4, 4).
-        depth: per frame (H, W) metres, 0 where there is no surface.
-        instance: per frame (H, W) identifiers; surfaces are compared within one object only.
+        depth: planar depth per frame, (H, W) metres; 0 where there is no surface.
+        instance: object identifiers per frame, (H, W); surfaces are compared within one object
+            only.
     """
 
     cameras: Sequence[Camera]
@@ -51,33 +51,37 @@ class DepthFrames:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Residuals (px) of pixels that land in another frame on the same object, and their share of
-    all pixels tried."""
+    """The result of a cross-frame reprojection.
+
+    Attributes:
+        residuals: distances (px) of the pixels that land on the same object in the other frame.
+        share: share of these pixels among all pixels tried.
+    """
 
     residuals: NDArray[np.float64]
     share: float
 
     @property
     def median(self) -> float:
-        """Median residual, infinite when nothing agrees at all."""
+        """Return the median residual, infinite if there is none."""
         return float(np.median(self.residuals)) if len(self.residuals) else float("inf")
 
     @property
     def mean(self) -> float:
-        """Mean of the residuals up to a pixel; beyond it another surface was met."""
+        """Return the mean of the residuals below one pixel; larger ones are of another surface."""
         close = self.residuals[self.residuals < _AGREES_PX]
         return float(close.mean()) if len(close) else float("inf")
 
     @property
     def agreeing(self) -> float:
-        """Share of all pixels tried that return to within a pixel."""
+        """Return the share of all pixels tried that return to within one pixel."""
         if not len(self.residuals):
             return 0.0
         return self.share * float((self.residuals < _AGREES_PX).mean())
 
 
 def check_depth(name: str, frames: DepthFrames) -> Check:
-    """Measure the cross-frame reprojection and, when it is off, name the convention at fault."""
+    """Measure the cross-frame reprojection and, if it is off, name the convention at fault."""
     if len(frames.cameras) < 2:
         return Check(name, True, "not decided: one frame, and nothing to compare it with")
     ours = measure(frames, OURS)
@@ -91,9 +95,9 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
             False,
             "no two frames see the same surface: they do not overlap, or poses or depths are wrong",
         )
-    # A reading that fits a handful of pixels well explains nothing.
-    rivals = [item for item in others if item[0].agreeing > 0.9 * ours.agreeing]
-    closest, reading = min(rivals, key=lambda item: item[0].mean, default=(ours, OURS))
+    # A reading that fits only a few pixels well explains nothing.
+    candidates = [item for item in others if item[0].agreeing > 0.9 * ours.agreeing]
+    closest, reading = min(candidates, key=lambda item: item[0].mean, default=(ours, OURS))
     if closest.mean < _EXPLAINS * ours.mean:
         return Check(name, False, reading.fault, _figures(ours))
     detail = (
@@ -119,7 +123,7 @@ def _figures(agreement: Agreement) -> dict[str, float]:
 
 
 def measure(frames: DepthFrames, reading: Reading) -> Agreement:
-    """Cross-frame reprojection of a scene read in a given way, over a fixed random sample."""
+    """Measure the cross-frame reprojection of a scene in one reading, on a fixed random sample."""
     poses = reading.poses(frames.cam_from_world)
     cameras = [shifted(camera, reading.principal_shift) for camera in frames.cameras]
     depth = [
@@ -143,24 +147,24 @@ def measure(frames: DepthFrames, reading: Reading) -> Agreement:
         tried += len(rows)
         start = np.stack([columns, rows], -1) + 0.5
         world = _lift(cameras[i], poses[i], start, depth[i][rows, columns])
-        there, visible = _project(cameras[j], poses[j], world)
-        there = there[visible]
-        z, same = _sample(depth[j], frames.instance[j], there)
-        same &= frames.instance[i][rows, columns][visible] == _nearest(frames.instance[j], there)
-        back, _ = _project(cameras[i], poses[i], _lift(cameras[j], poses[j], there[same], z[same]))
+        xy, visible = _project(cameras[j], poses[j], world)
+        xy = xy[visible]
+        z, same = _sample(depth[j], frames.instance[j], xy)
+        same &= frames.instance[i][rows, columns][visible] == _nearest(frames.instance[j], xy)
+        back, _ = _project(cameras[i], poses[i], _lift(cameras[j], poses[j], xy[same], z[same]))
         residuals.append(np.linalg.norm(back - start[visible][same], axis=1))
-    found = np.concatenate(residuals)
-    return Agreement(found, len(found) / max(tried, 1))
+    all_residuals = np.concatenate(residuals)
+    return Agreement(all_residuals, len(all_residuals) / max(tried, 1))
 
 
 def _planar(distance: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Planar depth out of distances along the ray."""
+    """Convert distances along the ray to planar depth."""
     return np.asarray(distance / _ray_lengths(camera), np.float32)
 
 
 @lru_cache(maxsize=16)
 def _ray_lengths(camera: Camera) -> NDArray[np.float32]:
-    """Length of the ray with z = 1 through every pixel, (H, W)."""
+    """Return the length of the ray with z = 1 through every pixel, (H, W)."""
     rays, _ = camera.unproject(camera.pixel_grid())
     return np.asarray(rays.norm(dim=-1).numpy(), np.float32)
 
@@ -171,6 +175,8 @@ def _lift(
     xy: NDArray[np.float64],
     depth: NDArray[np.float32] | NDArray[np.float64],
 ) -> NDArray[np.float64]:
+    import torch
+
     rays, _ = camera.unproject(torch.from_numpy(xy))
     local = rays.numpy() * depth[:, None]
     return np.asarray((local - pose[:3, 3]) @ pose[:3, :3])
@@ -179,8 +185,10 @@ def _lift(
 def _project(
     camera: Camera, pose: NDArray[np.float64], world: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    import torch
+
     projected = camera.project(torch.from_numpy(world @ pose[:3, :3].T + pose[:3, 3]))
-    # A border of one pixel leaves room for interpolation.
+    # Interpolation needs a border of one pixel.
     inside = projected.valid & camera.contains(projected.xy, border=1.0)
     return projected.xy.numpy(), inside.numpy()
 
@@ -193,9 +201,9 @@ def _nearest(image: NDArray[np.uint16], xy: NDArray[np.float64]) -> NDArray[np.u
 def _sample(
     depth: NDArray[np.float32], instance: NDArray[np.uint16], xy: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Depth between pixel centres, and where all four neighbours are one object's surface.
+    """Interpolate depth at pixels, and return where all four neighbours are one object's surface.
 
-    Inverse depth is interpolated: it is linear over a plane, depth is not.
+    Inverse depth is interpolated: unlike depth, it is linear over a plane.
     """
     x, y = (xy - 0.5).T
     left, top = np.floor(x).astype(int), np.floor(y).astype(int)

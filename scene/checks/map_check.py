@@ -1,4 +1,4 @@
-"""Does a sparse map agree with itself, and do the cameras of queries agree with it?"""
+"""Does a sparse map agree with itself, and with the cameras of queries?"""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from scene.checks.report import Check
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import SparseMap
 
-# A map whose points miss their observations by more than this (median, px) is not adjusted.
+# A map with a larger median reprojection error (px) was not bundle adjusted.
 _MAX_RESIDUAL_PX = 2.0
-# Another reading explains a map when its residual is this much smaller than ours.
+# Another reading explains a map when its residual is smaller than this share of ours.
 _EXPLAINS = 0.5
-# Principal points this close (px) come from one calibration.
+# Principal points that differ by less than this (px) are of the same calibration.
 _SAME_PX = 0.01
 
 
 def check_map(sparse_map: SparseMap) -> Check:
-    """Points must project to where they were observed; when not, name the convention at fault."""
+    """Check that points project to their observations; if not, name the convention at fault."""
     name = "map points project to their observations"
     ours = _median_residual(sparse_map, OURS)
     figures = {"median_px": ours, "points": float(len(sparse_map.xyz))}
@@ -39,7 +39,7 @@ def check_map(sparse_map: SparseMap) -> Check:
 
 
 def _median_residual(sparse_map: SparseMap, reading: Reading) -> float:
-    """Median distance (px) of observations from projected points, infinite behind the camera."""
+    """Return the median reprojection error (px); points behind a camera count as infinite."""
     poses = reading.poses(np.stack([i.cam_from_world for i in sparse_map.images.values()]))
     read = replace(
         sparse_map,
@@ -54,13 +54,13 @@ def _median_residual(sparse_map: SparseMap, reading: Reading) -> float:
     )
     distances = [np.linalg.norm(read.residuals(name), axis=1) for name in read.names]
     observed = sum(int((image.point_rows >= 0).sum()) for image in read.images.values())
-    found = np.concatenate(distances)
-    padded = np.concatenate([found, np.full(observed - len(found), np.inf)])
+    in_front = np.concatenate(distances)
+    padded = np.concatenate([in_front, np.full(observed - len(in_front), np.inf)])
     return float(np.median(padded)) if len(padded) else float("inf")
 
 
 def check_principal_points(sparse_map: SparseMap, cameras: Sequence[Camera]) -> Check:
-    """Query cameras and map cameras of one size must count pixels from the same origin."""
+    """Check that query cameras and map cameras of one size count pixels from the same origin."""
     name = "query cameras count pixels as the map's do"
     mapped = {image.camera for image in sparse_map.images.values()}
     for camera in dict.fromkeys(cameras):

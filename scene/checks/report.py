@@ -1,4 +1,4 @@
-"""Findings of a validation, for a person and for a program."""
+"""The result of a validation, for a person and for a program."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Check:
-    """One thing looked at.
+    """The result of one check.
 
     Attributes:
-        name: of the check.
-        ok: whether it holds.
-        detail: one line: what was found and, when wrong, what it means.
-        figures: numbers behind it.
+        name: name of the check.
+        ok: whether it passed.
+        detail: one line: what was measured and, if wrong, what it means.
+        figures: the numbers behind it.
     """
 
     name: str
@@ -25,18 +25,23 @@ class Check:
 
 @dataclass(frozen=True)
 class Report:
-    """Everything looked at in one place."""
+    """The results of all checks of one subject.
+
+    Attributes:
+        subject: what was checked.
+        checks: results.
+    """
 
     subject: str
     checks: tuple[Check, ...]
 
     @property
     def ok(self) -> bool:
-        """Whether every check holds."""
+        """Return whether every check passed."""
         return all(check.ok for check in self.checks)
 
     def text(self) -> str:
-        """One line per check, then the verdict."""
+        """Return one line per check, then the verdict."""
         width = max((len(check.name) for check in self.checks), default=0)
         lines = [
             f"{'ok   ' if check.ok else 'WRONG'} {check.name:<{width}}  {check.detail}"
@@ -47,7 +52,7 @@ class Report:
         return "\n".join([*lines, f"{self.subject}: {verdict}"])
 
     def as_dict(self) -> dict[str, Any]:
-        """The same for a program."""
+        """Return the report as plain data for a program."""
         checks = [
             {"name": c.name, "ok": c.ok, "detail": c.detail, "figures": c.figures}
             for c in self.checks

@@ -1,4 +1,4 @@
-"""``validate``: is a scene what its conventions say it is, and how exact is it?"""
+"""The command ``validate``: does a scene keep its conventions, and how exact is it?"""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from scene.bundle.frames import Frames
@@ -15,21 +14,20 @@ from scene.checks.depth_check import DepthFrames, check_depth
 from scene.checks.map_check import check_map
 from scene.checks.report import Check, Report
 from scene.errors import InputError
-from scene.geometry.pose import Pose
 from scene.storage.images import read_rgb
 
-# Frames read of each session: neighbours, so that they overlap.
+# Number of frames read of each session; they are consecutive, so that they overlap.
 _FRAMES_PER_SESSION = 24
-# A measured prior this many standard deviations from the truth (root mean square) is not noise.
+# A larger error of the priors, in standard deviations (root mean square), is not noise.
 _MAX_PRIOR_SIGMAS = 3.0
 _ORTHONORMAL = 1e-6
 
 
 def validate(path: Path) -> Report:
-    """Check every convention of a scene and name what is wrong.
+    """Check every convention of a scene and name those it breaks.
 
     Raises:
-        InputError: not a scene, or a file of it cannot be read at all.
+        InputError: the folder is not a scene, or one of its files cannot be read at all.
     """
     scene = Scene.open(path)
     return Report(str(path), tuple(_checks(scene)))
@@ -72,7 +70,7 @@ def _is_rigid(frames: Frames) -> bool:
 
 
 def _rigidity(frames: Frames) -> float:
-    """Largest departure of a pose from a rotation and a last row 0 0 0 1."""
+    """Return the largest departure of a pose from a rotation and a last row 0 0 0 1."""
     rotation = frames.cam_from_world[:, :3, :3]
     gram = rotation @ rotation.transpose(0, 2, 1) - np.eye(3)
     last = frames.cam_from_world[:, 3] - np.array([0, 0, 0, 1])
@@ -96,7 +94,7 @@ def _check_rigid(session: str, frames: Frames) -> Check:
 
 
 def _check_priors(session: str, frames: Frames) -> Check:
-    """Measured positions and attitudes lie within their stated noise."""
+    """Check that measured positions and attitudes lie within their stated noise."""
     name = f"{session}: priors fit the poses"
     there = frames.has_gps
     if not there.any():
@@ -120,11 +118,17 @@ def _check_priors(session: str, frames: Frames) -> Check:
 
 
 def _attitude_sigmas(frames: Frames, wxyz: NDArray[np.float64]) -> float:
-    """Root mean square of the attitude's error per axis, in stated standard deviations; zero where
-    none was measured."""
+    """Return the root mean square error of the attitude per axis, in stated standard deviations.
+
+    It is zero if no attitude was measured.
+    """
     there = frames.has_attitude
     if not there.any():
         return 0.0
+    import torch
+
+    from scene.geometry.pose import Pose
+
     measured = Pose.from_quaternion(wxyz[there], torch.zeros(there.sum(), 3, dtype=torch.float64))
     upright = Pose(frames.poses.rotation[torch.from_numpy(there)], measured.translation)
     _, degrees = measured.error_to(upright)
@@ -133,7 +137,7 @@ def _attitude_sigmas(frames: Frames, wxyz: NDArray[np.float64]) -> float:
 
 
 def _check_geometry(scene: Scene, sessions: dict[str, Frames]) -> Iterator[Check]:
-    """Depth and poses within each session, then between sessions."""
+    """Check depth and poses within each session, then between sessions."""
     everything = []
     for name, frames in sessions.items():
         if scene.manifest.sessions[name].readout_s:
@@ -168,7 +172,7 @@ def _check_geometry(scene: Scene, sessions: dict[str, Frames]) -> Iterator[Check
 
 
 def _check_map_poses(scene: Scene, sessions: dict[str, Frames]) -> Check:
-    """The map's cameras stand where the frames say."""
+    """Check that the map's cameras have the poses of the frames."""
     name = "map poses are the frames' poses"
     images = scene.sparse_map().images
     worst = 0.0
@@ -177,6 +181,6 @@ def _check_map_poses(scene: Scene, sessions: dict[str, Frames]) -> Check:
             if frame in images:
                 difference = np.abs(images[frame].cam_from_world - frames.cam_from_world[k])
                 worst = max(worst, float(difference.max()))
-    # A map adjusted or reconstructed on its own may differ by centimetres, not by conventions.
+    # The poses of a map may have been adjusted by centimetres; a wrong convention gives far more.
     ok = worst < 0.5
     return Check(name, ok, f"largest difference {worst:.2g}", {"difference": worst})

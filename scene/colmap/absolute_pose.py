@@ -1,4 +1,4 @@
-"""A camera's pose from 2D-3D matches, and how exact it is."""
+"""A camera's pose from 2D-3D matches (PnP), and its covariance."""
 
 from __future__ import annotations
 
@@ -13,35 +13,32 @@ from scene.colmap.native import CAUCHY, LEAST_VARIANCE, native_camera, pose_from
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, transform_jacobian
 
-# Matches that determine a pose: their residuals are zero, whatever the matches are.
+# Three matches determine a pose exactly, so their residuals say nothing about its accuracy.
 _MINIMAL = 3
 
-
-# A condition number beyond which nothing is left of double precision.
+# A larger condition number leaves no digit of double precision.
 _SINGULAR = 1e15
 
-
-# Squared deviation in standard deviations, of three degrees of freedom, beyond which a position and
-# the matches are not of one camera: one in ten billion.
+# Squared Mahalanobis distance (three degrees of freedom) beyond which a measured position and the
+# matches cannot belong to one camera: the probability is one in ten billion.
 _CONTRADICTS = 50.0
 
-
-# No GNSS is better than this (m), a sigma of zero would leave nothing to solve for; and one of so
-# much says nothing, as an infinite one does.
+# Standard deviations of a position (m) are clipped to this range: no GNSS is more accurate than the
+# lower bound, and the upper one has no influence, like an infinite one.
 _LEAST_SIGMA = 1e-3
 _LARGEST_SIGMA = 1e6
 
 
 @dataclass(frozen=True)
 class PnpResult:
-    """A pose from 2D-3D matches.
+    """A pose estimated from 2D-3D matches.
 
     Attributes:
-        cam_from_world: refined on the inliers.
+        cam_from_world: pose refined on the inliers.
         inliers: (N,) bool.
-        covariance: (6, 6) of the left tangent of ``cam_from_world`` (rotation rad, translation
-            m), scaled by the inliers' own residuals; None where the problem is singular or has
-            no more matches than it needs.
+        covariance: (6, 6), of the left tangent of ``cam_from_world`` (rotation rad, translation m),
+            scaled by the residuals of the inliers; None if the problem is singular or has only the
+            minimal number of matches.
     """
 
     cam_from_world: Pose
@@ -58,18 +55,18 @@ def estimate_absolute_pose(
     position_sigma: NDArray[np.float64] | None = None,
     seed: int = 0,
 ) -> PnpResult | None:
-    """LO-RANSAC P3P and non-linear refinement; None when no pose has support.
+    """Estimate a pose by LO-RANSAC P3P and non-linear refinement; None if no pose has support.
 
     Args:
         xy: (N, 2) pixels.
         xyz: (N, 3) world metres.
-        camera: of the query.
+        camera: camera of the query.
         max_error: inlier threshold, pixels.
-        position: (3,) camera centre measured by GNSS, world metres.
-        position_sigma: (3,) its standard deviation per axis, metres, infinite where not measured;
-            with it the position takes part in the refinement, weighed against the inliers' own
-            residuals, unless the two contradict one another.
-        seed: of the sampling; the same seed gives the same pose.
+        position: camera centre measured by GNSS, (3,) world metres.
+        position_sigma: standard deviation of ``position`` per axis, (3,) metres, infinite where not
+            measured. The position then takes part in the refinement, weighted against the residuals
+            of the inliers, unless it contradicts them.
+        seed: random seed of the sampling; the same seed gives the same pose.
     """
     estimation = pycolmap.AbsolutePoseEstimationOptions()
     estimation.ransac.max_error = max_error
@@ -82,7 +79,7 @@ def estimate_absolute_pose(
     inliers = np.asarray(answer["inlier_mask"], bool)
     pose = pose_from_native(answer["cam_from_world"])
     variance = _residual_variance(xy[inliers], xyz[inliers], camera, pose)
-    # Again with a loss, and with a position, weighed by the noise the matches turned out to have.
+    # Refine again, with a robust loss and the position, both scaled by the measured pixel noise.
     refinement.loss_function_scale = CAUCHY * np.sqrt(variance)
     sigma = None
     if position is not None and position_sigma is not None:
@@ -93,7 +90,7 @@ def estimate_absolute_pose(
     if sigma is not None:
         refinement.use_position_prior = True
         refinement.position_prior_in_world = position
-        # COLMAP takes every residual to be one pixel: in that unit sigma is smaller or larger.
+        # COLMAP assumes residuals of one pixel, so the covariance is given in units of them.
         refinement.position_prior_covariance = np.diag(sigma**2) / variance
     refined = pycolmap.refine_absolute_pose(
         answer["cam_from_world"], xy, xyz, inliers, native, refinement
@@ -113,10 +110,10 @@ def _pose_covariance(
     variance: float,
     position_sigma: NDArray[np.float64] | None,
 ) -> NDArray[np.float64] | None:
-    """Inverse of the information of the inliers and of the position; None where singular.
+    """Return the inverse of the information of inliers and position; None if it is singular.
 
-    COLMAP's own covariance takes residuals to be one pixel and counts those that the robust loss
-    plays down for less, so that it is honest at no other noise.
+    COLMAP's own covariance assumes residuals of one pixel and gives less weight to those that the
+    robust loss reduces, so it is correct at no other noise.
     """
     local = pose.transform(torch.from_numpy(xyz))
     projected = camera.project(local, jacobian=True).jacobian
@@ -124,7 +121,7 @@ def _pose_covariance(
     jacobian = (projected @ transform_jacobian(local)).reshape(-1, 6).numpy()
     information = jacobian.T @ jacobian / variance
     if position_sigma is not None:
-        # The centre moves by -R^T v.
+        # To first order the centre moves by -R^T v.
         rotation = pose.rotation.numpy()
         information[3:, 3:] += rotation @ np.diag(position_sigma**-2) @ rotation.T
     if np.linalg.cond(information) > _SINGULAR:
@@ -138,18 +135,20 @@ def _contradicts(
     position: NDArray[np.float64],
     sigma: NDArray[np.float64],
 ) -> bool:
-    """Whether a pose and a measured position cannot both be true: least squares would settle on a
-    place that is neither."""
+    """Return whether a pose and a measured position cannot both be true.
+
+    Least squares over both would then give a position that is neither.
+    """
     rotation = pose.rotation.numpy()
-    off = pose.centre().numpy() - position
-    spread = rotation.T @ covariance[3:, 3:] @ rotation + np.diag(sigma**2)
-    return float(off @ np.linalg.solve(spread, off)) > _CONTRADICTS
+    difference = pose.centre().numpy() - position
+    total = rotation.T @ covariance[3:, 3:] @ rotation + np.diag(sigma**2)
+    return float(difference @ np.linalg.solve(total, difference)) > _CONTRADICTS
 
 
 def _residual_variance(
     xy: NDArray[np.float64], xyz: NDArray[np.float64], camera: Camera, pose: Pose
 ) -> float:
-    """Variance of one pixel coordinate, from the inliers."""
+    """Return the variance of one pixel coordinate (px^2) of the inliers."""
     projected = camera.project(pose.transform(torch.from_numpy(xyz))).xy.numpy()
     degrees_of_freedom = max(2 * len(xy) - 6, 1)
     return max(float(((projected - xy) ** 2).sum() / degrees_of_freedom), LEAST_VARIANCE)

@@ -1,4 +1,4 @@
-"""COLMAP's database: features and verified matches, kept through interruptions."""
+"""COLMAP's database of features and verified matches, which survives interruptions."""
 
 from __future__ import annotations
 
@@ -19,37 +19,35 @@ from scene.maps.features import Features, unit_descriptors
 from scene.maps.matching import match
 from scene.maps.photographs import Photograph, PosedImage
 from scene.runtime.cluster import worker_pool
-from scene.storage.files import require_room, write_text, written_whole
+from scene.storage.atomic import atomic_write, write_text
+from scene.storage.files import require_disk_space
 from scene.storage.images import check_photographs
 
-# Images that a worker of a cluster is handed at once.
+# Number of images per unit of work of a cluster.
 _UNIT = 4
 
-
-# Nearest over second nearest descriptor distance, COLMAP's own default.
+# Largest ratio of nearest to second nearest descriptor distance; COLMAP's own default.
 _MAX_RATIO = 0.8
 
-
-# Pairs matched between two progress reports; what is done by then survives an interruption.
+# Pairs matched between two progress reports; finished chunks survive an interruption.
 _PAIR_CHUNK = 32
 
-
-# Matches within this distance of the epipolar line agree with it (px).
+# Inlier threshold of the geometric verification: distance to the epipolar line (px).
 _VERIFIED_PX = 2.0
-# The same before the lens is calibrated; COLMAP's own.
+# The same where the lens is not calibrated yet; COLMAP's own default.
 _GUESSED_PX = 4.0
 
 
 @dataclass(frozen=True)
 class MatchingJob:
-    """Photographs to match, and by what.
+    """Photographs to match, and the options of the detector.
 
     Attributes:
         root: folder that the photographs' names are relative to.
-        pairs: names of the photographs to match.
-        sift: the detector.
-        cluster: whose cores find the features, see ``worker_pool``; its
-            nodes see ``root`` under the same path.
+        pairs: pairs of names of the photographs to match.
+        sift: options of the detector.
+        cluster: address of the cluster that extracts the features, see ``worker_pool``; its nodes
+            see ``root`` under the same path. None extracts them in this process.
     """
 
     root: Path
@@ -63,9 +61,9 @@ class MappingJob(MatchingJob):
     """Photographs with known poses, to be matched and mapped.
 
     Attributes:
-        images: with their poses.
-        database: file that keeps features and matches, new or left by an interrupted call of an
-            equal job; None keeps none.
+        images: photographs with their poses.
+        database: file for features and matches, new or left by an interrupted call with an equal
+            job; None uses a temporary one.
     """
 
     images: Sequence[PosedImage]
@@ -80,15 +78,16 @@ def match_photographs(
     options: SiftOptions,
     on_progress: Progress | None = None,
 ) -> None:
-    """Fill ``database`` with features and verified matches; goes on with what an interrupted call
-    of the same arguments left in it.
+    """Fill a database with features and verified matches.
+
+    An interrupted call can be repeated with the same arguments: it continues where it stopped.
 
     Args:
-        root: folder the names are relative to.
-        photographs: all of them, whole files of the size of their cameras.
-        pairs: names to match.
+        root: folder that the names are relative to.
+        photographs: all photographs; they are whole and of the size of their cameras.
+        pairs: pairs of names to match.
         database: file, new or left by an interrupted call.
-        options: of the detector.
+        options: options of the detector.
         on_progress: called with the number of photographs and pairs done.
 
     Raises:
@@ -114,7 +113,15 @@ def match_photographs(
 def match_posed(
     job: MappingJob, database: Path, on_progress: Progress | None
 ) -> tuple[pycolmap.Reconstruction, dict[str, Features]]:
-    """Fill a database with verified matches; the posed images as a model, and their features."""
+    """Fill a database with verified matches of posed images.
+
+    Returns:
+        The posed images as a model with keypoints and without points, and their features by name.
+
+    Raises:
+        InputError: a photograph is missing, damaged or not of its camera's size, or the file cannot
+            be written.
+    """
     images = job.images
     check_photographs(job.root, {image.name: image.camera for image in images})
     empty, ids = posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
@@ -131,7 +138,15 @@ def fill_database(
     max_error: float,
     on_progress: Progress | None,
 ) -> None:
-    """Extract, match and verify what a database of images does not hold yet."""
+    """Extract, match and verify everything that a database of images does not hold yet.
+
+    Args:
+        database: file that holds the images.
+        ids: identifiers of the images in the database, by name.
+        job: what to match.
+        max_error: inlier threshold of the verification, pixels.
+        on_progress: called with the number of images and pairs done.
+    """
     root, pairs = job.root, job.pairs
 
     def report(done: int) -> None:
@@ -141,19 +156,13 @@ def fill_database(
     with pycolmap.Database.open(database) as db:
         left = [name for name in ids if not db.exists_keypoints(ids[name])]
         done = len(ids) - len(left)
-        with closing(_find_features(job, left, database.parent)) as found:
-            for features in found:
+        with closing(_find_features(job, left, database.parent)) as chunks:
+            for features in chunks:
                 size = sum(
                     item.descriptors.nbytes + 24 * len(item.xy) for item in features.values()
                 )
-                require_room(database, ROOM + 2 * size)
-                with pycolmap.DatabaseTransaction(db):
-                    for name, item in features.items():
-                        sift = pycolmap.FeatureExtractorType.SIFT
-                        native = pycolmap.FeatureDescriptors(sift, item.descriptors)
-                        db.write_descriptors(ids[name], native)
-                        shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
-                        db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
+                require_disk_space(database, ROOM + 2 * size)
+                _write_features(db, ids, features)
                 done += len(features)
                 report(done)
     descriptors = {
@@ -171,22 +180,38 @@ def fill_database(
                 (a, b) for a, b in chunk_of_pairs if not db.exists_two_view_geometry(ids[a], ids[b])
             ]
             for a, b in left_pairs:
-                require_room(database, ROOM)
+                require_disk_space(database, ROOM)
                 if not db.exists_matches(ids[a], ids[b]):
                     matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
                     db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
         if left_pairs:
-            require_room(database, ROOM)
+            require_disk_space(database, ROOM)
             write_text(pair_list, "".join(f"{a} {b}\n" for a, b in left_pairs))
             pycolmap.verify_matches(database, pair_list, verification)
         report(len(ids) + start + len(chunk_of_pairs))
     pair_list.unlink(missing_ok=True)
 
 
+def _write_features(
+    db: pycolmap.Database, ids: Mapping[str, int], features: Mapping[str, Features]
+) -> None:
+    """Write the features of images in one transaction; COLMAP stores a scale as a 2x2 matrix."""
+    with pycolmap.DatabaseTransaction(db):
+        for name, item in features.items():
+            sift = pycolmap.FeatureExtractorType.SIFT
+            native = pycolmap.FeatureDescriptors(sift, item.descriptors)
+            db.write_descriptors(ids[name], native)
+            shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
+            db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
+
+
 def _find_features(
     job: MatchingJob, names: Sequence[str], beside: Path
 ) -> Generator[dict[str, Features], None, None]:
-    """SIFT of many images, some at a time. Nodes of a cluster need not see ``beside``."""
+    """Yield the SIFT features of many images, a chunk at a time.
+
+    Temporary files lie in ``beside``, which the nodes of a cluster need not see.
+    """
     size = CHUNK if job.cluster is None else _UNIT
     chunks = [names[start : start + size] for start in range(0, len(names), size)]
     threads, temporary = (-1, beside) if job.cluster is None else (1, None)
@@ -202,16 +227,16 @@ def _sift_of(
 
 
 def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
-    """A database of the model's images, unless a sound one is there."""
+    """Write a database of the model's images, unless a whole one exists."""
     if not _is_sound(database):
         for journal in ("-journal", "-wal", "-shm"):
             database.with_name(database.name + journal).unlink(missing_ok=True)
-        require_room(database, ROOM)
+        require_disk_space(database, ROOM)
         write_database(database, model)
 
 
 def _is_sound(database: Path) -> bool:
-    """Whether a database is there and whole: COLMAP ends the process on a damaged one."""
+    """Return whether a database exists and is whole; COLMAP ends the process on a damaged one."""
     if not database.is_file():
         return False
     try:
@@ -222,9 +247,12 @@ def _is_sound(database: Path) -> bool:
 
 
 def write_database(path: Path, model: pycolmap.Reconstruction) -> None:
-    """A database of the model's own identifiers: COLMAP's extractor numbers images as it
-    happens to finish them, and the numbers decide the order of everything after."""
-    with written_whole(path) as partial, pycolmap.Database.open(partial) as db:
+    """Write a database of the model's images with the model's own identifiers.
+
+    COLMAP's extractor numbers images in the order in which it finishes them, and the numbers decide
+    the order of everything that follows.
+    """
+    with atomic_write(path) as partial, pycolmap.Database.open(partial) as db:
         for camera in model.cameras.values():
             db.write_camera(camera, use_camera_id=True)
         for rig in model.rigs.values():

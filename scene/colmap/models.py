@@ -1,4 +1,4 @@
-"""COLMAP's models: written from poses and points, points added and taken away."""
+"""COLMAP's binary models: written from poses and points, and edited."""
 
 from __future__ import annotations
 
@@ -16,13 +16,17 @@ from scene.errors import InputError
 from scene.maps.colmap_files import read_model
 from scene.maps.photographs import Photograph, PosedImage
 from scene.maps.sparse_map import SparseMap
-from scene.storage.files import require_room
+from scene.storage.files import require_disk_space
 
 
 def posed_model(
     images: Sequence[PosedImage], keypoints: Mapping[str, NDArray[Any]]
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
-    """A model of keypoints (K, 2) and poses without points, and the identifier of each image."""
+    """Make a model of keypoints (K, 2) and poses, without points.
+
+    Returns:
+        The model, and the identifier of each image by name.
+    """
     numbers = {camera: k for k, camera in enumerate(dict.fromkeys(i.camera for i in images), 1)}
     cameras = [native_camera(camera, number) for camera, number in numbers.items()]
     model, ids = empty_model(cameras), {image.name: k for k, image in enumerate(images, 1)}
@@ -38,6 +42,7 @@ def posed_model(
 
 
 def empty_model(cameras: Iterable[pycolmap.Camera]) -> pycolmap.Reconstruction:
+    """Make a model that holds only cameras."""
     model = pycolmap.Reconstruction()
     for camera in cameras:
         model.add_camera_with_trivial_rig(camera)
@@ -45,14 +50,15 @@ def empty_model(cameras: Iterable[pycolmap.Camera]) -> pycolmap.Reconstruction:
 
 
 def write_model(model: pycolmap.Reconstruction, out: Path) -> None:
-    """Write a model's files; COLMAP says nothing when they end up shorter than they should be."""
+    """Write a model's files, after checking the space on the disk: COLMAP does not report a full
+    one."""
     keypoints = sum(image.num_points2D() for image in model.images.values())
-    require_room(out, (1 << 20) + 40 * keypoints + 100 * model.num_points3D())
+    require_disk_space(out, (1 << 20) + 40 * keypoints + 100 * model.num_points3D())
     model.write(out)
 
 
 def _whole_model(folder: Path) -> pycolmap.Reconstruction:
-    """A model for COLMAP, which ends the process on a damaged one, after our own reader."""
+    """Read a model with COLMAP after our own reader: COLMAP ends the process on a damaged one."""
     read_model(folder)
     return pycolmap.Reconstruction(folder)
 
@@ -61,8 +67,9 @@ def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out:
     """Write images with their poses as a binary model.
 
     Args:
-        images: of the model, in the order of their identifiers.
-        sparse_map: whose keypoints the images take, and those of whose points they observe.
+        images: images of the model, in the order of their identifiers.
+        sparse_map: map that provides the images' keypoints and the points they observe; None writes
+            neither.
         out: existing folder for the model.
     """
     mapped = sparse_map.images if sparse_map is not None else {}
@@ -90,7 +97,7 @@ class NewPoint:
     Attributes:
         xyz: (3,) world metres.
         rgb: (3,) uint8.
-        xy: (2,) COLMAP pixels of its observation by name of the image; no two points share one.
+        xy: observations, (2,) COLMAP pixels by name of the image; no two points share one.
     """
 
     xyz: NDArray[np.float64]
@@ -99,11 +106,11 @@ class NewPoint:
 
 
 def add_points(model: Path, points: Sequence[NewPoint], out: Path) -> list[int]:
-    """Write a model with more points; what it has keeps its identifiers, its order and its values.
+    """Write a model with additional points; existing ones keep identifiers, order and values.
 
     Args:
         model: folder of a binary model.
-        points: whose observations become keypoints after those that the images have.
+        points: points to add; their observations become keypoints after those of the images.
         out: existing folder.
 
     Returns:
@@ -130,7 +137,7 @@ def add_points(model: Path, points: Sequence[NewPoint], out: Path) -> list[int]:
 
 
 def _mean_error(model: pycolmap.Reconstruction, point_id: int) -> float:
-    """Mean reprojection error (px) of a point, as COLMAP keeps it with each."""
+    """Return the mean reprojection error of a point (px), which COLMAP stores with each point."""
     point = model.points3D[point_id]
     errors = []
     for element in point.track.elements:
@@ -147,7 +154,7 @@ def remove_points(model: Path, ids: Sequence[int], out: Path) -> None:
 
     Args:
         model: folder of a binary model.
-        ids: what ``add_points`` returned, whose keypoints are the last ones of their images.
+        ids: identifiers that ``add_points`` returned; their keypoints are the last of their images.
         out: existing folder.
 
     Raises:
@@ -175,4 +182,5 @@ def remove_points(model: Path, ids: Sequence[int], out: Path) -> None:
 
 
 def lens_ids(photographs: Sequence[Photograph]) -> dict[str, int]:
+    """Return COLMAP's camera identifier of each lens, numbered in order of first appearance."""
     return {lens: k for k, lens in enumerate(dict.fromkeys(p.lens for p in photographs), 1)}

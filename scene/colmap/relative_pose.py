@@ -1,4 +1,4 @@
-"""How one camera stands to another, from 2D-2D matches."""
+"""The pose of one camera relative to another, from 2D-2D matches."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from scene.geometry.pose import Pose
 
 @dataclass(frozen=True)
 class RelativePose:
-    """How one camera stands to another, as far as 2D-2D matches tell.
+    """A relative pose estimated from 2D-2D matches.
 
     Attributes:
-        b_from_a: its translation has length one: how far apart the cameras are stays unknown.
+        b_from_a: pose with a translation of length one, because the distance between the cameras
+            cannot be estimated.
         inliers: (N,) bool.
     """
 
@@ -34,15 +35,15 @@ def estimate_relative_pose(
     max_error: float,
     seed: int = 0,
 ) -> RelativePose | None:
-    """Essential matrix by LO-RANSAC, decomposed and refined; None when none has support.
+    """Estimate an essential matrix by LO-RANSAC, decompose and refine it; None without support.
 
     Args:
-        xy_a: (N, 2) pixels of the matches in one picture.
-        xy_b: (N, 2) and in the other.
-        camera_a: of the one.
-        camera_b: of the other.
+        xy_a: pixels of the matches in image a, (N, 2).
+        xy_b: pixels of the matches in image b, (N, 2).
+        camera_a: camera of image a.
+        camera_b: camera of image b.
         max_error: inlier threshold of the Sampson error, pixels.
-        seed: of the sampling; the same seed gives the same pose.
+        seed: random seed of the sampling; the same seed gives the same pose.
     """
     options = pycolmap.RANSACOptions(max_error=max_error, random_seed=seed)
     a, b = native_camera(camera_a), native_camera(camera_b)

@@ -1,4 +1,4 @@
-"""COLMAP's SIFT."""
+"""SIFT features by COLMAP."""
 
 from __future__ import annotations
 
@@ -13,27 +13,35 @@ from numpy.typing import NDArray
 from scene.colmap.native import ROOM, Progress
 from scene.errors import InputError
 from scene.maps.features import Features
-from scene.storage.files import require_room
+from scene.storage.files import require_disk_space
 from scene.storage.scratch import scratch
 
-# Images per call of the extractor: enough to keep the cores busy, few enough to show progress.
 CHUNK = 16
+"""Images per call of the extractor: enough to keep the cores busy, few enough for progress."""
 
-
-# A keypoint with its descriptor in a database (B); and no photograph has more of them.
 KEYPOINT_BYTES = 160
+"""The size of a keypoint with its descriptor in a database (bytes)."""
+
+# No photograph has more keypoints than this.
 _MOST_KEYPOINTS = 1 << 16
 
 
 @dataclass(frozen=True)
 class SiftOptions:
-    """COLMAP's SIFT: difference of Gaussians, RootSIFT (L1-root) descriptors."""
+    """The options of COLMAP's SIFT: difference of Gaussians, RootSIFT (L1-root) descriptors.
+
+    Attributes:
+        max_features: largest number of features of an image.
+        peak_threshold: smallest response of the difference of Gaussians.
+        upright: whether to leave out the orientation of keypoints.
+    """
 
     max_features: int = 8192
     peak_threshold: float = 0.02 / 3
     upright: bool = False
 
     def native(self) -> pycolmap.FeatureExtractionOptions:
+        """Return the options as pycolmap's, without the GPU."""
         options = pycolmap.FeatureExtractionOptions()
         options.use_gpu = False
         options.sift.max_num_features = self.max_features
@@ -43,13 +51,13 @@ class SiftOptions:
 
 
 class SiftExtractor:
-    """Extracts SIFT from one image at a time."""
+    """An extractor of SIFT features that takes one image at a time."""
 
     def __init__(self, options: SiftOptions) -> None:
         self._native = pycolmap.FeatureExtractor.create(options.native(), pycolmap.Device.cpu)
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
-        """Features of an (H, W, 3) uint8 image."""
+        """Return the features of an image (H, W, 3) uint8."""
         grey = pycolmap.Bitmap.from_array(np.ascontiguousarray(rgb)).clone_as_grey()
         keypoints, descriptors = self._native.extract(grey)
         x, y, scale, _ = pycolmap.keypoints_to_matrix(keypoints).T
@@ -64,19 +72,19 @@ def extract_sift(
     threads: int = -1,
     beside: Path | None = None,
 ) -> dict[str, Features]:
-    """SIFT of many images.
+    """Extract the SIFT features of many images.
 
     Args:
-        root: folder the names are relative to.
-        names: images.
-        options: of the detector.
+        root: folder that the names are relative to.
+        names: names of the images.
+        options: options of the detector.
         on_progress: called with the number of images done.
-        threads: to use; -1 for as many as there are cores.
+        threads: number of threads; -1 for as many as there are cores.
         beside: folder for temporary files, as ``scene.storage.scratch.scratch`` takes it.
 
     Raises:
         InputError: an image is missing or cannot be read.
-        WriteError: there is no room for temporary files.
+        WriteError: the disk has no space for temporary files.
     """
     native = options.native()
     native.num_threads = threads
@@ -85,7 +93,7 @@ def extract_sift(
         for start in range(0, len(names), CHUNK):
             chunk = list(names[start : start + CHUNK])
             most = min(options.max_features, _MOST_KEYPOINTS)
-            require_room(database, ROOM + 2 * len(chunk) * most * KEYPOINT_BYTES)
+            require_disk_space(database, ROOM + 2 * len(chunk) * most * KEYPOINT_BYTES)
             pycolmap.extract_features(
                 database,
                 root,
@@ -103,12 +111,17 @@ def extract_sift(
 
 
 def read_features(database: Path, root: Path) -> dict[str, Features]:
+    """Return the features of a database, by image name.
+
+    Raises:
+        InputError: an image of the database, which lies below ``root``, has no keypoints.
+    """
     features = {}
     with pycolmap.Database.open(database) as db:
         for image in db.read_all_images():
             if not db.exists_keypoints(image.image_id):
                 raise InputError(f"image {root / image.name} cannot be read or is damaged")
-            # Rows are x y and a 2x2 affine shape, whose determinant is the squared scale.
+            # A row is x, y and a 2x2 affine shape, whose determinant is the square of the scale.
             rows = db.read_keypoints(image.image_id)
             scale = np.sqrt(np.abs(np.linalg.det(rows[:, 2:].reshape(-1, 2, 2))))
             descriptors = np.array(db.read_descriptors(image.image_id).data)

@@ -1,4 +1,4 @@
-"""COLMAP's dense stereo."""
+"""Dense stereo and fusion by COLMAP."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scene.errors import InputError
 
 
 def patch_match_stereo(workspace: Path) -> None:
-    """COLMAP's own dense stereo in a workspace of undistorted photographs, on a CUDA device.
+    """Run COLMAP's dense stereo on a workspace of undistorted photographs, on a CUDA device.
 
     Raises:
         InputError: this pycolmap was built without CUDA.
@@ -28,21 +28,21 @@ def patch_match_stereo(workspace: Path) -> None:
 def fuse_depth_maps(
     workspace: Path, out: Path, min_views: int
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Fuse a workspace's depth and normal maps into a cloud, and write it as PLY to ``out``.
+    """Fuse the depth and normal maps of a workspace into a cloud, and write it as PLY to ``out``.
 
-    COLMAP ends the process on a damaged workspace: hand it one whose files were just read.
+    COLMAP ends the process on a damaged workspace, so its files must have been checked.
 
     Args:
-        workspace: in COLMAP's layout, with ``*.geometric.bin`` of every image it lists.
-        out: the PLY file; its list of visible images lies beside it as ``.vis``.
-        min_views: a point is kept when so many maps have it.
+        workspace: folder in COLMAP's layout, with ``*.geometric.bin`` of every image it lists.
+        out: PLY file; its list of visible images is written beside it as ``.vis``.
+        min_views: number of depth maps in which a point must appear to be kept.
 
     Returns:
         Points (M, 3), world metres, and their colours (M, 3).
     """
     options = pycolmap.StereoFusionOptions()
     options.min_num_pixels = min_views
-    options.num_threads = 1  # threads take pixels from one another in another order each time
+    options.num_threads = 1  # with more threads the order of the points differs from run to run
     model = pycolmap.stereo_fusion(out, workspace, options=options, output_type="PLY")
     points = list(model.points3D.values())
     xyz = np.array([point.xyz for point in points], np.float64).reshape(-1, 3)

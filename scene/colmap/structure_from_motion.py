@@ -1,4 +1,4 @@
-"""Sparse maps from photographs whose poses nobody knows, or knows roughly."""
+"""Structure from motion: maps from photographs with unknown or rough poses."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from scene.maps.sparse_map import SparseMap
 from scene.storage.scratch import scratch
 
 ADJUSTMENTS = 4
-"""Rounds of robust adjustment at the end of ``reconstruct``."""
+"""The number of rounds of robust adjustment at the end of ``reconstruct``."""
 
-
-# A similarity needs three camera centres, and holds those within so many metres of the truth.
 ALIGNABLE = 3
+"""The number of camera centres that a similarity transform needs."""
+
+# Inlier threshold of that similarity transform (m).
 _ALIGN_M = 1.0
 
-
-# Robust adjustment: the outliers' least residual in standard deviations, the least angle between
-# the rays of a point (COLMAP's own), and the relative change of cost that ends a round.
+# Robust adjustment: the smallest residual of an outlier in standard deviations, the smallest angle
+# between the rays of a point (COLMAP's own), and the relative change of cost that ends a round.
 _OUTLIER = 5.0
 _MIN_ANGLE_DEG = 1.5
 _CONVERGED = 1e-8
@@ -44,10 +44,10 @@ Mapper = Literal["incremental", "global"]
 def reconstruct(
     job: MappingJob, out: Path, on_progress: Progress | None = None
 ) -> tuple[SparseMap, dict[str, Features]]:
-    """Build a map by incremental structure from motion, calibration known and poses not.
+    """Build a map by incremental structure from motion with known calibration and unknown poses.
 
-    The largest model is adjusted with a robust loss, then moved, turned and scaled onto the known
-    camera centres; its poses stay what the photographs say, and images that could not be
+    The largest model is adjusted with a robust loss, then aligned to the known camera centres by a
+    similarity transform. Its poses remain those that the photographs give; images that could not be
     registered are missing from it.
 
     Args:
@@ -101,10 +101,10 @@ def reconstruct(
 
 
 def _adjust_robustly(model: pycolmap.Reconstruction, on_round: Progress) -> None:
-    """Adjust poses and points again, wrong matches playing ever less of a part.
+    """Adjust poses and points in rounds with a robust loss, removing outliers after each.
 
     COLMAP's mapper ends with least squares over everything within four pixels, where a wrong match
-    weighs a hundred times what the noise of a right one does.
+    has a hundred times the weight of the noise of a right one.
     """
     options = pycolmap.BundleAdjustmentOptions(
         print_summary=False,
@@ -130,11 +130,13 @@ def _adjust_robustly(model: pycolmap.Reconstruction, on_round: Progress) -> None
 
 
 def _residual_sigma(model: pycolmap.Reconstruction) -> float:
-    """Standard deviation of one pixel coordinate (px), from the median point: outliers do not
-    matter."""
+    """Return the standard deviation of one pixel coordinate (px), from the median point error.
+
+    The median makes it insensitive to outliers.
+    """
     model.update_point_3d_errors()
     error = np.median([point.error for point in model.points3D.values()])
-    # A two-dimensional normal has its mean distance at sqrt(pi / 2).
+    # The mean length of a two-dimensional normal vector is sqrt(pi / 2) standard deviations.
     return float(max(error / np.sqrt(np.pi / 2), np.sqrt(LEAST_VARIANCE)))
 
 
@@ -146,22 +148,22 @@ def map_photographs(
     mapper: Mapper,
     on_progress: Progress | None = None,
 ) -> list[Path]:
-    """Structure from motion, poses and calibration unknown.
+    """Reconstruct photographs of unknown pose and calibration by structure from motion.
 
     Args:
-        root: folder the names are relative to.
-        photographs: of ``database``.
-        database: filled by ``match_photographs``.
+        root: folder that the names are relative to.
+        photographs: photographs of ``database``.
+        database: file filled by ``match_photographs``.
         out: existing folder for the models.
         mapper: "incremental" (one photograph after the other) or "global" (all at once).
         on_progress: called with the number of photographs registered; never by the global mapper.
 
     Returns:
-        Folders of the models, each in a frame and scale of its own, those of most photographs
-        first. Photographs that do not hang together are in several models, or in none.
+        Folders of the models, each in a frame and scale of its own, in order of decreasing number
+        of photographs. Photographs that are not connected are in several models, or in none.
     """
     numbers = lens_ids(photographs)
-    # A focal length refined early, from few photographs, may lead the whole model astray.
+    # A focal length that is refined early, from few photographs, can distort the whole model.
     refine_focal = not all(p.focal_known for p in photographs)
     fixed = {
         numbers[p.lens] for p in photographs if p.calibrated or (refine_focal and p.focal_known)
@@ -239,19 +241,20 @@ def adjust_to_positions(
     *,
     principal_point: bool = False,
 ) -> SparseMap:
-    """Move a model into the world, then adjust poses, points and lenses to the pixels and to
-    measured positions together, with a robust loss on the positions.
+    """Move a model into the world and adjust it to pixels and measured positions together.
+
+    Poses, points and lenses are adjusted, with a robust loss on the positions.
 
     Args:
-        model: folder of ``map_photographs``.
-        photographs: of the model, and others.
-        world_from_model: (3, 4) similarity, scale times rotation and translation.
-        positions: (3,) measured camera centres by name, world metres.
-        sigma: (3,) their standard deviation per axis, metres.
-        refined: lenses whose focal length is adjusted too; with none, only the distortion of those
-            that are not calibrated.
+        model: folder of a model of ``map_photographs``.
+        photographs: photographs of the model; further ones are ignored.
+        world_from_model: similarity transform, (3, 4): scale times rotation, and translation.
+        positions: measured camera centres by name, (3,) world metres.
+        sigma: standard deviation of ``positions`` per axis, (3,) metres.
+        refined: lenses with a focal length to adjust; if empty, only the distortion of lenses that
+            are not calibrated is adjusted.
         out: existing folder for the adjusted model.
-        principal_point: adjust the principal points of the lenses that are adjusted at all.
+        principal_point: adjust the principal points of all lenses that are adjusted.
     """
     native = pycolmap.Reconstruction(model)
     native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))

@@ -1,4 +1,4 @@
-"""Sparse maps from photographs with known poses."""
+"""Triangulation: maps from photographs with known poses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def triangulate(
     """Build a map by triangulating SIFT matches with known poses, and write the model to ``out``.
 
     Args:
-        job: photographs, whose exact poses stay as they are.
+        job: photographs; their poses are exact and do not change.
         out: existing folder for the model.
         on_progress: called with the number of images and pairs done.
 
@@ -61,12 +61,12 @@ def _triangulate(
 def triangulate_matched(
     root: Path, images: Sequence[PosedImage], database: Path, out: Path
 ) -> tuple[SparseMap, dict[str, Features]]:
-    """Triangulate some of the images of a filled database anew, with poses that stay as they are.
+    """Triangulate some of the images of a filled database again; their poses do not change.
 
     Args:
-        root: folder the names are relative to.
-        images: some of those of ``database``; matches with others are left out.
-        database: filled by ``match_photographs``.
+        root: folder that the names are relative to.
+        images: some of the images of ``database``; matches with others are ignored.
+        database: file filled by ``match_photographs``.
         out: existing folder for the model.
 
     Returns:
@@ -94,13 +94,14 @@ def triangulate_matched(
 
 
 def pipeline_options() -> pycolmap.IncrementalPipelineOptions:
+    """Return the options of COLMAP's mapper: seeded, on one thread, with fixed calibration."""
     pipeline = pycolmap.IncrementalPipelineOptions()
     pipeline.random_seed = pipeline.triangulation.random_seed = SEED
     pipeline.mapper.random_seed = SEED
-    pipeline.num_threads = 1  # sums over threads round differently from run to run
+    pipeline.num_threads = 1  # with more threads sums are rounded differently from run to run
     pipeline.ba_refine_focal_length = False
     pipeline.ba_refine_extra_params = False
-    # The first image of every camera would otherwise bend it to itself.
+    # Otherwise the first image of every camera would change its calibration.
     pipeline.mapper.abs_pose_refine_focal_length = False
     pipeline.mapper.abs_pose_refine_extra_params = False
     return pipeline

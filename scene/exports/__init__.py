@@ -1,1 +1,1 @@
-"""A scene written for other programs."""
+"""A scene's frames in the formats of other programs."""

@@ -1,20 +1,17 @@
-"""Extended CMU Seasons: what its names mean, and simulated drives written in its tree.
+"""Export to the tree of Extended CMU Seasons: photographs, poses and map, slice by slice.
 
-Its licence forbids shipping it, so a set made here stands in for it. Facts of the format: pose
-files hold the camera's CENTRE, not a translation, with six decimals; photographs are distorted;
-each image's camera, c0 or c1, and its moment are in its name; a slice is of one kind of
-surroundings.
+The licence of that data set forbids shipping it, so a simulated drive in its tree stands in for it.
+Pose files hold the camera's centre, not a translation, with six decimals, and photographs are
+distorted.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import re
 import shutil
 from collections.abc import Iterator, Mapping
-from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,58 +20,23 @@ from scene.bundle.frames import Frames
 from scene.bundle.scene import Scene
 from scene.colmap.models import write_posed
 from scene.errors import InputError
+from scene.exports.cmu_names import CAMERAS, FIRST_SLICES, SIMULATED, ImageName, surroundings
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.photographs import PosedImage
 from scene.maps.sparse_map import MapImage, SparseMap
 
-# First line of intrinsics.txt in a tree of simulated photographs. Without it figures on them would
-# pass for figures on the real ones: every other name is the same.
-SIMULATED: Final = "# simulated by ObjConnect"
-
-CAMERAS: Final = ("c0", "c1")
-_IMAGE: Final = re.compile(r"img_(\d+)_(c[01])_(\d+)us\.jpg")
-# Pittsburgh: a day there is no day of UTC.
-_LOCAL: Final = timedelta(hours=-5)
-# The first slice of each surroundings.
-_FIRST: Final = {"urban": 2, "suburban": 9, "park": 18}
-
-
-class ImageName(NamedTuple):
-    """What the name of an image says: number, camera and microseconds since 1970."""
-
-    number: int
-    camera: str
-    microseconds: int
-
-    @staticmethod
-    def parse(name: str) -> ImageName:
-        """InputError: the name is not of this data set."""
-        found = _IMAGE.fullmatch(name)
-        if found is None:
-            raise InputError(
-                f"image {name!r} is not named like img_00119_c0_1303398474779439us.jpg"
-            )
-        return ImageName(int(found[1]), found[2], int(found[3]))
-
-    @property
-    def day(self) -> date:
-        """The day of the photograph where the data set was taken."""
-        return (datetime.fromtimestamp(self.microseconds / 1e6, UTC) + _LOCAL).date()
-
-    def __str__(self) -> str:
-        return f"img_{self.number:05d}_{self.camera}_{self.microseconds}us.jpg"
-
-
-def surroundings(number: int) -> Literal["urban", "suburban", "park"]:
-    """Urban, suburban or park, by the number of the slice."""
-    if number < _FIRST["suburban"]:
-        return "urban"
-    return "suburban" if number < _FIRST["park"] else "park"
-
 
 class _Photograph(NamedTuple):
-    """One frame of the scene and where it goes."""
+    """One frame of the scene, and its name in the tree.
+
+    Attributes:
+        source: name in the scene.
+        name: name in the tree.
+        is_reference: whether it belongs to the map.
+        camera: under the model OPENCV.
+        cam_from_world: (4, 4).
+    """
 
     source: str
     name: ImageName
@@ -83,29 +45,26 @@ class _Photograph(NamedTuple):
     cam_from_world: NDArray[np.float64]
 
     def line(self) -> str:
-        """Its pose as the data set writes it: quaternion of the rotation, then the centre."""
+        """Return its pose as the data set writes it: the quaternion, then the camera's centre."""
         pose = Pose.from_matrix(self.cam_from_world)
         numbers = [*pose.quaternion().tolist(), *pose.centre().tolist()]
         return " ".join([str(self.name), *(f"{x:.6f}" for x in numbers)]) + "\n"
 
 
-def write_cmu(scene: Scene, sessions: Mapping[str, Frames], folder: Path) -> None:
+def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
     """Write a scene's map and queries as slices 2 (urban), 9 (suburban) and 18 (park).
 
-    A photograph belongs to the slice whose surroundings its camera stands in. Every pose of a query
-    is public. SIFT databases, which the real set has, are left out.
-
-    Args:
-        scene: whose objects name surroundings, with its map.
-        sessions: to write.
-        folder: existing, empty.
+    A photograph belongs to the slice in whose surroundings its camera stands. The poses of all
+    queries are public. The SIFT databases that the real data set has are left out. The arguments
+    are those of ``formats.Writer``; the scene has objects with surroundings, and a map.
 
     Raises:
-        InputError: the place has no surroundings, the scene no map, the photographs are not of two
-            cameras whose distortion OPENCV can say, or a slice would have queries and no map.
+        InputError: the place has no surroundings, the scene has no map, the photographs are not of
+            two cameras whose distortion OPENCV can describe, or a slice would have queries and no
+            map.
     """
     cameras = _two_cameras(sessions)
-    slices: dict[str, list[_Photograph]] = {name: [] for name in _FIRST}
+    slices: dict[str, list[_Photograph]] = {name: [] for name in FIRST_SLICES}
     for part, photograph in _photographs(scene, sessions, cameras):
         if part not in slices:
             raise InputError(
@@ -125,11 +84,11 @@ def write_cmu(scene: Scene, sessions: Mapping[str, Frames], folder: Path) -> Non
     )
     for part, photographs in slices.items():
         if photographs:
-            _write_slice(scene, sparse_map, _FIRST[part], photographs, folder)
+            _write_slice(scene, sparse_map, FIRST_SLICES[part], photographs, folder)
 
 
 def _two_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
-    """The cameras by the names they get, in the order of the sessions."""
+    """Return the names that the cameras get, in the order of the sessions."""
     cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))
     if len(cameras) != len(CAMERAS):
         raise InputError(
@@ -142,7 +101,7 @@ def _two_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
 
 
 def _opencv(camera: Camera) -> Camera:
-    """The same camera under the model of this data set."""
+    """Return the same camera under the model of this data set."""
     params = (*camera.focal, *camera.principal, *camera.distortion)
     return Camera("OPENCV", camera.width, camera.height, params)
 
@@ -150,7 +109,7 @@ def _opencv(camera: Camera) -> Camera:
 def _photographs(
     scene: Scene, sessions: Mapping[str, Frames], cameras: Mapping[Camera, str]
 ) -> Iterator[tuple[str | None, _Photograph]]:
-    """Every frame with the surroundings it was taken in, numbered from 1."""
+    """Yield every frame, numbered from 1, with the surroundings that it was taken in."""
     mapped = set(scene.splits.map)
     number = 0
     for frames in sessions.values():
@@ -167,6 +126,7 @@ def _photographs(
 def _write_slice(
     scene: Scene, whole: SparseMap, number: int, photographs: list[_Photograph], root: Path
 ) -> None:
+    """Write the photographs, poses and map of one slice into the tree ``root``."""
     name = f"slice{number}"
     folder = root / name
     for part in ("database", "query", "camera-poses", "sparse"):
@@ -194,7 +154,7 @@ def _write_slice(
 
 
 def _submap(whole: SparseMap, references: list[_Photograph]) -> SparseMap:
-    """What two or more of the references observe, under their new names."""
+    """Return the points that two or more of the references observe, under their new names."""
     mapped = [p for p in references if p.source in whole.images]
     seen = np.zeros(len(whole.xyz), np.int64)
     for photograph in mapped:

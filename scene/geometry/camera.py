@@ -1,26 +1,32 @@
-"""Cameras in COLMAP's models and pixel convention."""
+"""Calibrated cameras in COLMAP's models and pixel convention.
+
+Torch is imported only by the methods that return tensors, so that a scene can be opened and its
+cameras read without it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from scene.errors import InputError
-from scene.geometry.projection import Intrinsics, Projection
 
-# No camera has a larger focal length (px) or coefficient; damaged files do, and overflow.
-_LARGEST = 1e9
-# A distortion coefficient below this moves no point.
-_SMALLEST = 1e-12
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
-# Parameter names of every model, in COLMAP's order.
+    from scene.geometry.projection import Intrinsics, Projection
+
+# Damaged files hold parameters beyond this, whose squares overflow; no real camera does.
+_MAX_PARAMETER = 1e9
+# A distortion coefficient below this moves no point by a measurable amount.
+_MIN_COEFFICIENT = 1e-12
+
 MODELS: Final[dict[str, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -29,6 +35,7 @@ MODELS: Final[dict[str, tuple[str, ...]]] = {
     "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
     "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
 }
+"""The parameter names of every supported camera model, in COLMAP's order."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +43,23 @@ class Camera:
     """One calibrated camera.
 
     Attributes:
-        model: a key of ``MODELS``.
-        width: pixels.
-        height: pixels.
-        params: pixels and distortion coefficients, in COLMAP's order for the model.
+        model: camera model, a key of ``MODELS``.
+        width: image width, pixels.
+        height: image height, pixels.
+        params: focal lengths and principal point (pixels) and distortion coefficients, in COLMAP's
+            order for the model.
 
     Raises:
-        InputError: unknown model, wrong number of parameters, or values no camera has.
+        InputError: the model is unknown, the number of parameters is wrong, or a value is one that
+            no camera has.
+
+    Example:
+        >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
+        >>> camera.focal
+        (500.0, 500.0)
+        >>> import torch
+        >>> camera.project(torch.tensor([[1.0, 0.0, 10.0]])).xy
+        tensor([[370., 240.]])
     """
 
     model: str
@@ -63,17 +80,21 @@ class Camera:
             raise InputError(f"camera size must be positive, got {self.width} x {self.height}")
         if not all(math.isfinite(p) for p in self.params):
             raise InputError(f"camera parameters must be finite, got {self.params}")
-        if max(abs(p) for p in self.params) > _LARGEST:
+        if max(abs(p) for p in self.params) > _MAX_PARAMETER:
             raise InputError(f"camera parameters are out of range, got {self.params}")
         if min(self.focal) <= 0:
             raise InputError(f"focal length must be positive, got {self.focal}")
 
     @staticmethod
     def parse(words: Sequence[str]) -> Camera:
-        """From ``MODEL width height params...``, the form of COLMAP's and hloc's text files.
+        """Parse ``MODEL width height params...``, the form of COLMAP's and hloc's text files.
 
         Raises:
             InputError: a word is missing or is not a number.
+
+        Example:
+            >>> Camera.parse("SIMPLE_PINHOLE 640 480 500 320 240".split()).principal
+            (320.0, 240.0)
         """
         try:
             model, width, height = words[0], int(words[1]), int(words[2])
@@ -94,58 +115,66 @@ class Camera:
 
     @property
     def focal(self) -> tuple[float, float]:
-        """Focal lengths fx, fy in pixels."""
+        """Return the focal lengths (fx, fy), pixels."""
         if "f" in MODELS[self.model]:
             return self._value("f"), self._value("f")
         return self._value("fx"), self._value("fy")
 
     @property
     def principal(self) -> tuple[float, float]:
-        """Principal point cx, cy in COLMAP pixels."""
+        """Return the principal point (cx, cy), COLMAP pixels."""
         return self._value("cx"), self._value("cy")
 
     @property
     def distortion(self) -> tuple[float, float, float, float]:
-        """k1 k2 p1 p2, or k1 k2 k3 k4 for the fisheye; zero where the model has none."""
+        """Return (k1, k2, p1, p2), or (k1, k2, k3, k4) for the fisheye model.
+
+        Coefficients that the model does not have are zero.
+        """
         last = ("k3", "k4") if self.is_fisheye else ("p1", "p2")
         k1, k2, c, d = (self._value(n) for n in ("k1", "k2", *last))
         return k1, k2, c, d
 
     @property
     def is_fisheye(self) -> bool:
-        """Whether the model is equidistant rather than perspective."""
+        """Return whether the model is equidistant rather than perspective."""
         return self.model == "OPENCV_FISHEYE"
 
     @property
     def calibration(self) -> NDArray[np.float64]:
-        """K, (3, 3) float64, COLMAP pixels, without distortion."""
+        """Return the calibration matrix K, (3, 3) float64, COLMAP pixels, without distortion."""
         (fx, fy), (cx, cy) = self.focal, self.principal
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
 
     def fold_limit(self) -> float:
-        """Where the distortion polynomial first stops growing: radius x/z, or angle (rad).
+        """Return where the distortion polynomial stops growing: radius x/z, or angle (rad) for
+        fisheye.
 
-        Beyond it points far outside the field of view fold back into the picture. Infinite (for
-        the fisheye: a right angle) when it never does.
+        Points beyond this limit lie far outside the field of view but would be projected back into
+        the image. The limit is infinite (for the fisheye: a right angle) when the polynomial always
+        grows.
         """
         k1, k2, k3, k4 = self.distortion
         if self.is_fisheye:
             slope, unbounded = [9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0], math.pi / 2
         else:
             slope, unbounded = [5 * k2, 3 * k1, 1.0], math.inf
-        while abs(slope[0]) < _SMALLEST:
+        while abs(slope[0]) < _MIN_COEFFICIENT:
             slope = slope[1:]
         roots = np.roots(slope)
         squares = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and r.real > 0]
         return min([unbounded, *(math.sqrt(s) for s in squares)])
 
     def intrinsics(
-        self, dtype: torch.dtype = torch.float64, device: torch.device | None = None
+        self, dtype: torch.dtype | None = None, device: torch.device | None = None
     ) -> Intrinsics:
-        """The camera as tensors, ready to project."""
+        """Return the camera as tensors for batched projection; ``dtype`` is float64 by default."""
+        import torch
+
+        from scene.geometry.projection import Intrinsics
 
         def tensor(values: object) -> Tensor:
-            return torch.tensor(values, dtype=dtype, device=device)
+            return torch.tensor(values, dtype=dtype or torch.float64, device=device)
 
         return Intrinsics(
             fisheye=self.is_fisheye,
@@ -156,31 +185,40 @@ class Camera:
         )
 
     def project(self, points: Tensor, jacobian: bool = False) -> Projection:
-        """Project points of the camera frame, (..., N, 3); see ``Intrinsics.project``."""
+        """Project points (..., N, 3) of the camera frame; see ``Intrinsics.project``."""
         return self.intrinsics(points.dtype, points.device).project(points, jacobian)
 
     def unproject(self, xy: Tensor) -> tuple[Tensor, Tensor]:
-        """Rays with z = 1 through pixels (..., N, 2); see ``Intrinsics.unproject``."""
+        """Return the rays with z = 1 through pixels (..., N, 2); see ``Intrinsics.unproject``."""
         return self.intrinsics(xy.dtype, xy.device).unproject(xy)
 
     def contains(self, xy: Tensor, border: float = 0.0) -> Tensor:
-        """Whether pixels lie inside the picture, at least ``border`` pixels from its edge."""
+        """Return whether pixels (..., 2) lie in the image, at least ``border`` pixels from its
+        edge."""
         x, y = xy[..., 0], xy[..., 1]
         return (
             (x >= border) & (x <= self.width - border) & (y >= border) & (y <= self.height - border)
         )
 
-    def pixel_grid(self, dtype: torch.dtype = torch.float64) -> Tensor:
-        """Pixel centres, (H, W, 2), x then y."""
+    def pixel_grid(self, dtype: torch.dtype | None = None) -> Tensor:
+        """Return the pixel centres, (H, W, 2), x before y; ``dtype`` is float64 by default."""
+        import torch
+
+        dtype = dtype or torch.float64
         x = torch.arange(self.width, dtype=dtype) + 0.5
         y = torch.arange(self.height, dtype=dtype) + 0.5
         return torch.stack(torch.meshgrid(x, y, indexing="xy"), -1)
 
     def resized(self, width: int, height: int) -> Camera:
-        """The camera of the same picture resized to ``width`` x ``height`` pixels.
+        """Return the camera of the same image resized to ``width`` x ``height`` pixels.
 
         Raises:
-            InputError: a model with one focal length cannot hold two different scales.
+            InputError: the model has one focal length and cannot hold two different scales.
+
+        Example:
+            >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
+            >>> str(camera.resized(320, 240))
+            'PINHOLE 320 240 250.0 250.0 160.0 120.0'
         """
         sx, sy = width / self.width, height / self.height
         if "f" in MODELS[self.model] and not math.isclose(sx, sy, rel_tol=1e-3):

@@ -1,10 +1,10 @@
-"""Local east-north-up metres and geodetic coordinates (WGS84)."""
+"""Conversion between geodetic coordinates (WGS84) and local east-north-up metres."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +22,22 @@ class Geodetic(NamedTuple):
     altitude: float
 
 
-# No aircraft flies higher, metres.
-_HIGHEST = 1e6
+FARTHEST_M: Final = 1e8
+"""No point on earth lies further from a map's origin (m). A larger coordinate in a file is damage,
+and its square would soon overflow."""
+
+# No aircraft flies higher than this (m).
+_MAX_ALTITUDE_M = 1e6
 
 
 def is_on_earth(place: Geodetic) -> bool:
-    """Whether a place can be one of a flight: false for numbers that are none, too."""
+    """Return whether a place is one where an aircraft can be; a NaN coordinate makes it false."""
     lat, lon, alt = place
-    return abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= _HIGHEST
+    return abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= _MAX_ALTITUDE_M
 
 
 def _ecef(place: Geodetic) -> NDArray[np.float64]:
+    """Return earth-centred, earth-fixed coordinates, (3,) metres."""
     lat, lon = math.radians(place.latitude), math.radians(place.longitude)
     n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)
     return np.array(
@@ -45,47 +50,62 @@ def _ecef(place: Geodetic) -> NDArray[np.float64]:
 
 
 def _enu_axes(origin: Geodetic) -> NDArray[np.float64]:
-    """Rows are east, north and up in earth-centred coordinates."""
+    """Return the axes east, north and up in earth-centred coordinates, as rows (3, 3)."""
     lat, lon = math.radians(origin.latitude), math.radians(origin.longitude)
     sl, cl, so, co = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
     return np.array([[-so, co, 0], [-sl * co, -sl * so, cl], [cl * co, cl * so, sl]])
 
 
 def enu_from_geodetic(place: Geodetic, origin: Geodetic) -> NDArray[np.float64]:
-    """East, north, up of ``place`` in metres from ``origin``, (3,)."""
+    """Return east, north and up of ``place``, (3,) metres from ``origin``.
+
+    Example:
+        >>> origin = Geodetic(47.0, 8.0, 400.0)
+        >>> east, north, up = enu_from_geodetic(Geodetic(47.001, 8.0, 450.0), origin)
+        >>> f"{north:.2f} m north, {up:.2f} m up"
+        '111.18 m north, 50.00 m up'
+    """
     return np.asarray(_enu_axes(origin) @ (_ecef(place) - _ecef(origin)))
 
 
 def geodetic_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> Geodetic:
-    """The geodetic place of local metres (3,). Exact to well under a millimetre."""
+    """Return the geodetic coordinates of a local position (3,), metres from ``origin``.
+
+    The result is exact to well under a millimetre.
+
+    Example:
+        >>> place = geodetic_from_enu(np.array([100.0, 0.0, 0.0]), Geodetic(47.0, 8.0, 400.0))
+        >>> f"{place.latitude:.6f} {place.longitude:.6f} {place.altitude:.3f}"
+        '47.000000 8.001315 400.001'
+    """
     x, y, z = _ecef(origin) + _enu_axes(origin).T @ np.asarray(enu, dtype=np.float64)
     p = math.hypot(x, y)
     lat = math.atan2(z, p * (1 - _E2))
-    for _ in range(6):  # converges by a factor of e^2 a turn
+    for _ in range(6):  # every iteration reduces the error by a factor of e^2
         n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)
         lat = math.atan2(z + _E2 * n * math.sin(lat), p)
     n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)
-    # This form of the altitude stays stable at the poles as well as at the equator.
+    # This form of the altitude is stable at the poles as well as at the equator.
     altitude = p * math.cos(lat) + z * math.sin(lat) - _SEMI_MAJOR**2 / n
     return Geodetic(math.degrees(lat), math.degrees(math.atan2(y, x)), altitude)
 
 
-def amid(places: Sequence[Geodetic]) -> Geodetic:
-    """A place amid others, also where they lie on both sides of longitude 180.
+def median_place(places: Sequence[Geodetic]) -> Geodetic:
+    """Return a place in the middle of others, also where they lie on both sides of longitude 180.
 
-    It is the median of each coordinate, so that a few wrong places do not count; longitudes are
-    taken from the direction of the median place, seen from the centre of the earth.
+    Each coordinate is a median, so that a few wrong places have no effect. Longitudes are measured
+    from the longitude of the median place in earth-centred coordinates, so that they do not wrap.
     """
     x, y, _ = np.median([_ecef(place) for place in places], axis=0).tolist()
     middle = math.degrees(math.atan2(y, x))
-    turned = [middle + turn_between(place.longitude, middle) for place in places]
+    turned = [middle + longitude_difference(place.longitude, middle) for place in places]
     latitude = float(np.median([place.latitude for place in places]))
     altitude = float(np.median([place.altitude for place in places]))
-    return Geodetic(latitude, turn_between(float(np.median(turned)), 0.0), altitude)
+    return Geodetic(latitude, longitude_difference(float(np.median(turned)), 0.0), altitude)
 
 
-def turn_between(longitude: float, origin: float) -> float:
-    """How far a longitude is east of another, at least -180 and less than 180 degrees."""
+def longitude_difference(longitude: float, origin: float) -> float:
+    """Return how far a longitude is east of another, degrees in [-180, 180)."""
     difference = longitude - origin
-    # A difference within these bounds is exact as it is.
+    # Only wrap where needed: the modulo would round a difference that is already exact.
     return difference if -180 <= difference < 180 else (difference + 180) % 360 - 180

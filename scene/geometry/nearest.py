@@ -1,4 +1,4 @@
-"""The nearest of many places on a plane, without looking at all of them."""
+"""Nearest neighbours among many points on a plane, without a distance to every one of them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 
 class Nearest:
-    """Places sorted by their first coordinate, of which a query looks at a strip.
+    """An index of points, sorted by x, that answers nearest-neighbour queries.
 
-    In a map a hundred times as large it holds ten times as many.
+    A query computes distances in a strip of x only. With a hundred times as many points over a
+    hundred times the area, the strip holds ten times as many.
 
     Args:
-        xy: (N, 2).
+        xy: points, (N, 2).
     """
 
     def __init__(self, xy: NDArray[np.float64]) -> None:
@@ -20,31 +21,34 @@ class Nearest:
         self._xy = xy[self._rows]
 
     def __call__(self, place: NDArray[np.float64], k: int) -> NDArray[np.int64]:
-        """Rows of the ``k`` places nearest to one (2,), nearest first, of equals the first.
+        """Return the rows of the ``k`` points nearest to ``place`` (2,), nearest first.
+
+        Points at equal distance are ordered by row.
 
         Raises:
             ValueError: the place is not finite.
         """
         if not np.isfinite(place).all():
             raise ValueError(f"no place: {place}")
+        # Points are sorted by x, so candidates within a radius lie in one range of rows.
         first, count = self._xy[:, 0], len(self._xy)
         k = min(k, count)
         if not k:
             return np.zeros(0, np.int64)
-        # A strip that holds so many, wherever in it they are.
+        # Begin with a strip that holds at least k points, and double it until k are in the circle.
         at = int(first.searchsorted(place[0]))
         ends = first[[max(0, at - k), min(count, at + k) - 1]]
-        reach = float(np.abs(ends - place[0]).max())
+        radius = float(np.abs(ends - place[0]).max())
         while True:
-            begin = int(first.searchsorted(place[0] - reach))
-            end = int(first.searchsorted(place[0] + reach, "right"))
+            begin = int(first.searchsorted(place[0] - radius))
+            end = int(first.searchsorted(place[0] + radius, "right"))
             squares = np.square(self._xy[begin:end] - place).sum(1)
-            within = np.flatnonzero(squares <= reach * reach)  # ** of a large one is an error
+            within = np.flatnonzero(squares <= radius * radius)  # ** raises OverflowError instead
             if end - begin == count:
                 within = np.arange(count)
             if len(within) >= k:
                 break
-            reach = 2 * reach or 1e-6
+            radius = 2 * radius or 1e-6
         if len(within) > k:
             least = np.partition(squares[within], k - 1)[k - 1]
             within = within[squares[within] <= least]

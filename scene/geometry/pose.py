@@ -1,7 +1,7 @@
 """Rigid poses: ``a_from_b`` maps points of frame b into frame a.
 
-Rotations are stored as matrices, so composition and application are plain matrix products that
-autograd and batches understand; quaternions appear only at the border to files.
+Rotations are stored as matrices, so that composition and application are plain matrix products
+that work with autograd and in batches; quaternions appear only when files are read or written.
 
 The tangent vector of a pose is ``(omega, v)``: rotation (rad) then translation (m), applied on the
 left, ``exp(delta) @ pose``. All Jacobians and covariances of the project use this order.
@@ -10,21 +10,16 @@ left, ``exp(delta) @ pose``. All Jacobians and covariances of the project use th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import torch
 from torch import Tensor
-
-FARTHEST_M: Final = 1e8
-"""Nothing on earth lies further from a map's origin: a larger coordinate in a file is damage, and
-its square is soon beyond all numbers."""
 
 # Below this angle (rad) the closed forms lose digits and their Taylor series are exact in float64.
 _SMALL_ANGLE = 1e-4
 
 
 def skew(v: Tensor) -> Tensor:
-    """The matrix [v]x with ``[v]x w = v x w``. (..., 3) -> (..., 3, 3)."""
+    """Return the matrix [v]x with ``[v]x w = v x w``. (..., 3) -> (..., 3, 3)."""
     zero = torch.zeros_like(v[..., 0])
     x, y, z = v.unbind(-1)
     rows = [zero, -z, y, z, zero, -x, -y, x, zero]
@@ -32,7 +27,7 @@ def skew(v: Tensor) -> Tensor:
 
 
 def _series(theta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """sin(t)/t, (1-cos t)/t^2 and (t-sin t)/t^3, safe at zero for values and gradients."""
+    """Return sin(t)/t, (1-cos t)/t^2, (t-sin t)/t^3; values and gradients at zero are finite."""
     small = theta < _SMALL_ANGLE
     t = torch.where(small, torch.ones_like(theta), theta)
     t2 = theta * theta
@@ -43,14 +38,14 @@ def _series(theta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _norm(v: Tensor) -> Tensor:
-    """Euclidean norm over the last axis whose gradient at zero is zero, not NaN."""
+    """Return the Euclidean norm over the last axis; its gradient at zero is zero, not NaN."""
     squared = (v * v).sum(-1)
     positive = squared > 0
     return torch.where(positive, torch.where(positive, squared, 1).sqrt(), 0 * squared)
 
 
 def so3_exp(omega: Tensor) -> Tensor:
-    """Rotation of angle |omega| (rad) about omega (Rodrigues). (..., 3) -> (..., 3, 3)."""
+    """Return the rotation by |omega| rad about omega (Rodrigues). (..., 3) -> (..., 3, 3)."""
     theta = _norm(omega)[..., None, None]
     a, b, _ = _series(theta)
     W = skew(omega)
@@ -59,10 +54,10 @@ def so3_exp(omega: Tensor) -> Tensor:
 
 
 def so3_log(rotation: Tensor) -> Tensor:
-    """Rotation vector (rad, norm at most pi) of a rotation matrix. (..., 3, 3) -> (..., 3).
+    """Return the rotation vector (rad, norm at most pi) of a rotation. (..., 3, 3) -> (..., 3).
 
-    Goes through the quaternion, whose four square roots cannot all be small, so that angles near
-    zero and near pi keep full precision.
+    It is computed through the quaternion, of which at least one component is large, so that angles
+    near zero and near pi keep full precision.
     """
     q = quaternion_from_rotation(rotation)
     w, xyz = q[..., :1], q[..., 1:]
@@ -76,7 +71,7 @@ def so3_log(rotation: Tensor) -> Tensor:
 
 
 def rotation_from_quaternion(wxyz: Tensor) -> Tensor:
-    """Rotation matrix of a quaternion w x y z, which is normalised. (..., 4) -> (..., 3, 3)."""
+    """Return the rotation of a quaternion w x y z of any length. (..., 4) -> (..., 3, 3)."""
     q = wxyz / wxyz.norm(dim=-1, keepdim=True)
     w, x, y, z = q.unbind(-1)
     rows = [
@@ -94,11 +89,11 @@ def rotation_from_quaternion(wxyz: Tensor) -> Tensor:
 
 
 def quaternion_from_rotation(rotation: Tensor) -> Tensor:
-    """Unit quaternion w x y z with w >= 0. (..., 3, 3) -> (..., 4). (Shepperd's method.)"""
+    """Return the unit quaternion w x y z, w >= 0 (Shepperd's method). (..., 3, 3) -> (..., 4)."""
     m = rotation
     d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     trace = d0 + d1 + d2
-    # Row k holds the quaternion scaled by 4 times its k-th component; take the best conditioned.
+    # Row k is the quaternion times 4 times its k-th component; the largest is best conditioned.
     w_row = [1 + trace, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0]]
     w_row += [m[..., 1, 0] - m[..., 0, 1]]
     x_row = [w_row[1], 1 + 2 * d0 - trace, m[..., 0, 1] + m[..., 1, 0]]
@@ -118,8 +113,18 @@ class Pose:
     """A rigid transform ``a_from_b``, or a batch of them.
 
     Attributes:
-        rotation: (..., 3, 3) rotation matrices.
-        translation: (..., 3) metres.
+        rotation: rotation matrices, (..., 3, 3).
+        translation: translations, (..., 3) metres.
+
+    Example:
+        >>> cam_from_world = Pose.from_quaternion([1, 0, 0, 0], [0.0, 0.0, 5.0])
+        >>> cam_from_world.transform(torch.zeros(1, 3, dtype=torch.float64)).tolist()
+        [[0.0, 0.0, 5.0]]
+        >>> (cam_from_world @ cam_from_world.inverse()).translation.tolist()
+        [0.0, 0.0, 0.0]
+        >>> metres, degrees = cam_from_world.error_to(Pose.identity())
+        >>> float(metres), float(degrees)
+        (5.0, 0.0)
     """
 
     rotation: Tensor
@@ -127,24 +132,24 @@ class Pose:
 
     @staticmethod
     def identity(dtype: torch.dtype = torch.float64) -> Pose:
-        """The transform that changes nothing."""
+        """Return the identity transform."""
         return Pose(torch.eye(3, dtype=dtype), torch.zeros(3, dtype=dtype))
 
     @staticmethod
     def from_matrix(matrix: object) -> Pose:
-        """From homogeneous matrices, (..., 4, 4) or (..., 3, 4), array or tensor."""
+        """Make poses from homogeneous matrices (..., 4, 4) or (..., 3, 4), array or tensor."""
         m = torch.as_tensor(matrix)
         return Pose(m[..., :3, :3], m[..., :3, 3])
 
     @staticmethod
     def from_quaternion(wxyz: object, translation: object) -> Pose:
-        """From quaternions w x y z (normalised here), (..., 4), and translations (..., 3)."""
+        """Make poses from quaternions w x y z (..., 4) of any length and translations (..., 3)."""
         q = torch.as_tensor(wxyz, dtype=torch.float64)
         return Pose(rotation_from_quaternion(q), torch.as_tensor(translation, dtype=torch.float64))
 
     @staticmethod
     def exp(delta: Tensor) -> Pose:
-        """SE(3) exponential of a tangent (omega, v). (..., 6) -> Pose."""
+        """Return the SE(3) exponential of a tangent (omega, v). (..., 6) -> Pose."""
         omega, v = delta[..., :3], delta[..., 3:]
         theta = _norm(omega)[..., None, None]
         _, b, c = _series(theta)
@@ -154,13 +159,13 @@ class Pose:
         return Pose(so3_exp(omega), (V @ v[..., None])[..., 0])
 
     def log(self) -> Tensor:
-        """SE(3) logarithm, the tangent (omega, v) with ``Pose.exp(tangent) == self``. (..., 6)."""
+        """Return the SE(3) logarithm: the tangent (..., 6) with ``Pose.exp(tangent) == self``."""
         omega = so3_log(self.rotation)
         theta = _norm(omega)[..., None, None]
         a, b, _ = _series(theta)
         W = skew(omega)
         eye = torch.eye(3, dtype=omega.dtype, device=omega.device)
-        # V^-1 = I - W/2 + (1 - a/(2b)) / theta^2 W^2, whose last factor tends to 1/12 at zero.
+        # V^-1 = I - W/2 + (1 - a/(2b)) / theta^2 W^2, where the last factor tends to 1/12 at zero.
         small = theta < _SMALL_ANGLE
         t2 = torch.where(small, torch.ones_like(theta), theta * theta)
         k = torch.where(small, torch.full_like(theta, 1 / 12), (1 - a / (2 * b)) / t2)
@@ -168,47 +173,47 @@ class Pose:
         return torch.cat([omega, v], -1)
 
     def matrix(self) -> Tensor:
-        """Homogeneous matrices (..., 4, 4)."""
+        """Return homogeneous matrices (..., 4, 4)."""
         top = torch.cat([self.rotation, self.translation[..., None]], -1)
         last = torch.zeros_like(top[..., :1, :])
         last[..., 3] = 1
         return torch.cat([top, last], -2)
 
     def quaternion(self) -> Tensor:
-        """Unit quaternions w x y z, w >= 0. (..., 4)."""
+        """Return unit quaternions w x y z with w >= 0, (..., 4)."""
         return quaternion_from_rotation(self.rotation)
 
     def inverse(self) -> Pose:
-        """``b_from_a``."""
+        """Return ``b_from_a``."""
         transposed = self.rotation.transpose(-1, -2)
         return Pose(transposed, -(transposed @ self.translation[..., None])[..., 0])
 
     def __matmul__(self, other: Pose) -> Pose:
-        """``a_from_b @ b_from_c = a_from_c``."""
+        """Compose transforms: ``a_from_b @ b_from_c = a_from_c``."""
         rotation = self.rotation @ other.rotation
         moved = (self.rotation @ other.translation[..., None])[..., 0]
         return Pose(rotation, moved + self.translation)
 
     def transform(self, points: Tensor) -> Tensor:
-        """Points of frame b in frame a. Pose (...), points (..., N, 3) -> (..., N, 3)."""
+        """Map points of frame b into frame a. Pose (...), points (..., N, 3) -> (..., N, 3)."""
         return points @ self.rotation.transpose(-1, -2) + self.translation[..., None, :]
 
     def centre(self) -> Tensor:
-        """Origin of frame a in frame b: for ``cam_from_world``, the camera centre. (..., 3)."""
+        """Return the origin of frame a in frame b, (..., 3): for ``cam_from_world``, its centre."""
         return -(self.rotation.transpose(-1, -2) @ self.translation[..., None])[..., 0]
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | None = None) -> Pose:
-        """The same pose in another precision or on another device."""
+        """Return the same pose in another precision or on another device."""
         return Pose(
             self.rotation.to(dtype=dtype, device=device),
             self.translation.to(dtype=dtype, device=device),
         )
 
     def error_to(self, truth: Pose) -> tuple[Tensor, Tensor]:
-        """Distance of the camera centres (m) and angle between the rotations (deg). (...), (...).
+        """Return the distance of the camera centres (m) and the angle between the rotations (deg).
 
-        The angle comes from the rotation vector, not from the trace, which loses everything below
-        a thousandth of a degree.
+        Both have the batch shape (...). The angle is computed from the rotation vector: the trace
+        would lose everything below a thousandth of a degree.
         """
         metres = (self.centre() - truth.centre()).norm(dim=-1)
         relative = so3_log(self.rotation @ truth.rotation.transpose(-1, -2))
@@ -216,6 +221,6 @@ class Pose:
 
 
 def transform_jacobian(points_in_a: Tensor) -> Tensor:
-    """d(point in frame a) / d(tangent of a_from_b), left perturbation. (..., 3) -> (..., 3, 6)."""
+    """Return d(point in a) / d(tangent of a_from_b), left perturbation. (..., 3) -> (..., 3, 6)."""
     eye = torch.eye(3, dtype=points_in_a.dtype, device=points_in_a.device)
     return torch.cat([-skew(points_in_a), eye.expand(*points_in_a.shape[:-1], 3, 3)], -1)

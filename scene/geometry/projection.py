@@ -1,7 +1,7 @@
 """Batched projection with analytic Jacobians, for every camera model of the project.
 
-All perspective models are one formula with some coefficients zero; the fisheye is another. Pixels
-are COLMAP's: the centre of the top-left pixel is (0.5, 0.5).
+All perspective models are one formula in which some coefficients may be zero; the fisheye model
+is another. Pixels are COLMAP's: the centre of the top-left pixel is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-# Points closer to the camera plane than this (in units of the point's own frame) are behind it.
+# Points with a smaller z (in units of the camera frame) count as behind the camera.
 _MIN_DEPTH = 1e-6
-# So are points seen at a larger x/z or y/z: powers of it overflow single precision.
+# So do points with a larger x/z or y/z, whose powers overflow single precision.
 _MAX_SLOPE = 1e4
 _NEWTON_STEPS = 30
 
 
 class Projection(NamedTuple):
-    """What ``project`` returns.
+    """The result of ``Intrinsics.project``.
 
     Attributes:
-        xy: (..., N, 2) pixels; finite everywhere, meaningful where ``valid``.
-        valid: (..., N) in front of the camera and inside the radius where distortion folds back.
-            A valid point can still lie outside the picture: see ``Camera.contains``.
-        jacobian: (..., N, 2, 3) d(xy) / d(point in camera frame), or None when not asked for.
+        xy: pixels, (..., N, 2); finite everywhere, meaningful where ``valid``.
+        valid: (..., N) bool: the point is in front of the camera and inside the radius at which the
+            distortion folds back. A valid point can still lie outside the image: see
+            ``Camera.contains``.
+        jacobian: d(xy) / d(point in camera frame), (..., N, 2, 3), or None when not asked for.
     """
 
     xy: Tensor
@@ -36,14 +37,14 @@ class Projection(NamedTuple):
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Intrinsics of one camera, or of a batch of cameras of one family.
+    """Intrinsics of one camera, or of a batch of cameras that are all perspective or all fisheye.
 
     Attributes:
-        fisheye: equidistant (OPENCV_FISHEYE) rather than perspective.
-        focal: (..., 2) pixels.
-        principal: (..., 2) pixels.
-        distortion: (..., 4) k1 k2 p1 p2, or k1 k2 k3 k4 for the fisheye.
-        limit: (...) where distortion folds back: radius x/z, or angle (rad) for the fisheye.
+        fisheye: whether the model is equidistant (OPENCV_FISHEYE) rather than perspective.
+        focal: focal lengths, (..., 2) pixels.
+        principal: principal points, (..., 2) pixels.
+        distortion: k1 k2 p1 p2, or k1 k2 k3 k4 for the fisheye, (..., 4).
+        limit: where the distortion folds back, (...): radius x/z, or angle (rad) for the fisheye.
     """
 
     fisheye: bool
@@ -53,9 +54,21 @@ class Intrinsics:
     limit: Tensor
 
     def project(self, points: Tensor, jacobian: bool = False) -> Projection:
-        """Project points of the camera frame. (..., N, 3) -> Projection.
+        """Project points (..., N, 3) of the camera frame.
 
-        Batch dimensions of the intrinsics precede N.
+        The batch dimensions of the intrinsics precede N.
+
+        Example:
+            >>> camera = Intrinsics(
+            ...     fisheye=False,
+            ...     focal=torch.tensor([100.0, 100.0]),
+            ...     principal=torch.tensor([32.0, 24.0]),
+            ...     distortion=torch.zeros(4),
+            ...     limit=torch.tensor(float("inf")),
+            ... )
+            >>> projected = camera.project(torch.tensor([[0.1, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+            >>> projected.xy[0].tolist(), projected.valid.tolist()
+            ([42.0, 24.0], [True, False])
         """
         z = points[..., 2]
         in_front = (z > _MIN_DEPTH) & (points[..., :2].abs().amax(-1) < _MAX_SLOPE * z)
@@ -74,10 +87,13 @@ class Intrinsics:
         return Projection(xy, in_front & inside, focal[..., None] * (local @ d_uv))
 
     def unproject(self, xy: Tensor) -> tuple[Tensor, Tensor]:
-        """Rays with z = 1 through pixels. (..., N, 2) -> rays (..., N, 3), valid (..., N).
+        """Return the rays with z = 1 through pixels (..., N, 2), and which of them are valid.
 
-        Newton iteration on the distortion; a pixel that no ray inside the fold-over limit reaches
-        is not valid.
+        The distortion is inverted by Newton's method. A pixel is not valid when no ray inside the
+        fold-over limit reaches it.
+
+        Returns:
+            Rays (..., N, 3) of the camera frame, and (..., N) bool.
         """
         target = (xy - self.principal[..., None, :]) / self.focal[..., None, :]
         tolerance = max(1e-7, 16 * torch.finfo(target.dtype).eps)
@@ -99,7 +115,7 @@ class Intrinsics:
             for _ in range(_NEWTON_STEPS if distorted else 0):
                 value, local, _ = self._distort(uv, jacobian=True)
                 assert local is not None
-                # A regularised solve keeps hopeless pixels finite instead of raising.
+                # Bounding the determinant keeps pixels without a solution finite.
                 a, b, c, d = local.flatten(-2).unbind(-1)
                 det = a * d - b * c
                 det = torch.where(det.abs() < 1e-6, torch.full_like(det, 1e-6), det)
@@ -114,7 +130,12 @@ class Intrinsics:
         return rays, converged
 
     def _distort(self, uv: Tensor, jacobian: bool) -> tuple[Tensor, Tensor | None, Tensor]:
-        """Normalised (..., N, 2) -> distorted, its 2x2 Jacobian, inside the fold-over limit."""
+        """Distort normalised coordinates (..., N, 2).
+
+        Returns:
+            The distorted coordinates (..., N, 2), their Jacobian (..., N, 2, 2) if asked for, and
+            whether each point is inside the fold-over limit, (..., N).
+        """
         if self.fisheye:
             return self._distort_fisheye(uv, jacobian)
         k1, k2, p1, p2 = (c[..., None] for c in self.distortion.unbind(-1))
@@ -133,7 +154,7 @@ class Intrinsics:
         j00 = radial + slope * uu + 2 * p1 * v + 6 * p2 * u
         j11 = radial + slope * vv + 2 * p2 * u + 6 * p1 * v
         j01 = slope * u * v + 2 * p1 * u + 2 * p2 * v
-        # Tangential terms can fold the plane before the radial limit does; the determinant sees it.
+        # Tangential terms can fold the plane inside the radial limit: the determinant shows it.
         inside = (r2 < self.limit[..., None] ** 2) & (j00 * j11 - j01 * j01 > 0)
         if not jacobian:
             return distorted, None, inside
@@ -141,7 +162,7 @@ class Intrinsics:
         return distorted, local, inside
 
     def _fisheye_angle(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """Distorted angle and its derivative for angles (..., N)."""
+        """Return the distorted angle and its derivative, both (..., N), of angles (..., N)."""
         k1, k2, k3, k4 = (c[..., None] for c in self.distortion.unbind(-1))
         t2 = theta * theta
         value = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
@@ -149,6 +170,7 @@ class Intrinsics:
         return value, slope
 
     def _distort_fisheye(self, uv: Tensor, jacobian: bool) -> tuple[Tensor, Tensor | None, Tensor]:
+        """Distort normalised coordinates by the fisheye model, as ``_distort`` does."""
         radius = uv.norm(dim=-1)
         centre = radius < 1e-9
         r = torch.where(centre, torch.ones_like(radius), radius)

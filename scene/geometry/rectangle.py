@@ -1,4 +1,4 @@
-"""Rectangles on the ground."""
+"""Rectangles on the ground, seen from above."""
 
 from __future__ import annotations
 
@@ -7,14 +7,23 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def rectangle(centre: ArrayLike, size: ArrayLike, yaw: float) -> NDArray[np.float64]:
-    """Corners (4, 2) of a rectangle with `centre` (2,), `size` (2,) metres and `yaw` radians."""
+    """Return the corners of a rectangle, (4, 2) metres.
+
+    Args:
+        centre: centre, (2,) metres.
+        size: side lengths before rotation, (2,) metres.
+        yaw: rotation counter-clockwise, radians.
+    """
     cos, sin = np.cos(yaw), np.sin(yaw)
     corners = 0.5 * np.asarray(size) * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return np.asarray(np.asarray(centre) + corners @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Whether two rectangles, (4, 2) corners each, share any area (separating axes)."""
+    """Return whether two rectangles, given by their corners (4, 2), share any area.
+
+    The test is that of separating axes: only the edges' directions need to be tried.
+    """
     for edges in (a, b):
         for axis in (edges[1] - edges[0], edges[2] - edges[1]):
             pa, pb = a @ axis, b @ axis

@@ -1,11 +1,11 @@
-"""Reading COLMAP's binary model without COLMAP.
+"""A reader of COLMAP's binary model that does not need COLMAP.
 
-COLMAP's own reader ends the process (a failed CHECK, not an exception) on a truncated file and
-asks for as much memory as a damaged count claims, so files from strangers are read here: every
-count is held against the bytes that are left before anything is allocated.
+COLMAP's own reader ends the process (a failed CHECK, not an exception) on a truncated file, and
+allocates as much memory as a damaged count claims. Files of unknown origin are therefore read
+here: every count is compared with the bytes that are left before anything is allocated.
 
-Layout: https://colmap.github.io/format.html (binary), which stores the pose of every image in
-``images.bin`` also when rigs and frames are written beside it.
+The layout is that of https://colmap.github.io/format.html (binary). It stores the pose of every
+image in ``images.bin`` also when rigs and frames are written beside it.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
-from scene.geometry.pose import FARTHEST_M, Pose
+from scene.geometry.geodesy import FARTHEST_M
 from scene.maps.sparse_map import MapImage, SparseMap
-from scene.storage.files import inside, require_readable
+from scene.storage.files import is_safe_path, require_readable
 
 MODEL_FILES: Final = ("cameras.bin", "images.bin", "points3D.bin")
-"""What a model is read from."""
-RIG_FILES: Final = ("rigs.bin", "frames.bin")
-"""What COLMAP writes beside it from 3.12 on."""
-"""What ``read_model`` reads."""
+"""The files that ``read_model`` reads."""
 
-# Model identifiers of the binary format.
+RIG_FILES: Final = ("rigs.bin", "frames.bin")
+"""The files that COLMAP writes beside them from version 3.12 on."""
+
+# Camera model identifiers of the binary format.
 _MODEL_IDS = {
     0: "SIMPLE_PINHOLE",
     1: "PINHOLE",
@@ -38,17 +38,27 @@ _MODEL_IDS = {
     4: "OPENCV",
     5: "OPENCV_FISHEYE",
 }
+# The point identifier of a keypoint that observes no point.
 _NO_POINT = np.uint64(2**64 - 1)
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<u8")])
+# Largest departure of a quaternion's length from one.
 _UNIT_TOLERANCE = 1e-3
 
 
 def read_model(folder: Path) -> SparseMap:
-    """Read ``cameras.bin``, ``images.bin`` and ``points3D.bin``.
+    """Read a map from ``cameras.bin``, ``images.bin`` and ``points3D.bin``.
+
+    Args:
+        folder: folder of the binary model.
 
     Raises:
         InputError: the folder or a file is missing, a file is truncated or damaged, a pose is not
             finite, a quaternion is not of unit length, or the map holds no image or no point.
+
+    Example:
+        >>> sparse_map = read_model(Path("scene/map"))  # doctest: +SKIP
+        >>> sparse_map.xyz.shape, len(sparse_map.images)  # doctest: +SKIP
+        ((48213, 3), 214)
     """
     if not folder.is_dir():
         raise InputError(f"map folder {folder} does not exist")
@@ -63,7 +73,7 @@ def read_model(folder: Path) -> SparseMap:
 
 
 def read_point_ids(folder: Path) -> NDArray[np.uint64]:
-    """COLMAP's identifiers of a model's points, in the order of the rows of ``read_model``, (M,).
+    """Return COLMAP's identifiers of a model's points, (M,), in the order of ``SparseMap.xyz``.
 
     Raises:
         InputError: ``points3D.bin`` is missing or damaged.
@@ -88,39 +98,42 @@ class _Reader:
             self.data = path.read_bytes()
         except OSError as error:
             raise InputError(f"cannot read map file {path}: {error.strerror}") from error
-        self.at = 0
+        self.offset = 0
 
     def take(self, size: int) -> int:
-        """Advance by ``size`` bytes and return where they start."""
-        start = self.at
+        """Advance by ``size`` bytes and return the offset at which they start."""
+        start = self.offset
         if size < 0 or start + size > len(self.data):
             raise InputError(f"map file {self.path} is truncated or damaged at byte {start}")
-        self.at = start + size
+        self.offset = start + size
         return start
 
     def unpack(self, layout: struct.Struct) -> tuple[float, ...]:
+        """Read one record."""
         values: tuple[float, ...] = layout.unpack_from(self.data, self.take(layout.size))
         return values
 
     def count(self, record_size: int) -> int:
-        """A number of records that the rest of the file can hold."""
+        """Read a number of records and refuse one that the rest of the file cannot hold."""
         (n,) = self.unpack(_COUNT)
-        if n * record_size > len(self.data) - self.at:
+        if n * record_size > len(self.data) - self.offset:
             raise InputError(
                 f"map file {self.path} is truncated or damaged: it claims {n} records of at least "
-                f"{record_size} bytes and has {len(self.data) - self.at} bytes left"
+                f"{record_size} bytes and has {len(self.data) - self.offset} bytes left"
             )
         return int(n)
 
     def text(self) -> str:
-        end = self.data.find(b"\0", self.at)
+        """Read a string that ends with a zero byte."""
+        start = self.offset
+        end = self.data.find(b"\0", start)
         if end < 0:
-            raise InputError(f"map file {self.path} is truncated or damaged at byte {self.at}")
+            raise InputError(f"map file {self.path} is truncated or damaged at byte {start}")
         try:
-            value = self.data[self.at : end].decode("utf-8")
+            value = self.data[start:end].decode("utf-8")
         except UnicodeDecodeError:
-            raise InputError(f"map file {self.path} has a damaged name at byte {self.at}") from None
-        self.at = end + 1
+            raise InputError(f"map file {self.path} has a damaged name at byte {start}") from None
+        self.offset = end + 1
         return value
 
 
@@ -153,6 +166,8 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
 def _read_images(
     path: Path, cameras: dict[int, Camera], point_ids: NDArray[np.uint64]
 ) -> dict[str, MapImage]:
+    from scene.geometry.pose import Pose
+
     reader = _Reader(path)
     images: dict[str, MapImage] = {}
     for _ in range(reader.count(_IMAGE.size + 9)):
@@ -165,7 +180,7 @@ def _read_images(
         check_pose(quaternion, translation, f"{path}: image {name}")
         if record[8] not in cameras:
             raise InputError(f"{path}: image {name} has camera {record[8]:.0f}, which is not there")
-        if not inside(name):
+        if not is_safe_path(name):
             raise InputError(f"{path}: image {name!r} does not lie in the folder of images")
         if name in images:
             raise InputError(f"{path}: image {name} is listed twice")
@@ -182,16 +197,16 @@ def _read_images(
 def _rows_of(
     observed: NDArray[np.uint64], ids: NDArray[np.uint64], path: Path, name: str
 ) -> NDArray[np.int64]:
-    """Rows of observed point identifiers in the sorted identifiers; -1 for no point."""
+    """Return the row of each observed identifier in the sorted identifiers, -1 for no point."""
     rows = np.full(len(observed), -1, np.int64)
     seen = observed != _NO_POINT
-    found = np.searchsorted(ids, observed[seen])
+    nearest = np.searchsorted(ids, observed[seen])
     if len(ids) == 0:
         rows[:] = -1
         return rows
-    if (ids[np.minimum(found, len(ids) - 1)] != observed[seen]).any():
+    if (ids[np.minimum(nearest, len(ids) - 1)] != observed[seen]).any():
         raise InputError(f"{path}: image {name} observes a point that points3D.bin does not have")
-    rows[seen] = found
+    rows[seen] = nearest
     return rows
 
 
@@ -204,11 +219,11 @@ def _read_points(
     NDArray[np.float64],
     NDArray[np.int64],
 ]:
-    """Identifiers (sorted), xyz, rgb, error and track length of every point."""
+    """Return identifiers (sorted), xyz, rgb, error and track length of every point."""
     reader = _Reader(path)
     n = reader.count(_POINT.size)
     table = np.empty((n, 8))
-    ids = np.empty(n, np.uint64)  # apart from the floats, which cannot hold every 64-bit number
+    ids = np.empty(n, np.uint64)  # a float64 cannot hold every 64-bit identifier
     for k in range(n):
         point_id, *values, track = reader.unpack(_POINT)
         reader.take(8 * int(track))
@@ -237,11 +252,16 @@ def _read_points(
 def check_pose(
     quaternion: NDArray[np.float64], translation: NDArray[np.float64], where: str
 ) -> None:
-    """Refuse a pose no rigid camera has.
+    """Refuse a pose that no camera can have.
+
+    Args:
+        quaternion: (4,).
+        translation: (3,) metres.
+        where: beginning of the message.
 
     Raises:
         InputError: a number is not finite, the camera is further away than anything on earth, or
-            the quaternion is not of unit length; the message begins with ``where``.
+            the quaternion is not of unit length.
     """
     if not (np.isfinite(quaternion).all() and np.isfinite(translation).all()):
         raise InputError(f"{where} has a pose that is not finite")

@@ -1,4 +1,4 @@
-"""Local features of images, in memory and on disk."""
+"""Local features of images: keypoints and descriptors, in memory and in an HDF5 file."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.storage.files import require_readable, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, group, groups, set_text
 
-# Of the group of an image whose name holds what stands for a slash in the names of groups.
+if TYPE_CHECKING:
+    from torch import Tensor
+
+# A group is named like its image, with "\" for "/". The group of an image whose name contains "\"
+# has a number for a name instead, and the image's name in this attribute.
 _NAME = "name"
 
 
@@ -27,10 +30,19 @@ class Features:
     """Keypoints and descriptors of one image.
 
     Attributes:
-        xy: (N, 2) float32 COLMAP pixels.
-        scale: (N,) float32 pixels.
-        descriptors: (N, D) as their extractor makes them: vectors of float32 or uint8 (COLMAP's
-            RootSIFT is 128 uint8, of length 512), or bits packed in uint8.
+        xy: keypoints, (N, 2) float32 COLMAP pixels.
+        scale: sizes of the keypoints, (N,) float32 pixels.
+        descriptors: (N, D), as the extractor returns them: vectors of float32 or uint8 (COLMAP's
+            RootSIFT is 128 uint8 of length 512), or bits packed in uint8.
+
+    Example:
+        >>> features = Features(
+        ...     xy=np.array([[10.5, 20.5]], np.float32),
+        ...     scale=np.array([2.0], np.float32),
+        ...     descriptors=np.array([[3, 4]], np.uint8),
+        ... )
+        >>> unit_descriptors(features.descriptors)
+        tensor([[0.6000, 0.8000]])
     """
 
     xy: NDArray[np.float32]
@@ -39,31 +51,38 @@ class Features:
 
 
 def unit_descriptors(descriptors: NDArray[Any]) -> Tensor:
-    """Descriptors that are vectors as (N, D) float32 of unit length, ready to match."""
+    """Return vector descriptors (N, D) as float32 of unit length, ready to match."""
+    import torch
+
     return torch.nn.functional.normalize(torch.from_numpy(descriptors).float(), dim=-1)
 
 
 def unit_bits(descriptors: NDArray[np.uint8]) -> Tensor:
-    """Descriptors that are bits as (N, 8 D) float32 of unit length.
+    """Return binary descriptors (N, D) uint8 as (N, 8 D) float32 of unit length.
 
-    Bits are signs, so that the squared distance of two is 4 / (8 D) of their Hamming distance.
+    Bits become signs, so that the squared distance of two descriptors is 4 / (8 D) times their
+    Hamming distance.
     """
+    import torch
+
     bits = torch.from_numpy(np.unpackbits(descriptors, axis=1))
     return torch.nn.functional.normalize(2 * bits.float() - 1, dim=-1)
 
 
 @contextmanager
-def written_features(path: Path) -> Iterator[Callable[[str, Features], None]]:
-    """Write a file of features, whole or not at all, by what it gives: a function that adds those
-    of an image.
+def feature_writer(path: Path) -> Iterator[Callable[[str, Features], None]]:
+    """Write a feature file atomically, one image at a time.
+
+    Yields:
+        A function that adds the features of the image of a given name.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    with written_whole(path) as partial, h5py.File(partial, "w") as file:
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
 
         def add(name: str, item: Features) -> None:
-            # Names hold slashes, which HDF5 would take for groups.
+            # HDF5 would take the slashes of a name for nested groups.
             if "\\" in name:
                 group = file.create_group(f"\\{len(file)}")
                 set_text(group, _NAME, name)
@@ -75,28 +94,29 @@ def written_features(path: Path) -> Iterator[Callable[[str, Features], None]]:
         yield add
 
 
-def _name(stored: str, of: h5py.Group) -> str:
-    return str(attribute(of, _NAME)) if _NAME in of.attrs else stored.replace("\\", "/")
+def _image_name(group_name: str, node: h5py.Group) -> str:
+    return str(attribute(node, _NAME)) if _NAME in node.attrs else group_name.replace("\\", "/")
 
 
 def write_features(path: Path, features: Mapping[str, Features]) -> None:
-    """Write the features of several images by name, atomically.
+    """Write a file with the features of several images, by image name, atomically.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    with written_features(path) as add:
+    with feature_writer(path) as add:
         for name, item in features.items():
             add(name, item)
 
 
 class FeatureFile(Mapping[str, Features]):
-    """What ``write_features`` wrote, read image by image when asked for, and not kept.
+    """A mapping from image name to features that reads each image from the file when asked for it.
 
-    The file stays open, so that it may be removed meanwhile. Threads may share it.
+    Nothing is cached. The file stays open, so it may be removed in the meantime. The mapping can be
+    shared between threads.
 
     Raises:
-        InputError: missing or damaged file; also when features are read.
+        InputError: the file is missing or damaged; this can also be raised on access.
     """
 
     def __init__(self, path: Path) -> None:
@@ -104,7 +124,7 @@ class FeatureFile(Mapping[str, Features]):
         try:
             require_readable(path, "feature file")
             self._file = h5py.File(path, "r")
-            self._groups = {_name(stored, of): stored for stored, of in groups(self._file)}
+            self._groups = {_image_name(key, node): key for key, node in groups(self._file)}
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 
@@ -115,10 +135,10 @@ class FeatureFile(Mapping[str, Features]):
         return iter(self._groups)
 
     def __getitem__(self, name: str) -> Features:
-        stored = self._groups[name]
+        key = self._groups[name]
         try:
-            found = group(self._file, stored)
-            return Features(*(array(found, part) for part in ("xy", "scale", "descriptors")))
+            node = group(self._file, key)
+            return Features(*(array(node, part) for part in ("xy", "scale", "descriptors")))
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 
@@ -127,9 +147,9 @@ class FeatureFile(Mapping[str, Features]):
 
 
 def read_features(path: Path) -> dict[str, Features]:
-    """Read all that ``write_features`` wrote.
+    """Read all features of a file that ``write_features`` wrote, by image name.
 
     Raises:
-        InputError: missing or damaged file.
+        InputError: the file is missing or damaged.
     """
     return dict(FeatureFile(path))

@@ -1,4 +1,4 @@
-"""Descriptor matching."""
+"""Descriptor matching by mutual nearest neighbours."""
 
 from __future__ import annotations
 
@@ -9,20 +9,26 @@ from torch import Tensor
 
 
 def match(a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
-    """Mutual nearest neighbours that pass the ratio test in both directions.
+    """Return the mutual nearest neighbours that pass the ratio test in both directions.
 
     Args:
-        a: (N, D) float descriptors of unit length.
-        b: (M, D) the same.
-        ratio: nearest distance over second nearest must be below it.
+        a: descriptors of one image, (N, D) float of unit length.
+        b: descriptors of the other image, (M, D) likewise.
+        ratio: a match is kept when its distance is below ``ratio`` times that of the second
+            nearest.
 
     Returns:
-        (K, 2) rows of a and of b.
+        (K, 2) row in ``a`` and row in ``b`` of each match.
+
+    Example:
+        >>> a = torch.eye(3)
+        >>> match(a, a[[2, 0, 1]], ratio=0.8).tolist()
+        [[0, 1], [1, 2], [2, 0]]
     """
     if min(len(a), len(b)) < 2:
         return np.zeros((0, 2), np.int64)
     best_b, distinct = _nearest(a, b, ratio)
-    # Few pass: asking only them for their way back is cheaper than asking all of b.
+    # Few rows pass, so the reverse search is done for their matches only.
     rows = distinct.nonzero()[:, 0]
     columns = best_b[rows]
     best_a, distinct = _nearest(b[columns], a, ratio)
@@ -31,7 +37,7 @@ def match(a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
 
 
 def _nearest(a: Tensor, b: Tensor, ratio: float) -> tuple[Tensor, Tensor]:
-    """Nearest of b for every row of a, and whether it beats the second by the ratio."""
+    """Return the nearest row of b for every row of a, and whether it passes the ratio test."""
     values, columns = (a @ b.T).topk(2, dim=1)
     distance = (2 - 2 * values).clamp_min(0).sqrt()
     return columns[:, 0], distance[:, 0] < ratio * distance[:, 1]

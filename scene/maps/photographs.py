@@ -1,4 +1,4 @@
-"""Photographs that a map is built from: with a known pose, or without."""
+"""The photographs that a map is built from, with a known pose or without."""
 
 from __future__ import annotations
 
@@ -12,7 +12,13 @@ from scene.geometry.camera import Camera
 
 @dataclass(frozen=True)
 class PosedImage:
-    """A photograph with a known pose: what triangulation starts from."""
+    """A photograph with a known pose, as triangulation needs it.
+
+    Attributes:
+        name: path relative to the folder of all images.
+        camera: calibrated camera.
+        cam_from_world: (4, 4) float64.
+    """
 
     name: str
     camera: Camera
@@ -21,14 +27,15 @@ class PosedImage:
 
 @dataclass(frozen=True)
 class Photograph:
-    """A photograph whose pose nobody knows: what structure from motion of a flight starts from.
+    """A photograph without a known pose, as structure from motion takes it.
 
     Attributes:
         name: path relative to the folder of all images.
-        camera: its calibration, or a first guess of it.
-        lens: photographs of one lens share one camera, and it is refined from all of them.
-        calibrated: the camera is right, and stays as it is.
-        focal_known: the guess of the focal length was measured, as EXIF says it.
+        camera: calibration, or a first guess of it.
+        lens: name of the lens; photographs with the same lens share one camera, which is refined
+            from all of them.
+        calibrated: whether ``camera`` is exact and must not be refined.
+        focal_known: whether the focal length of ``camera`` was measured, for example from EXIF.
     """
 
     name: str

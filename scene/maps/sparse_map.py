@@ -7,16 +7,19 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.geometry.camera import Camera
 from scene.geometry.nearest import Nearest
-from scene.geometry.pose import Pose
 
-# So many points say how high the ground is.
-_AROUND = 50
+if TYPE_CHECKING:
+    from scene.geometry.pose import Pose
+
+# Number of nearest points that the height of the ground is taken from.
+_GROUND_POINTS = 50
 
 
 @dataclass(frozen=True)
@@ -25,10 +28,11 @@ class MapImage:
 
     Attributes:
         name: path relative to the map's image folder.
-        camera: calibrated.
+        camera: calibrated camera.
         cam_from_world: (4, 4) float64.
-        xy: (K, 2) float64 observed keypoints, COLMAP pixels.
-        point_rows: (K,) row of the observed point in ``SparseMap.xyz``, -1 where there is none.
+        xy: keypoints, (K, 2) float64 COLMAP pixels.
+        point_rows: row in ``SparseMap.xyz`` of the point that each keypoint observes, (K,); -1 for
+            none.
     """
 
     name: str
@@ -39,25 +43,27 @@ class MapImage:
 
     @property
     def pose(self) -> Pose:
-        """``cam_from_world`` as a pose."""
+        """Return ``cam_from_world`` as a pose."""
+        from scene.geometry.pose import Pose
+
         return Pose.from_matrix(self.cam_from_world)
 
     @property
     def centre(self) -> NDArray[np.float64]:
-        """Camera centre in world metres, (3,)."""
+        """Return the camera centre, (3,) world metres."""
         return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
 
 
 @dataclass(frozen=True)
 class SparseMap:
-    """Posed photographs and the points seen in them.
+    """Posed photographs and the 3D points observed in them.
 
     Attributes:
-        images: by name.
-        xyz: (M, 3) float64 points, world metres.
-        rgb: (M, 3) uint8 colours.
-        error: (M,) mean reprojection error, pixels.
-        track_length: (M,) number of photographs that observe each point.
+        images: photographs by name.
+        xyz: points, (M, 3) float64 world metres.
+        rgb: colours of the points, (M, 3) uint8.
+        error: mean reprojection error of each point, (M,) pixels.
+        track_length: number of photographs that observe each point, (M,).
     """
 
     images: Mapping[str, MapImage]
@@ -68,34 +74,38 @@ class SparseMap:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Image names, sorted: the order of every per-image array of the project."""
+        """Return the image names, sorted; per-image arrays of the project are in this order."""
         return tuple(sorted(self.images))
 
     @cached_property
     def centres(self) -> NDArray[np.float64]:
-        """Camera centres in the order of ``names``, (N, 3) world metres."""
+        """Return the camera centres in the order of ``names``, (N, 3) world metres."""
         return np.array([self.images[n].centre for n in self.names]).reshape(-1, 3)
 
     def height_above(self, position: NDArray[np.float64]) -> float:
-        """Height (m) of a position (3,) over the points around the foot of its plumb line.
+        """Return the height (m) of a position (3,) above the map's points below it.
 
-        Their median: points on roofs and walls are outnumbered, unless one stands among them.
+        The height of the points is the median of the nearest ones on the plane, so that points on
+        roofs and walls have no effect unless they are the majority.
         """
-        nearest = self._nearest_points(position[:2], _AROUND)
+        nearest = self._nearest_points(position[:2], _GROUND_POINTS)
         return float(position[2] - np.median(self.xyz[nearest, 2]))
 
-    def without(self, gone: NDArray[np.bool_]) -> SparseMap:
-        """The map less some of its points (M,); keypoints stay, and observe nothing."""
-        row = np.where(gone, -1, np.cumsum(~gone) - 1)
+    def without(self, removed: NDArray[np.bool_]) -> SparseMap:
+        """Return the map without the points of a mask (M,).
+
+        Keypoints that observed a removed point stay and observe none.
+        """
+        row = np.where(removed, -1, np.cumsum(~removed) - 1)
         images = {
             name: replace(
                 image, point_rows=np.where(image.point_rows < 0, -1, row[image.point_rows])
             )
             for name, image in self.images.items()
         }
-        left = ~gone
+        kept = ~removed
         return SparseMap(
-            images, self.xyz[left], self.rgb[left], self.error[left], self.track_length[left]
+            images, self.xyz[kept], self.rgb[kept], self.error[kept], self.track_length[kept]
         )
 
     @cached_property
@@ -104,8 +114,11 @@ class SparseMap:
 
     @cached_property
     def sha256(self) -> str:
-        """Digest of cameras, poses, observations and points, of all that localizers read; colours
-        and errors are left out."""
+        """Return a digest of everything that localizers read: cameras, poses, observations and
+        points.
+
+        Colours and reprojection errors are not part of it.
+        """
         digest = hashlib.sha256()
         for name in self.names:
             image = self.images[name]
@@ -117,13 +130,16 @@ class SparseMap:
         return digest.hexdigest()
 
     def reprojection_error(self) -> float:
-        """Mean distance (px) between observed keypoints and projected points; NaN when none."""
+        """Return the mean distance (px) between keypoints and projected points; NaN without any."""
         residuals = [self.residuals(name) for name in self.names]
         stacked = np.concatenate(residuals) if residuals else np.zeros((0, 2))
         return float(np.linalg.norm(stacked, axis=1).mean()) if len(stacked) else float("nan")
 
     def residuals(self, name: str) -> NDArray[np.float64]:
-        """Observed minus projected pixels of one image's points, (K', 2)."""
+        """Return observed minus projected pixels of one image's points, (K', 2).
+
+        Points that do not project into the image's camera are left out.
+        """
         import torch
 
         image = self.images[name]

@@ -1,1 +1,8 @@
-"""Progress, memory, clusters and system packages."""
+"""The process and its surroundings: workers, progress, memory, packages and terminal output.
+
+- ``cluster``: a pool of workers, this process or a Ray cluster.
+- ``progress``: progress bars on a terminal, lines in a log file.
+- ``memory``: resident memory now and at its peak.
+- ``debian``: system packages that no Python package brings.
+- ``escaping``: file names and messages escaped for a terminal or a figure.
+"""

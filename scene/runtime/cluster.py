@@ -1,6 +1,7 @@
-"""Work on the cores of a Ray cluster: the one module that speaks to Ray.
+"""A pool of workers: this process, or the cores of a Ray cluster.
 
-Written for Ray 2.48, the extra ``[cluster]``, which is loaded only where a cluster is asked for.
+This is the one module that imports Ray. It is written for Ray 2.48, the extra ``[cluster]``, which
+is loaded only when a cluster is asked for.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from typing import Any, Final, Generic, TypeVar
 
 from scene.errors import InputError
 
-# How often a unit is done again whose worker was lost, or which failed for no fault of the input.
+# How often a unit is repeated whose worker was lost, or that failed for another reason than input.
 _RETRIES: Final = 5
-# For an answer from the head of a cluster.
+# Timeout for an answer from the head of a cluster.
 _PATIENCE_S: Final = 10
-# Units handed out for each core; the rest wait here, so that few results wait in Ray's memory.
+# Units submitted per core; the others wait in this process, so that few results fill Ray's memory.
 _AHEAD: Final = 2
-# What results wait in, where we start Ray ourselves.
+# Size of the object store, where this process starts Ray.
 _STORE_BYTES: Final = 200 << 20
 _ADDRESS: Final = re.compile(r"local|auto|[^/:\s]+:\d+")
-# Results are the same bit for bit only where these are.
+# Packages of which all nodes need the same version, for results to be the same bit for bit.
 _COMPUTING: Final = ("objconnect", "numpy", "torch", "pycolmap", "bpy")
 
 Item = TypeVar("Item")
@@ -39,30 +40,39 @@ Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
 Work = Callable[[Unit], Iterable[Result]]
-"""What workers do: a unit's results, the same ones in the same order whenever it is called."""
+"""A function from a unit to its results. It returns the same results in the same order each time
+it is called with the same unit."""
 
 
 @dataclass(frozen=True)
 class _Fault:
-    """An InputError on its way to the driver, as a result: Ray would try the unit again."""
+    """An InputError returned to the driver as a result, because Ray would repeat a unit that
+    raises."""
 
     kind: type[InputError]
     message: str
 
 
 class WorkerPool(Generic[Unit, Result]):
-    """Whoever does the same work on many units; this process alone, where there is no cluster."""
+    """Workers that apply one function to many units; without a cluster, this process alone.
+
+    Example:
+        >>> with worker_pool(None, lambda unit: [unit * unit]) as workers:
+        ...     list(workers.map([1, 2, 3]))
+        [1, 4, 9]
+    """
 
     def __init__(self, work: Work[Unit, Result]) -> None:
         self._work = work
 
     @property
     def cores(self) -> int:
-        """How many units are worked on at a time."""
+        """Return how many units are worked on at a time."""
         return 1
 
     def map(self, units: Iterable[Unit]) -> Generator[Result, None, None]:
-        """Do units of work; yield each result as soon as it is there, of whatever unit.
+        """Apply the function to units; yield each result as soon as it is there, in any order of
+        units.
 
         Raises:
             InputError: a unit raised it, or was lost with its worker again and again.
@@ -72,8 +82,11 @@ class WorkerPool(Generic[Unit, Result]):
 
 
 class _RayPool(WorkerPool[Unit, Result]):
-    """Worker processes, one a core. A unit whose worker is lost is done again by another; what it
-    had yielded before is not yielded twice."""
+    """Worker processes, one per core.
+
+    A unit whose worker is lost is repeated by another one; results that it had already yielded are
+    not yielded twice.
+    """
 
     def __init__(self, ray: Any, work: Work[Unit, Result]) -> None:
         super().__init__(work)
@@ -93,9 +106,9 @@ class _RayPool(WorkerPool[Unit, Result]):
         home, versions = str(Path.cwd()), _versions()
         try:
             while True:
-                # As many as there are cores for now: nodes come and go.
-                room = _AHEAD * max(1, self.cores) - len(running)
-                for unit in islice(left, max(0, room)):
+                # The number of cores is asked again each time, because nodes come and go.
+                vacant = _AHEAD * max(1, self.cores) - len(running)
+                for unit in islice(left, max(0, vacant)):
                     running.add(self._do.remote([self._put], unit, home, versions))
                 if not running:
                     return
@@ -121,7 +134,11 @@ class _RayPool(WorkerPool[Unit, Result]):
 
 
 def require_address(address: str | None) -> None:
-    """InputError: it is none of those that ``worker_pool`` takes."""
+    """Refuse an address that ``worker_pool`` does not take.
+
+    Raises:
+        InputError: the address has the wrong form.
+    """
     if address is not None and not _ADDRESS.fullmatch(address):
         raise InputError(f"--cluster takes local, auto or HOST:PORT, got {address!r}")
 
@@ -130,17 +147,18 @@ def require_address(address: str | None) -> None:
 def worker_pool(
     address: str | None, work: Work[Unit, Result]
 ) -> Iterator[WorkerPool[Unit, Result]]:
-    """Connect to a cluster, whose workers' messages appear on this process's standard error.
+    """Connect to a cluster; messages of its workers appear on this process's standard error.
 
     Args:
-        address: "local" starts Ray on this machine alone, and ends it afterwards; "auto" is the
-            cluster that this machine is a node of; or "host:port" of its head. None is no cluster.
-        work: picklable. Every worker process has a copy of its own and keeps it, so that it may
-            hold what is costly to make. Relative paths start at this process's folder, where the
-            worker's machine has it.
+        address: "local" starts Ray on this machine alone and stops it afterwards; "auto" is the
+            cluster that this machine is a node of; "host:port" is that of its head. None uses this
+            process alone.
+        work: picklable function. Every worker process keeps its own copy, which may cache what is
+            expensive to make. Relative paths refer to this process's folder, if the machine of the
+            worker has it.
 
     Raises:
-        InputError: no Ray, no such cluster, or one without a core.
+        InputError: Ray is not installed, the cluster does not exist, or it has no core.
     """
     if address is None:
         yield WorkerPool(work)
@@ -158,7 +176,7 @@ def worker_pool(
                 log_to_driver=True,
                 **(own if address == "local" else {}),
             )
-    except Exception as error:  # Ray says it with whatever is at hand
+    except Exception as error:  # Ray raises many different exceptions here
         reason = " ".join(str(error).split("\n")[0].split())
         raise InputError(
             f"cannot work on the Ray cluster {address!r}: {reason or type(error).__name__}; run "
@@ -174,7 +192,7 @@ def worker_pool(
 
 
 def _ray() -> Any:
-    """Ray, told to ask nobody's server, and to wait for workers that start on a busy machine."""
+    """Import Ray without usage statistics, and with patience for workers on a busy machine."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_worker_register_timeout_seconds", "600")
     try:
@@ -188,19 +206,18 @@ def _ray() -> Any:
 
 @contextmanager
 def _kept_handler() -> Iterator[None]:
-    """What this process does when it is told to end stays as it is: Ray puts an exit of its own in
-    the place of our cleaning up."""
+    """Restore the handler of SIGTERM after the block: Ray installs one that skips our clean-up."""
     before = signal.getsignal(signal.SIGTERM)
     try:
         yield
     finally:
-        # No other thread may; None is of no Python's making.
+        # Only the main thread may set a handler; None means one not installed from Python.
         if before is not None and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)
 
 
 def _require_answer(address: str) -> None:
-    """InputError when nobody listens there, which takes Ray two minutes to find out."""
+    """Raise InputError if nothing listens at the address; Ray would take two minutes to notice."""
     host, _, port = address.rpartition(":")
     try:
         socket.create_connection((host, int(port)), timeout=_PATIENCE_S).close()
@@ -208,17 +225,21 @@ def _require_answer(address: str) -> None:
         raise InputError(f"no Ray cluster answers at {address}: {error}") from None
 
 
-def shares(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
-    """Divide items into units, large ones first: nobody waits long for the last one to be done.
+def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
+    """Divide items into units, large ones first, so that all workers finish at about the same time.
 
-    Every round is of as many equal units as there are cores, of half of what is left between them;
-    the last round takes all (Hummel et al., "Factoring", CACM 1992).
+    Each round consists of one unit per core, all of the same size, which together hold half of the
+    items that are left; the last round takes all of them (Hummel et al., "Factoring", CACM 1992).
 
     Args:
-        items: in order.
-        cores: to share among.
-        least: items that are worth a unit, where there are enough for every core.
-        most: items of a unit.
+        items: items in order.
+        cores: number of workers.
+        least: smallest number of items worth a unit, if there are enough for every core.
+        most: largest number of items of a unit.
+
+    Example:
+        >>> [len(unit) for unit in split_work(range(20), cores=2, least=2, most=100)]
+        [5, 5, 3, 3, 2, 2]
     """
     units: list[Sequence[Item]] = []
     start = 0
@@ -231,33 +252,34 @@ def shares(items: Sequence[Item], cores: int, least: int, most: int) -> list[Seq
     return units
 
 
-# The copy of the work that this worker process keeps, by its reference.
-_kept: dict[str, Work[Any, Any]] = {}
+# The function that this worker process works with, by its reference in the object store.
+_work_by_reference: dict[str, Work[Any, Any]] = {}
 
 
 def _do(
     boxed: list[Any], unit: Any, home: str, versions: dict[str, str]
 ) -> Generator[Any, None, None]:
-    """Runs on the workers. The box keeps Ray from unpacking the work for every unit."""
+    """Run one unit on a worker. The function is in a list because Ray would unpack a bare
+    reference."""
     try:
         if _versions() != versions:
             raise InputError(_differing(versions))
         name = boxed[0].hex()
-        if name not in _kept:
+        if name not in _work_by_reference:
             with suppress(OSError):
                 os.chdir(home)
-            _kept[name] = _ray().get(boxed[0])
-        yield from _kept[name](unit)
+            _work_by_reference[name] = _ray().get(boxed[0])
+        yield from _work_by_reference[name](unit)
     except InputError as error:
         yield _Fault(type(error), str(error))
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    versions = {}
     for package in _COMPUTING:
         with suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+            versions[package] = version(package)
+    return versions
 
 
 def _differing(wanted: dict[str, str]) -> str:

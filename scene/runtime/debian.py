@@ -1,4 +1,4 @@
-"""System packages that no Python package brings."""
+"""Debian packages that no Python package brings."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from scene.errors import InputError
 
 
 def require_packages(missing: Callable[[], Sequence[str]], what: str, install: bool) -> None:
-    """Make sure Debian packages are there.
+    """Make sure that Debian packages are installed.
 
     Args:
-        missing: names those that are not; asked again after installing.
-        what: needs them, as the message begins.
-        install: install missing ones, where this process is root and apt is there.
+        missing: function that returns the missing ones; it is called again after installing.
+        what: what needs them, the beginning of the message.
+        install: install missing packages if this process is root and apt exists.
 
     Raises:
-        InputError: some are missing; the message holds the line that installs them.
+        InputError: packages are missing; the message has the command that installs them.
     """
     packages = missing()
     if packages and install and os.geteuid() == 0 and shutil.which("apt-get"):
@@ -35,7 +35,7 @@ def require_packages(missing: Callable[[], Sequence[str]], what: str, install: b
 
 
 def check(require: Callable[[], object]) -> int:
-    """For the command line: 0 when everything is there, else 2 after one line."""
+    """Return the exit code of a check for the command line: 0, or 2 after an error message."""
     try:
         require()
     except InputError as error:

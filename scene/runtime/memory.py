@@ -1,4 +1,4 @@
-"""How much memory the process holds, and needed at most."""
+"""Resident memory of the process, now and at its peak."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _CLEAR = Path("/proc/self/clear_refs")
 
 
 def resident_bytes() -> int:
-    """Memory held now; where the system does not say, the most that was ever held."""
+    """Return the resident memory, bytes; where the system does not report it, its largest value."""
     try:
         pages = int(_HELD.read_text().split()[1])
     except OSError:
@@ -21,7 +21,7 @@ def resident_bytes() -> int:
 
 
 def reset_peak() -> None:
-    """Start counting anew, where the system allows it; else the peak is since the process began."""
+    """Reset the peak, where the system allows it; else it is counted since the process began."""
     try:
         _CLEAR.write_text("5")
     except OSError:
@@ -29,7 +29,7 @@ def reset_peak() -> None:
 
 
 def peak_megabytes() -> float | None:
-    """Largest resident memory since ``reset_peak``, in 1e6 bytes; None where nobody tells."""
+    """Return the largest resident memory since ``reset_peak``, 1e6 bytes; None where unknown."""
     try:
         for line in _STATUS.read_text().splitlines():
             if line.startswith("VmHWM:"):
@@ -40,7 +40,7 @@ def peak_megabytes() -> float | None:
 
 
 def _most_ever() -> int:
-    """Largest resident memory since the process began, bytes; 0 where nobody tells."""
+    """Return the largest resident memory since the process began, bytes; 0 where unknown."""
     if sys.platform == "win32":
         return 0
     import resource

@@ -1,4 +1,4 @@
-"""Progress on standard error, for anything a person waits for."""
+"""Progress on standard error: a bar on a terminal, lines in a log file."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from time import monotonic
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 
-# Without a terminal: seconds until the first line, the most seconds between two, and the share of
-# the whole after which one comes sooner.
+# Without a terminal: seconds until the first line, seconds between lines, and the share of all
+# steps after which the next line is written sooner.
 _FIRST_S = 10.0
 _EVERY_S = 30.0
 _EVERY_SHARE = 0.1
@@ -23,19 +23,19 @@ _EVERY_SHARE = 0.1
 def progress_bar(
     what: str, total: int, clock: Callable[[], float] = monotonic
 ) -> Iterator[Callable[[int], None]]:
-    """Show a bar on a terminal; call the yielded function with the number of steps done so far.
+    """Show progress; call the yielded function with the number of steps done so far.
 
-    Where standard error is no terminal but a log file, plain lines say now and then how far it is.
-    What takes less than ten seconds says nothing there.
+    If standard error is not a terminal but a log file, a line is written now and then. Work of less
+    than ten seconds writes none there.
 
     Args:
-        what: is done.
-        total: of its steps.
-        clock: tells seconds.
+        what: name of the work.
+        total: number of steps.
+        clock: function that returns seconds.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _Lines(printed(what), total, clock)
+        yield _Lines(for_terminal(what), total, clock)
         return
     columns = (
         TextColumn("{task.description:<24}"),
@@ -49,13 +49,13 @@ def progress_bar(
 
 
 class _Lines:
-    """Writes a line when one is due, whenever it is told how many steps are done."""
+    """A writer of progress lines, called with the number of steps done."""
 
     def __init__(self, what: str, total: int, clock: Callable[[], float]) -> None:
         self._what, self._total, self._clock = what, total, clock
         self._last = clock() + _FIRST_S - _EVERY_S
         self._shown = 0
-        # Time and steps of the first call, which may tell what an earlier run did.
+        # Time and steps of the first call; the steps of an earlier run do not count for the pace.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int) -> None:
@@ -68,12 +68,12 @@ class _Lines:
         self._last, self._shown = now, done
         left = self._left_s(now, done)
         ending = "" if left is None else f", {_in_words(left)} left"
-        with suppress(OSError):  # nobody reads it
+        with suppress(OSError):  # standard error is closed
             text = f"{self._what}: {done} of {self._total}{ending}"
             print(text, file=sys.stderr, flush=True)
 
     def _left_s(self, now: float, done: int) -> float | None:
-        """Seconds left at the pace since the first call; None before there is one."""
+        """Return the seconds left at the pace since the first call; None before there is a pace."""
         assert self._first is not None
         began, before = self._first
         if done <= before or done >= self._total:

@@ -1,14 +1,14 @@
-"""Digests of files, remembered from one run to the next.
+"""Digests of files, cached from one run to the next.
 
-A digest is of the bytes on disk, never of what a list claims. A file is not read again while it is
-the file that was read: same device, inode and size, same times of its last change, to the
-nanosecond. Those times are compared for equality alone, with one exception. A file system counts
-time in ticks: a file that changes twice within one keeps its times. So nothing is remembered of a
-file that had changed just before it was read.
+A digest is computed from the bytes on disk, never taken from a list. A file is not read again as
+long as it is the file that was read: same device, inode and size, and same times of its last
+change, to the nanosecond. The times are only compared for equality, with one exception: a file
+system counts time in ticks, and a file that changes twice within one keeps its times. Therefore no
+digest is cached of a file that had changed just before it was read.
 
-What is remembered lies in a folder of the user's, ``$XDG_CACHE_HOME/objconnect/digests`` or
-``~/.cache/objconnect/digests``; ``OBJCONNECT_DIGESTS`` names another, and an empty value none. It
-only saves time: where it is absent, damaged, or cannot be written, files are read again.
+The cache is the folder ``$XDG_CACHE_HOME/objconnect/digests`` or ``~/.cache/objconnect/digests``;
+the variable ``OBJCONNECT_DIGESTS`` names another one, and its empty value switches the cache off.
+The cache only saves time: where it is absent, damaged, or cannot be written, files are read again.
 """
 
 from __future__ import annotations
@@ -26,127 +26,128 @@ from typing import Final
 
 from scene.errors import InputError
 from scene.runtime.progress import progress_bar
-from scene.storage.files import written_whole
+from scene.storage.atomic import atomic_write
 
 FOLDER_VARIABLE: Final = "OBJCONNECT_DIGESTS"
+"""The environment variable that names the folder of the cache."""
 
-# The longest tick of a file system in use is FAT's, of two seconds.
+# The coarsest time stamps of file systems in use are FAT's, with steps of two seconds.
 _TICK_NS: Final = 3 * 10**9
-# When the files of the folder are larger together they are removed, and it begins anew. That is
-# room for about 800,000 files.
+# When the cache is larger than this it is emptied. That is enough for about 800,000 files.
 _MOST_BYTES: Final = 128 << 20
 _ENDING: Final = ".digests"
 _FORMAT: Final = "objconnect digests 1"
 _THREADS: Final = min(8, os.cpu_count() or 1)
-# Bytes that take long enough to read for a person to be shown how far it is.
+# Reading more bytes than this takes long enough to show progress.
 _LONG: Final = 10**9
 
 _State = list[int]
-"""Device, inode, size, and the times of the last change of content and of status in ns."""
+"""Device, inode, size, and the times of the last change of content and of status (ns)."""
+# The place of the size in a state.
 _SIZE: Final = 2
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hex.
+    """Return the SHA-256 of a file's bytes, in hex.
 
     Raises:
-        InputError: as ``digests``.
+        InputError: as for ``digests``.
     """
     return digests([path])[0]
 
 
 def digests(paths: Iterable[Path], missing: str | None = None) -> list[str]:
-    """SHA-256 of the bytes of files, in hex, in the order given.
+    """Return the SHA-256 of the bytes of files, in hex, in the order given.
 
     Args:
-        paths: of the files.
-        missing: what stands for a file that does not exist; None where all have to.
+        paths: files to read.
+        missing: value returned for a file that does not exist; None if all files must exist.
 
     Raises:
-        InputError: one is missing, cannot be read, or is not a regular file.
+        InputError: a file is missing, cannot be read, or is not a regular file.
     """
     files = list(paths)
     places = [os.path.split(file) for file in files]
-    kept = _folder()
-    shelves = {folder: _Shelf(kept, Path(folder)) for folder in {folder for folder, _ in places}}
-    found: list[str | None] = []
+    cache = _folder()
+    entries = {folder: _Entries(cache, Path(folder)) for folder in {folder for folder, _ in places}}
+    known: list[str | None] = []
     size = 0
     for file, (folder, name) in zip(files, places, strict=True):
         state = _state_of(file, missing is not None)
-        found.append(missing if state is None else shelves[folder].get(name, state))
-        if state is not None and found[-1] is None:
+        known.append(missing if state is None else entries[folder].get(name, state))
+        if state is not None and known[-1] is None:
             size += state[_SIZE]
-    unread = [k for k, known in enumerate(found) if known is None]
+    unread = [k for k, sha256 in enumerate(known) if sha256 is None]
     if unread:
         bar = progress_bar("digests", len(unread)) if size > _LONG else nullcontext(_say_nothing)
         with bar as advance, ThreadPoolExecutor(_THREADS) as pool:
             read = pool.map(_read, [files[k] for k in unread])
             for done, (k, (state, sha256)) in enumerate(zip(unread, read, strict=True), 1):
-                found[k] = sha256
+                known[k] = sha256
                 if state is not None:
                     folder, name = places[k]
-                    shelves[folder].put(name, state, sha256)
+                    entries[folder].put(name, state, sha256)
                 advance(done)
-        for shelf in shelves.values():
-            shelf.write()
-        if kept is not None:
-            _bound(kept)
-    return [known for known in found if known is not None]
+        for entry in entries.values():
+            entry.write()
+        if cache is not None:
+            _bound(cache)
+    return [sha256 for sha256 in known if sha256 is not None]
 
 
 def require_unchanged(paths: Sequence[Path], before: Sequence[str]) -> None:
-    """Make sure that files are still those whose digests were taken.
+    """Make sure that files still have the digests that were computed before.
 
     Raises:
-        InputError: one is not, or as ``digests``.
+        InputError: a file was changed, or as for ``digests``.
     """
     for path, was, now in zip(paths, before, digests(paths), strict=True):
         if was != now:
             raise InputError(f"{path} was changed while it was in use: run the command again")
 
 
-class _Shelf:
-    """What is remembered of the files directly in one folder.
+class _Entries:
+    """The cached digests of the files directly in one folder.
 
-    Two processes may write it at once: the later one wins, and what the other found out is read
-    again some day.
+    Two processes may write the same entries: the later one wins, and the digests of the other are
+    computed again in a later run.
     """
 
-    def __init__(self, kept: Path | None, folder: Path) -> None:
+    def __init__(self, cache: Path | None, folder: Path) -> None:
         self._folder = folder
         name = hashlib.sha256(os.fsencode(folder.absolute())).hexdigest()
-        self._path = None if kept is None else kept / (name + _ENDING)
+        self._path = None if cache is None else cache / (name + _ENDING)
         self._known = self._load()
         self._new = False
 
     def get(self, name: str, state: _State) -> str | None:
-        """The digest of a file that is still in the state it was read in."""
+        """Return the digest of a file that is still in the state it was read in, else None."""
         was, sha256 = self._known.get(name, (None, None))
         return sha256 if was == state else None
 
     def put(self, name: str, state: _State, sha256: str) -> None:
-        """Remember a digest."""
+        """Add a digest."""
         self._known[name] = state, sha256
         self._new = True
 
     def write(self) -> None:
-        """Keep what is new, and what is still true of the rest."""
+        """Write the entries, new and old, that still hold."""
         if self._path is None or not self._new:
             return
-        true = {
+        current = {
             name: (state, sha256)
             for name, (state, sha256) in (self._load() | self._known).items()
             if _is(self._folder / name, state)
         }
-        text = json.dumps(true)
+        text = json.dumps(current)
         try:
-            with written_whole(self._path) as partial:
+            with atomic_write(self._path) as partial:
                 partial.write_text(f"{_header(text)}\n{text}", encoding="ascii")
         except InputError:
-            return  # it cannot be kept
+            return  # the cache cannot be written, which only costs time
 
     def _load(self) -> dict[str, tuple[_State, str]]:
-        """What the file says; nothing when it is not whole."""
+        """Return the entries of the file; none if it is damaged."""
         if self._path is None:
             return {}
         try:
@@ -159,35 +160,35 @@ class _Shelf:
 
 
 def _say_nothing(done: int) -> None:
-    """Progress that nobody has to be shown."""
+    """Take the place of a progress bar that is not shown."""
 
 
 def _folder() -> Path | None:
-    """Where digests are remembered; None for nowhere."""
+    """Return the folder of the cache, or None if it is switched off."""
     given = os.environ.get(FOLDER_VARIABLE)
     if given is not None:
         return Path(given) if given else None
     try:
         base = Path(os.environ.get("XDG_CACHE_HOME", ""))
         base = base if base.is_absolute() else Path.home() / ".cache"
-    except RuntimeError:  # nobody knows where home is
+    except RuntimeError:  # the home folder is unknown
         return None
     return base / "objconnect" / "digests"
 
 
-def _bound(kept: Path) -> None:
-    """Empty the folder of what is ours when there is too much of it."""
+def _bound(cache: Path) -> None:
+    """Empty the cache when it is too large."""
     try:
-        ours = [file for file in os.scandir(kept) if file.name.endswith(_ENDING)]
-        if sum(file.stat().st_size for file in ours) > _MOST_BYTES:
-            for file in ours:
+        files = [file for file in os.scandir(cache) if file.name.endswith(_ENDING)]
+        if sum(file.stat().st_size for file in files) > _MOST_BYTES:
+            for file in files:
                 Path(file.path).unlink(missing_ok=True)
     except OSError:
         return
 
 
 def _header(text: str) -> str:
-    """The first line of a file of digests, which shows whether the rest is whole."""
+    """Return the first line of a file of digests: a check sum of the rest."""
     return f"{_FORMAT} {hashlib.sha256(text.encode('ascii')).hexdigest()}"
 
 
@@ -202,7 +203,7 @@ def _state(status: os.stat_result) -> _State:
 
 
 def _state_of(path: Path, optional: bool) -> _State | None:
-    """The state of a file that is to be read; None for an optional one that does not exist."""
+    """Return the state of a file to be read; None for an optional file that does not exist."""
     try:
         status = path.stat()
     except OSError as error:
@@ -215,7 +216,7 @@ def _state_of(path: Path, optional: bool) -> _State | None:
 
 
 def _is(path: Path, state: _State) -> bool:
-    """Whether a file is still in a state."""
+    """Return whether a file is still in a state."""
     try:
         return _state(path.stat()) == state
     except OSError:
@@ -223,7 +224,7 @@ def _is(path: Path, state: _State) -> bool:
 
 
 def _read(path: Path) -> tuple[_State | None, str]:
-    """The digest of a file, and its state where a later change would show in that."""
+    """Return the digest of a file, and its state if a later change would be visible in it."""
     began = time.time_ns()
     try:
         with path.open("rb") as stream:
@@ -232,10 +233,10 @@ def _read(path: Path) -> tuple[_State | None, str]:
             after = os.fstat(stream.fileno())
     except OSError as error:
         raise _unreadable(path, error) from None
-    # On Windows the time of status is that of the file's making.
+    # On Windows st_ctime is the time at which the file was made.
     changed = before.st_mtime_ns if os.name == "nt" else before.st_ctime_ns
-    tells = _state(before) == _state(after) and changed + _TICK_NS < began
-    return (_state(before) if tells else None), sha256
+    reliable = _state(before) == _state(after) and changed + _TICK_NS < began
+    return (_state(before) if reliable else None), sha256
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:

@@ -1,7 +1,8 @@
-"""HDF5 files from strangers: what may be read of them.
+"""Safe reads of HDF5 files of unknown origin.
 
-A link or a data set may lie in another file, anywhere on this machine, and a data set claims any
-size in a few bytes. Here the one is refused, and the other held against the bytes that are stored.
+A link or a data set may lead to another file, anywhere on this machine, and a data set of a few
+bytes may claim any size. The former is refused here, and the latter is compared with the bytes
+that are stored.
 """
 
 from __future__ import annotations
@@ -14,52 +15,51 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-# Deflate makes at most so many bytes of one.
-_MOST: Final = 1032
+# The largest compression ratio that Deflate can reach.
+_MAX_RATIO: Final = 1032
 
 
 def dataset(group: h5py.Group, name: str) -> h5py.Dataset:
-    """A data set of a group, safe to be read whole.
+    """Return a data set of a group that is safe to read whole.
 
     Raises:
-        KeyError: there is none of this name.
-        ValueError: it is no data set or an empty one, lies in another file, has elements of
-            variable length, or claims
-            more than its bytes can hold.
+        KeyError: the group has no member of this name.
+        ValueError: the member is not a data set, is empty, lies in another file, has elements of
+            variable length, or claims more than its bytes can hold.
     """
-    found = _member(group, name)
-    if not isinstance(found, h5py.Dataset):
+    member = _member(group, name)
+    if not isinstance(member, h5py.Dataset):
         raise ValueError(f"{name} is no array")
-    if found.shape is None:
+    if member.shape is None:
         raise ValueError(f"{name} is empty")
-    if found.is_virtual or found.external:
+    if member.is_virtual or member.external:
         raise ValueError(f"{name} lies in another file")
-    # Damaged strings of variable length make the HDF5 library crash.
-    if found.dtype.hasobject:
+    # The HDF5 library can crash on damaged strings of variable length.
+    if member.dtype.hasobject:
         raise ValueError(f"{name} has elements of variable length")
-    stored = min(found.id.get_storage_size(), found.file.id.get_filesize())
-    # Chunks are unpacked whole; of an array without elements there are none.
-    chunk = math.prod(found.chunks or (0,)) if found.size else 0
-    claimed = found.dtype.itemsize * max(found.size, chunk)
-    if claimed > _MOST * stored:
+    stored = min(member.id.get_storage_size(), member.file.id.get_filesize())
+    # Chunks are unpacked whole; an array without elements has none.
+    chunk = math.prod(member.chunks or (0,)) if member.size else 0
+    claimed = member.dtype.itemsize * max(member.size, chunk)
+    if claimed > _MAX_RATIO * stored:
         raise ValueError(f"{name} claims {claimed} bytes and {stored} are stored")
-    return found
+    return member
 
 
 def array(group: h5py.Group, name: str) -> NDArray[Any]:
-    """All of a data set; see ``dataset`` for what is refused."""
+    """Read a whole data set; see ``dataset`` for what is refused."""
     return np.asarray(dataset(group, name)[...])
 
 
 def attribute(node: h5py.HLObject, name: str) -> Any:
-    """An attribute; text, which must be of fixed length, as ``str``.
+    """Return an attribute; text, which must be of fixed length, as ``str``.
 
     Raises:
-        KeyError: there is none of this name.
+        KeyError: there is no attribute of this name.
         ValueError: it is of variable length, or claims more than the file has.
     """
     stored = node.attrs.get_id(name)
-    # Damaged ones make the HDF5 library crash, or search for ever.
+    # On damaged attributes of variable length the HDF5 library can crash or never return.
     if stored.dtype.hasobject:
         raise ValueError(f"attribute {name} is of variable length")
     if stored.get_storage_size() > node.file.id.get_filesize():
@@ -69,29 +69,29 @@ def attribute(node: h5py.HLObject, name: str) -> Any:
 
 
 def set_text(node: h5py.HLObject, name: str, text: str) -> None:
-    """Write text as an attribute of fixed length; h5py's own are refused by ``attribute``."""
+    """Write text as an attribute of fixed length, as ``attribute`` requires it."""
     data = text.encode()
     node.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", len(data)))
 
 
 def group(parent: h5py.Group, name: str) -> h5py.Group:
-    """A group of another.
+    """Return a group of another group.
 
     Raises:
-        KeyError: there is none of this name.
-        ValueError: it is no group, or lies in another file.
+        KeyError: the group has no member of this name.
+        ValueError: the member is not a group, or lies in another file.
     """
-    found = _member(parent, name)
-    if not isinstance(found, h5py.Group):
+    member = _member(parent, name)
+    if not isinstance(member, h5py.Group):
         raise ValueError(f"{name} is no group")
-    return found
+    return member
 
 
 def groups(parent: h5py.Group) -> Iterator[tuple[str, h5py.Group]]:
-    """The groups of another, by name.
+    """Yield the groups of another group with their names.
 
     Raises:
-        ValueError: something in it is no group, or lies in another file.
+        ValueError: a member is not a group, or lies in another file.
     """
     for name in parent:
         yield name, group(parent, name)

@@ -1,4 +1,4 @@
-"""Photographs: reading with one clear error, writing as a drone does."""
+"""Photographs: reading with one clear error, writing with the EXIF of a drone."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ from PIL.TiffImagePlugin import IFDRational
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
-from scene.storage.files import require_readable, written_whole
+from scene.storage.atomic import atomic_write
+from scene.storage.files import require_readable
 
-# What libraries raise on a damaged image or EXIF.
+# The exceptions that libraries raise on a damaged image or EXIF.
 _DAMAGE: Final = (
     ArithmeticError,
     AttributeError,
@@ -38,21 +39,21 @@ _DAMAGE: Final = (
     ValueError,
     struct.error,
 )
-# A few bytes may claim any size. Pillow refuses twice the number that it warns of.
+# A file of a few bytes may claim any size. Pillow refuses twice the number that it warns of.
 _MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
-# Pillow's warnings, of large images and of damaged EXIF, mean nothing to those who run a command.
+# Pillow's warnings about large images and damaged EXIF do not help the user of a command.
 warnings.filterwarnings("ignore", module=r"PIL\.")
-# A segment of a JPEG is no longer, with the name of what it holds (B).
+# The largest payload of a segment of a JPEG, with its identifier (bytes).
 _SEGMENT: Final = 65_500
-# No lens has a focal length beyond these (mm), and no aircraft flies so high (m).
+# Focal lengths outside this range (mm) and altitudes above this one (m) are damaged values.
 _FOCAL_MM: Final = (1.0, 10_000.0)
-_HIGHEST_M: Final = 1e6
-# The film that focal lengths are told for, millimetres.
+_MAX_ALTITUDE_M: Final = 1e6
+# The size of 35 mm film, for which equivalent focal lengths are given (mm).
 _FILM_WIDTH = 36.0
 _FILM_DIAGONAL = math.hypot(36, 24)
-# Pictures wider than 3:2 by far.
+# Images with a larger aspect ratio are much wider than 3:2.
 _WIDE = 1.6
-# What EXIF's units of resolution are, millimetres.
+# EXIF's units of resolution, millimetres.
 _CENTIMETRE = 3
 _MILLIMETRES = {2: 25.4, _CENTIMETRE: 10.0}
 
@@ -60,16 +61,16 @@ _MILLIMETRES = {2: 25.4, _CENTIMETRE: 10.0}
 def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
     """Read a photograph as stored, (H, W, 3) uint8 RGB; an EXIF rotation is not applied.
 
-    Grey values of more than 8 bits are stretched from the least to the largest of the photograph:
-    thermal and machine cameras use a small part of their range.
+    Grey values of more than 8 bits are scaled from the smallest to the largest value of the
+    photograph, because thermal and machine vision cameras use a small part of their range.
 
     Args:
-        path: the file.
-        camera: when given, the size the photograph must have.
+        path: file to read.
+        camera: if given, the photograph must have the size of this camera.
 
     Raises:
-        InputError: missing, no regular file, truncated, not an image, of more pixels than
-            179 million, or not the size of ``camera``.
+        InputError: the file is missing, not a regular file, truncated, not an image, of more than
+            179 million pixels, or not of the size of ``camera``.
     """
     with _opened(path) as image:
         if image.mode.startswith(("I", "F")):
@@ -86,7 +87,7 @@ def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    """An image file, and one clear error for what is wrong with it, also within the block."""
+    """Open an image file; errors of the block are reported like those of opening it."""
     if not path.exists() and not path.is_symlink():
         hint = ": the model it is named in was made on Windows" if "\\" in path.name else ""
         raise InputError(f"image {path} does not exist{hint}")
@@ -107,7 +108,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 
 
 def _stretched(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
-    """Grey values (H, W) of any type as (H, W, 3), from their least to their largest."""
+    """Scale grey values (H, W) of any type from their range to 0..255, (H, W, 3) uint8."""
     values = grey.astype(np.float64)
     if not np.isfinite(values).all():
         raise InputError(f"image {path} has values that are not finite")
@@ -117,16 +118,16 @@ def _stretched(grey: NDArray[Any], path: Path) -> NDArray[np.uint8]:
 
 
 def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
-    """Make sure photographs are there, whole, and of the size of their cameras.
+    """Make sure that photographs exist, are whole, and have the size of their cameras.
 
-    COLMAP skips what it cannot read and decodes half of a truncated file without a word.
+    COLMAP silently skips what it cannot read, and decodes half of a truncated file.
 
     Args:
-        root: folder the names are relative to.
-        cameras: by image name.
+        root: folder that the names are relative to.
+        cameras: cameras by image name.
 
     Raises:
-        InputError: as ``read_rgb``, about the first photograph at fault.
+        InputError: as for ``read_rgb``, about the first photograph with a fault.
     """
     for name, camera in cameras.items():
         read_rgb(root / name, camera)
@@ -134,16 +135,16 @@ def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
 
 @dataclass(frozen=True)
 class Exif:
-    """What a drone writes into a photograph.
+    """The metadata that a drone writes into a photograph.
 
     Attributes:
-        position: where the aircraft believes it was, or None.
-        time: when, or None.
-        make: of the camera.
-        model: of the camera.
-        focal_35mm: focal length in millimetres of a film 36 mm wide, or None.
+        position: measured position of the aircraft, or None.
+        time: time of the photograph, or None.
+        make: maker of the camera.
+        model: model of the camera.
+        focal_35mm: focal length in millimetres for film 36 mm wide, or None.
         gimbal: yaw clockwise from north, pitch above the horizon and roll of the camera in degrees,
-            as DJI's XMP says them, or None.
+            as in DJI's XMP, or None.
     """
 
     position: Geodetic | None
@@ -155,24 +156,24 @@ class Exif:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of a photograph as stored, pixels.
+    """Return width and height of a photograph as stored, pixels.
 
     Raises:
-        InputError: missing file or not an image.
+        InputError: the file is missing or not an image.
     """
     with _opened(path) as image:
         return image.size
 
 
 def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95) -> None:
-    """Write a photograph with EXIF. ``rgb`` is (H, W, 3) uint8.
+    """Write a photograph (H, W, 3) uint8 with EXIF.
 
-    Chroma is kept at full resolution, so that compression costs features little.
+    Chroma is not subsampled, so that the compression has little effect on features.
 
     Raises:
         InputError: the folder cannot be written, or the disk is full.
     """
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         Image.fromarray(rgb).save(
             partial,
             "JPEG",
@@ -183,16 +184,21 @@ def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95
 
 
 def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) -> None:
-    """Copy a photograph with its metadata, made smaller where a side is over ``longest`` pixels,
-    and turned by 180 degrees where ``over``.
+    """Copy a photograph with its metadata, at most ``longest`` pixels wide and high.
+
+    Args:
+        source: photograph to copy.
+        out: JPEG to write.
+        longest: largest width and height, pixels.
+        over: rotate the image by 180 degrees.
 
     Raises:
-        InputError: it is missing or damaged, or ``out`` cannot be written.
+        InputError: the photograph is missing or damaged, or ``out`` cannot be written.
     """
     rgb = read_rgb(source)
     height, width = rgb.shape[:2]
     scale = min(1.0, longest / max(width, height))
-    with written_whole(out) as partial:
+    with atomic_write(out) as partial:
         if scale == 1 and not over:
             shutil.copyfile(source, partial)
             return
@@ -201,7 +207,7 @@ def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) 
             kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
         if len(kept.get("xmp", b"")) > _SEGMENT:
             del kept["xmp"]
-        if len(kept.get("exif", b"")) > _SEGMENT:  # thumbnails, notes of the maker's
+        if len(kept.get("exif", b"")) > _SEGMENT:  # thumbnails or maker notes
             kept["exif"] = _encode(read_exif(source), size[0]).tobytes()
         picture = Image.fromarray(rgb[::-1, ::-1] if over else rgb)
         smaller = picture.resize(size, Image.Resampling.LANCZOS)
@@ -221,7 +227,7 @@ def _encode(exif: Exif, width: int) -> Image.Exif:
     if exif.focal_35mm is not None:
         detail[ExifTags.Base.FocalLength] = _rational(exif.focal_35mm)
         detail[ExifTags.Base.FocalLengthIn35mmFilm] = round(exif.focal_35mm)
-        # Whole millimetres are coarse: the pitch of the pixels says the same exactly.
+        # The tag above holds whole millimetres only; the pixel pitch gives the exact value.
         detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * width / _FILM_WIDTH)
         detail[ExifTags.Base.FocalPlaneResolutionUnit] = _CENTIMETRE
         detail[ExifTags.Base.ExifImageWidth] = width
@@ -238,10 +244,10 @@ def _encode(exif: Exif, width: int) -> Image.Exif:
 
 
 def read_exif(path: Path) -> Exif:
-    """Read what a drone wrote; fields it did not write, or that say nothing, are None.
+    """Read a photograph's metadata; fields that are missing or meaningless are None.
 
     Raises:
-        InputError: missing file or not an image.
+        InputError: the file is missing or not an image.
     """
     with _opened(path) as image:
         size, xmp = image.size, image.info.get("xmp", b"")
@@ -249,7 +255,7 @@ def read_exif(path: Path) -> Exif:
             tags = image.getexif()
             detail = tags.get_ifd(ExifTags.IFD.Exif)
             gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
-        except _DAMAGE:  # the picture may be whole
+        except _DAMAGE:  # the image itself may be whole
             tags, detail, gps = Image.Exif(), {}, {}
     stamp = detail.get(ExifTags.Base.DateTimeOriginal)
     return Exif(
@@ -263,13 +269,15 @@ def read_exif(path: Path) -> Exif:
 
 
 def _text(value: object) -> str:
-    """Cameras fill the field up with zero bytes."""
+    """Return a text field without the zero bytes that cameras pad it with."""
     return str(value or "").strip("\0 ")
 
 
 def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None:
-    """Millimetres on a film 36 mm wide: by the pitch of the pixels where the camera tells it, else
-    by the equivalent that makers print."""
+    """Return the focal length in millimetres for film 36 mm wide.
+
+    It is computed from the pixel pitch if the camera gives it, else from the 35 mm equivalent.
+    """
     try:
         unit = _MILLIMETRES[int(detail.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
         pitch = unit / float(detail[ExifTags.Base.FocalPlaneXResolution])
@@ -285,19 +293,19 @@ def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None
         return None
     if not _FOCAL_MM[0] <= focal <= _FOCAL_MM[1]:
         return None
-    # The equivalent holds for the diagonal (CIPA DCG-001); wide pictures are cut from 4:3 sensors.
+    # The equivalent refers to the diagonal (CIPA DCG-001); wide images are crops of 4:3 sensors.
     aspect = max(size) / min(size)
     diagonal = math.hypot(1, 1 / aspect) if aspect < _WIDE else math.hypot(1, 3 / 4)
     return focal * _FILM_WIDTH / _FILM_DIAGONAL * diagonal
 
 
 def _decode_gimbal(xmp: bytes) -> tuple[float, float, float] | None:
-    """DJI's attitude of the camera, which stands in an attribute or in an element."""
+    """Return the camera attitude of DJI's XMP, in which it is an attribute or an element."""
     angles = []
     for axis in (b"Yaw", b"Pitch", b"Roll"):
-        found = re.search(rb"Gimbal" + axis + rb"Degree(?:=\"|>)\s*([+-]?[0-9.]+)", xmp)
+        angle = re.search(rb"Gimbal" + axis + rb"Degree(?:=\"|>)\s*([+-]?[0-9.]+)", xmp)
         try:
-            angles.append(math.nan if found is None else float(found[1]))
+            angles.append(math.nan if angle is None else float(angle[1]))
         except ValueError:
             return None
         if not math.isfinite(angles[-1]):
@@ -306,12 +314,12 @@ def _decode_gimbal(xmp: bytes) -> tuple[float, float, float] | None:
 
 
 def _decode_time(stamp: object, fraction: object) -> datetime | None:
-    """Whole seconds, and the decimal digits that follow them where the camera writes some."""
+    """Return a time stamp with the decimal fraction of a second, if the camera gives one."""
     digits = _text(fraction)
     try:
         whole = datetime.strptime(str(stamp), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
         return whole + timedelta(seconds=float(f"0.{digits}") if digits.isdecimal() else 0)
-    except (ValueError, OverflowError):  # there is no second after the year 9999
+    except (ValueError, OverflowError):  # a datetime ends with the year 9999
         return None
 
 
@@ -334,7 +342,7 @@ def _decode_position(gps: dict[int, object]) -> Geodetic | None:
     # A receiver without a fix writes 0/0, which reads as NaN.
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
         return None
-    if not abs(altitude) <= _HIGHEST_M:
+    if not abs(altitude) <= _MAX_ALTITUDE_M:
         altitude = 0.0
     below = gps.get(ExifTags.GPS.GPSAltitudeRef) in (b"\x01", 1)
     return Geodetic(latitude, longitude, -altitude if below else altitude)

@@ -1,4 +1,4 @@
-"""What lies in a folder, for those who look through it."""
+"""The files of a folder that belong to the user."""
 
 from __future__ import annotations
 
@@ -10,31 +10,35 @@ from typing import Final
 from scene.errors import InputError
 
 PHOTOGRAPHS: Final = (".jpg", ".jpeg", ".png")
-"""Endings of the photographs that are read, in small letters."""
+"""The suffixes of the photographs that are read, in lower case."""
 
-# What file managers leave, besides hidden files.
+# Names that file managers leave behind, besides hidden files.
 _LEFT_BEHIND: Final = frozenset({"thumbs.db", "desktop.ini", "__macosx"})
 
 
 def is_stray(name: str) -> bool:
-    """Whether a file or folder belongs to a file manager or to a running program, not to the user:
-    hidden ones, such as ``.DS_Store`` and macOS's ``._a.jpg``, and Windows' ``Thumbs.db``."""
+    """Return whether a file or folder belongs to a file manager or a running program, not to the
+    user.
+
+    These are hidden ones, such as ``.DS_Store`` and macOS's ``._a.jpg``, and Windows'
+    ``Thumbs.db``.
+    """
     return name.startswith(".") or name.lower() in _LEFT_BEHIND
 
 
-def files_in(folder: Path, endings: Collection[str], depth: int | None = 1) -> list[Path]:
-    """Files below a folder by their endings, sorted; strays are left out.
+def list_files(folder: Path, endings: Collection[str], depth: int | None = 1) -> list[Path]:
+    """Return the files below a folder with one of the given suffixes, sorted, without stray files.
 
-    A pipe or a device is among them: who reads it says that it is none.
+    Pipes and devices are included: the reader of a file reports them.
 
     Args:
-        folder: to look through.
-        endings: in small letters, with the dot; those of the files may be of any case.
-        depth: how many folders deep, 1 for the folder itself; None for all, without links to
-            folders.
+        folder: folder to search.
+        endings: suffixes in lower case, with the dot; those of the files may be of any case.
+        depth: number of folder levels, 1 for the folder itself; None for all, without following
+            links to folders.
 
     Raises:
-        InputError: the folder, or one in it, does not exist or cannot be looked through.
+        InputError: the folder, or one in it, does not exist or cannot be listed.
     """
     return sorted(_files(folder, frozenset(endings), depth))
 
@@ -42,7 +46,7 @@ def files_in(folder: Path, endings: Collection[str], depth: int | None = 1) -> l
 def _is_folder(entry: os.DirEntry[str], follow_symlinks: bool) -> bool:
     try:
         return entry.is_dir(follow_symlinks=follow_symlinks)
-    except OSError:  # a link that leads to itself
+    except OSError:  # a symbolic link to itself
         return False
 
 

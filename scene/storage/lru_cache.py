@@ -1,4 +1,4 @@
-"""What is read when needed: the values used last stay in memory, up to so many bytes."""
+"""A cache bounded in bytes that drops the least recently used."""
 
 from __future__ import annotations
 
@@ -22,19 +22,36 @@ V = TypeVar("V", bound=_Sized)
 
 
 def room(bound_mb: int) -> int:
-    """Bytes that values may take so that the whole process, as it is now, stays below a bound.
+    """Return the bytes that a cache may take so that the whole process stays below a bound.
 
-    Half of what is left below it: the other half is for what a query needs while it is asked.
+    This is half of what is left below the bound now: the other half is for what a query needs
+    while it is localized.
+
+    Args:
+        bound_mb: memory of the process, megabytes.
     """
     return max(0, (bound_mb * MEGABYTE - resident_bytes()) // 2)
 
 
 class LruCache(Generic[K, V]):
-    """Values by key. Threads may share it.
+    """A cache bounded in bytes that drops the least recently used.
+
+    Threads may share it.
 
     Args:
-        read: finds the value of a key that is not in memory.
-        memory: bytes that values in memory may take, but for a single one that is larger.
+        read: reads the value of a key that is not in the cache.
+        memory: bytes that the values may take; a single larger value is kept all the same.
+
+    Attributes:
+        nbytes: bytes that the values take now.
+
+    Example:
+        >>> import numpy as np
+        >>> cache = LruCache(lambda size: np.zeros(size, np.uint8), memory=100)
+        >>> cache(60).size, cache(50).size
+        (60, 50)
+        >>> len(cache), cache.nbytes
+        (1, 50)
     """
 
     def __init__(self, read: Callable[[K], V], memory: int) -> None:
@@ -45,16 +62,17 @@ class LruCache(Generic[K, V]):
         self.nbytes = 0
 
     def __call__(self, key: K) -> V:
+        """Return the value of a key, read unless it is in the cache."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)
                 return self._values[key]
-            found = self._values[key] = self._read(key)
-            self.nbytes += found.nbytes
+            value = self._values[key] = self._read(key)
+            self.nbytes += value.nbytes
             while self.nbytes > self._memory and len(self._values) > 1:
                 _, oldest = self._values.popitem(last=False)
                 self.nbytes -= oldest.nbytes
-            return found
+            return value
 
     def __len__(self) -> int:
         return len(self._values)

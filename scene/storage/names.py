@@ -1,8 +1,8 @@
-"""Names of photographs in text files, of which a file system allows more than a line does.
+"""Quoting of image names in text files: a file system allows names that a line of text does not.
 
-A name that would not stand for itself is written in double quotes with JSON's escapes, all ASCII:
-one with white space, a control character, a byte that is not UTF-8, or a leading ``#`` or quote.
-No name can end its line, or begin another. Other names stand as they are, as hloc's.
+A name is written in double quotes with JSON's escapes, all ASCII, if it contains white space, a
+control character or a byte that is not UTF-8, or begins with ``#`` or a quote. Quoted names cannot
+end their line or begin another. All other names are written as they are, as hloc does.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from typing import Final
 
 _JSON: Final = json.JSONDecoder()
 _WORD: Final = re.compile(r"\S+")
-# A spreadsheet takes cells that begin so for formulas.
+# Spreadsheets evaluate cells that begin like this as formulas.
 _FORMULA: Final = ("=", "+", "-", "@")
 
 
 def is_utf8(name: str) -> bool:
-    """Whether a name is text: a file system also allows bytes that are none, which Python holds as
-    halves of surrogates."""
+    """Return whether a name is valid text.
+
+    File systems also allow names that are not UTF-8; Python represents those bytes by surrogates.
+    """
     try:
         name.encode()
     except UnicodeEncodeError:
@@ -27,23 +29,28 @@ def is_utf8(name: str) -> bool:
     return True
 
 
-def written(name: str) -> str:
-    """A name as one word of a line."""
+def quote_name(name: str) -> str:
+    """Return a name as one word of a line, quoted if necessary.
+
+    Example:
+        >>> quote_name("a.jpg"), quote_name("my photo.jpg")
+        ('a.jpg', '"my photo.jpg"')
+    """
     plain = name.isprintable() and " " not in name and not name.startswith(("#", '"'))
     return name if name and plain else json.dumps(name)
 
 
-def written_cell(name: str) -> str:
-    """A name as a cell of a table, where spaces within are no harm."""
+def quote_cell(name: str) -> str:
+    """Return a name as a cell of a table, quoted if necessary; spaces inside need no quotes."""
     plain = name.isprintable() and name == name.strip() and not name.startswith(('"', *_FORMULA))
     return name if name and plain else json.dumps(name)
 
 
-def from_cell(text: str) -> str:
-    """The name in a cell that ``written_cell``, or another program, wrote.
+def unquote_cell(text: str) -> str:
+    """Return the name in a cell that ``quote_cell`` or another program wrote.
 
     Raises:
-        ValueError: a quote that is none of JSON's, or a line break outside of one.
+        ValueError: the quoting is not JSON's, or a line break is outside quotes.
     """
     if text.startswith('"'):
         name, end = _quoted(text, 0)
@@ -55,39 +62,43 @@ def from_cell(text: str) -> str:
     return text
 
 
-def words(line: str) -> list[str]:
-    """The words of a line; those in quotes are names that ``written`` wrote.
+def split_words(line: str) -> list[str]:
+    """Split a line into words; words in quotes are names that ``quote_name`` wrote.
 
     Raises:
-        ValueError: a quote that is none of JSON's.
+        ValueError: the quoting is not JSON's.
+
+    Example:
+        >>> split_words('"my photo.jpg" 1.5 2')
+        ['my photo.jpg', '1.5', '2']
     """
-    found, at = [], 0
+    parts, at = [], 0
     while (word := _WORD.search(line, at)) is not None:
         text, at = word.group(), word.end()
         if text.startswith('"'):
             text, at = _quoted(line, word.start())
-        found.append(text)
-    return found
+        parts.append(text)
+    return parts
 
 
-def leading_name(line: str, columns: int) -> tuple[str, list[str]]:
-    """The name that a line begins with, and the words after it.
+def split_name(line: str, columns: int) -> tuple[str, list[str]]:
+    """Split a line into the name it begins with and the words after it.
 
-    A name without quotes may hold spaces where so many columns follow it.
+    A name without quotes may contain spaces if exactly ``columns`` words follow it.
 
     Args:
-        line: not empty.
-        columns: after the name.
+        line: line that is not empty.
+        columns: number of words after the name.
 
     Raises:
-        ValueError: a quote that is none of JSON's, or another number of columns.
+        ValueError: the quoting is not JSON's, or the number of words differs.
     """
     if line.startswith('"'):
         name, end = _quoted(line, 0)
         rest = line[end:].split()
     else:
         name, *rest = line.rsplit(maxsplit=columns)
-        # A name whose last word is a number is more likely a column too many.
+        # If the name's last word is a number, the line more likely has one column too many.
         if name != (words_of := name.split())[0] and _is_number(words_of[-1]):
             rest = line.split()[1:]
     if len(rest) != columns:
@@ -96,7 +107,7 @@ def leading_name(line: str, columns: int) -> tuple[str, list[str]]:
 
 
 def _quoted(line: str, start: int) -> tuple[str, int]:
-    """The quoted word that begins there, and where it ends."""
+    """Return the quoted word that begins at ``start``, and the offset of its end."""
     try:
         name, end = _JSON.raw_decode(line, start)
     except ValueError:

@@ -1,4 +1,4 @@
-"""What a run may write, decided before it begins: the one place for every command."""
+"""Checks of what a run will write, made before it starts; every command uses them."""
 
 from __future__ import annotations
 
@@ -9,52 +9,53 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scene.errors import InputError, WriteError
-from scene.storage.files import MARK, require_regular
+from scene.storage.atomic import TEMPORARY_PREFIX, require_regular
 
-# Among so many first bytes a file says who wrote it.
-_HEAD = 4096
+# The mark of a file lies within this many bytes from its beginning.
+_HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True)
-class Output:
+class OutputFile:
     """A file that a run writes.
 
     Attributes:
-        path: of the file.
-        mark: that every file which we write there has among its first 4096 bytes. A file without
-            it, unless it is empty, is somebody else's and stays. Empty: any file there is ours.
+        path: file to write.
+        mark: bytes that every file written there by this program has among its first 4096. A file
+            without them, unless it is empty, belongs to somebody else and is not replaced. If
+            ``mark`` is empty, any file there may be replaced.
     """
 
     path: Path
     mark: bytes = b""
 
 
-def claim(
-    outputs: Iterable[Output | Path], inputs: Iterable[Path] = (), within: Path | None = None
+def check_outputs(
+    outputs: Iterable[OutputFile | Path], inputs: Iterable[Path] = (), within: Path | None = None
 ) -> None:
     """Refuse, before any work, outputs that would destroy something or cannot be written.
 
     Args:
-        outputs: files that the run writes.
+        outputs: files that the run will write.
         inputs: files and folders that it reads.
         within: folder that all outputs must lie in.
 
     Raises:
         InputError: an output is an input, is another output, or lies outside ``within``.
-        WriteError: something that is not a file of ours stands there, or the folder cannot be
+        WriteError: an output exists and was not written by this program, or its folder cannot be
             written.
     """
-    read = list(inputs)
+    sources = list(inputs)
     claimed: set[Path] = set()
     for output in outputs:
-        made = output if isinstance(output, Output) else Output(output)
+        made = output if isinstance(output, OutputFile) else OutputFile(output)
         place = _place(made.path)
         if within is not None and not place.is_relative_to(_place(within)):
             raise InputError(f"{made.path} lies outside {within}: choose a plain file name")
         if place in claimed:
             raise InputError(f"{made.path} would be written twice: choose another name")
         claimed.add(place)
-        for path in read:
+        for path in sources:
             if _same(place, path):
                 raise InputError(f"{made.path} is read by this command: choose another output")
         require_regular(made.path)
@@ -62,12 +63,12 @@ def claim(
         require_writable(place.parent)
 
 
-def claim_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
-    """The same for a folder that a run writes files into.
+def check_output_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
+    """Refuse, before any work, an output folder that is an input or cannot be written.
 
     Raises:
-        InputError: it is one of the inputs.
-        WriteError: it is no folder, or cannot be written or made.
+        InputError: the folder is one of the inputs.
+        WriteError: the path is not a folder, or it cannot be written or made.
     """
     for path in inputs:
         if _same(_place(folder), path):
@@ -76,19 +77,19 @@ def claim_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
 
 
 def require_writable(folder: Path) -> None:
-    """Refuse a folder that cannot be written, or made; nothing is left of the trial.
+    """Refuse a folder that cannot be written or made; the trial leaves nothing behind.
 
     Raises:
-        WriteError: it cannot.
+        WriteError: the folder cannot be written or made.
     """
-    there = folder
-    while not os.path.lexists(there) and there != there.parent:
-        there = there.parent
+    existing = folder
+    while not os.path.lexists(existing) and existing != existing.parent:
+        existing = existing.parent
     try:
-        if not stat.S_ISDIR(there.stat().st_mode):
-            raise WriteError(f"cannot write {folder}: {there} is not a folder")
-        # Permissions alone do not say it: the file system may be read-only.
-        trial = there / f"{MARK}trial-{os.getpid()}"
+        if not stat.S_ISDIR(existing.stat().st_mode):
+            raise WriteError(f"cannot write {folder}: {existing} is not a folder")
+        # Permissions are not enough: the file system may be read-only.
+        trial = existing / f"{TEMPORARY_PREFIX}trial-{os.getpid()}"
         trial.mkdir(exist_ok=True)
         trial.rmdir()
     except WriteError:
@@ -99,14 +100,14 @@ def require_writable(folder: Path) -> None:
 
 
 def require_name(name: str, what: str) -> None:
-    """Refuse a word that cannot be the name of a file or folder of ours.
+    """Refuse a word that cannot be the name of a file or folder.
 
     Args:
-        name: to be part of a file's name.
-        what: it names, for the message.
+        name: word that becomes part of a file name.
+        what: what it names, for the message.
 
     Raises:
-        InputError: it is empty, hidden, too long, not UTF-8, or holds a slash or a control
+        InputError: the name is empty, hidden, too long, not UTF-8, or holds a slash or a control
             character.
     """
     plain = name.isprintable() and not name.startswith(".") and not set(name) & set('/\\:*?"<>|')
@@ -117,7 +118,7 @@ def require_name(name: str, what: str) -> None:
 
 
 def _place(path: Path) -> Path:
-    """Where a file would lie: links in its folder are followed, the file itself is not."""
+    """Return the absolute path of a file; its folder is resolved, a link in its place is not."""
     try:
         return path.parent.resolve() / path.name if path.name else path.resolve()
     except (OSError, RuntimeError, ValueError) as error:
@@ -131,20 +132,20 @@ def _same(place: Path, path: Path) -> bool:
         return False
 
 
-def _require_ours(output: Output) -> None:
+def _require_ours(output: OutputFile) -> None:
     if not output.mark or not output.path.exists():
         return
     try:
         with output.path.open("rb") as stream:
-            head = stream.read(_HEAD)
+            head = stream.read(_HEAD_BYTES)
     except OSError as error:
         raise WriteError(f"cannot write {output.path}: {error.strerror}") from None
     if head and output.mark not in head:
-        raise another_file(output.path)
+        raise foreign_file_error(output.path)
 
 
-def another_file(path: Path) -> WriteError:
-    """What to raise where somebody else's file stands."""
+def foreign_file_error(path: Path) -> WriteError:
+    """Return the error for an output where somebody else's file lies."""
     return WriteError(
         f"cannot write {path}: another file stands there: remove it or choose another output"
     )

@@ -1,4 +1,4 @@
-"""A folder for files that nobody needs afterwards."""
+"""Temporary folders beside the cache or the output of a run."""
 
 from __future__ import annotations
 
@@ -9,47 +9,54 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from scene.errors import WriteError
-from scene.storage.files import MARK, PARTIAL, require_room
+from scene.storage.atomic import PARTIAL_SUFFIX, TEMPORARY_PREFIX
+from scene.storage.files import require_disk_space
 
 
 @contextmanager
 def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
-    """A new folder, removed when the block ends, however that ends.
+    """Make a temporary folder and remove it when the block ends, however that ends.
 
-    It lies where there is room for results: a small folder for temporary files must not end a run
-    whose cache and output lie elsewhere. What a killed process left goes with the next
-    ``scene.storage.files.remove_partial`` of the folder above.
+    It lies beside the results, where there is space for them: the system's folder for temporary
+    files may be small. A folder left by a killed process is removed by the next
+    ``remove_partial`` of the folder above.
 
     Args:
-        beside: folder of the cache or the output to work for; made when it is not there, and gone
-            again when it stays empty. None takes the system's folder for temporary files.
+        beside: folder of the cache or output; it is made if necessary, and removed again if it
+            stays empty. None uses the system's folder for temporary files.
         needed: bytes that will be written.
 
     Raises:
-        WriteError: there is less room, or the folder cannot be written.
+        WriteError: the disk has less space, or the folder cannot be written.
+
+    Example:
+        >>> with scratch() as folder:
+        ...     _ = (folder / "part.txt").write_text("temporary")
+        >>> folder.exists()
+        False
     """
     root = Path(tempfile.gettempdir()) if beside is None else beside
     made = [path for path in (root, *root.parents) if not path.exists()]
     try:
         root.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=MARK, suffix=PARTIAL, dir=root))
+        folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=root))
     except OSError as error:
         raise WriteError(f"cannot write {root}: {error.strerror or error}") from None
     try:
-        require_room(folder / "any", needed)
+        require_disk_space(folder / "any", needed)
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         for path in made:
             try:
                 path.rmdir()
-            except OSError:  # it holds something
+            except OSError:  # the folder is not empty
                 break
 
 
 @contextmanager
-def kept_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
-    """The folder of a cache; where there is none, a scratch folder beside what a run writes."""
+def cache_or_scratch(cache: Path | None, beside: Path | None) -> Iterator[Path]:
+    """Yield the cache's folder, or a temporary one beside the output if there is no cache."""
     if cache is not None:
         yield cache
         return

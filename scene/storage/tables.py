@@ -1,4 +1,4 @@
-"""Tables of others, as CSV: every fault is named by file and line."""
+"""CSV tables written by other programs; every error names file and line."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from scene.storage.files import read_text
 def read_table(
     path: Path, what: str, columns: Sequence[str]
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Where each row of a CSV file is, as ``file:line``, and its values by column.
+    """Yield the location of each row of a CSV file, as ``file:line``, and its values by column.
 
-    Other columns may be there too. White space around values does not count, nor do blank lines.
+    The table may have further columns. White space around values and blank lines are ignored.
 
     Args:
-        path: of the file.
-        what: it is, for messages.
-        columns: that it must have.
+        path: file to read.
+        what: what the file is, for messages.
+        columns: columns that it must have.
 
     Raises:
-        InputError: an unreadable file, a missing column or one named twice, a row of another
-            number of values, or a quote that is never closed.
+        InputError: the file is unreadable, a column is missing or named twice, a row has another
+            number of values, or a quote is never closed.
     """
     rows = csv.reader(io.StringIO(read_text(path, what), newline=""))
     line = 1

@@ -1,7 +1,7 @@
-"""How a session's flight is flown, as a person writes it: one word, or its numbers.
+"""The configurations of flights, as a person writes them: one word, or a kind with its numbers.
 
-A number left out is that of the flight's role (`simulate.config.FlightPlan`), so that map and
-query flights differ when nothing is said.
+A number that is left out is taken from the ``FlightPlan`` of the flight's role, so that map and
+query flights differ when neither says anything.
 """
 
 from __future__ import annotations
@@ -24,26 +24,67 @@ _FORWARD_OVERLAP = 0.7
 _SIDE_OVERLAP = 0.6
 
 
+class FlightPlan(Config):
+    """The numbers that flights of one role take when their own configuration leaves them out.
+
+    Map flights and query flights differ in every number.
+
+    Attributes:
+        nadir_altitude_m: Altitude of surveys above the ground.
+        nadir_heading_deg: Heading of the first line of a survey, clockwise from north.
+        orbit_altitude_m: Altitude of orbits above the ground at the centre.
+        orbit_radius_share: Radius of orbits as a share of the side of the area.
+        orbit_start_deg: Bearing of the first exposure of an orbit.
+        backwards: Whether corridors and streets are followed from their end.
+    """
+
+    nadir_altitude_m: float = Field(gt=0)
+    nadir_heading_deg: float
+    orbit_altitude_m: float = Field(gt=0)
+    orbit_radius_share: float = Field(gt=0)
+    orbit_start_deg: float
+    backwards: bool = False
+
+
+MAP_PLAN = FlightPlan(
+    nadir_altitude_m=80,
+    nadir_heading_deg=0,
+    orbit_altitude_m=55,
+    orbit_radius_share=0.4,
+    orbit_start_deg=0,
+)
+QUERY_PLAN = FlightPlan(
+    nadir_altitude_m=70,
+    nadir_heading_deg=35,
+    orbit_altitude_m=48,
+    orbit_radius_share=0.36,
+    orbit_start_deg=20,
+    backwards=True,
+)
+
+
 class _Flight(Config):
     model_config = ConfigDict(allow_inf_nan=False)
 
     @property
     def counts_photographs(self) -> bool:
-        """Whether the flight itself says how many photographs it takes."""
+        """Whether the flight itself decides how many photographs it takes."""
         return False
 
 
 class _Survey(_Flight):
-    """What every survey by parallel lines says.
+    """The numbers that all surveys by parallel lines have in common.
 
     Attributes:
-        altitude_m: above the ground.
-        gsd_cm: the same as centimetres of ground per pixel, straight below.
-        forward_overlap: of neighbours on a line, as a fraction of the footprint on flat ground.
-        side_overlap: of neighbouring lines. With either overlap, the flight takes as many
-            photographs as it needs; without, as many as its session says, evenly spaced.
-        terrain_following: or level, the altitude being above the ground at the area's centre (a
-            corridor's start).
+        altitude_m: Altitude above the ground.
+        gsd_cm: The altitude by its ground sampling distance: centimetres per pixel straight below.
+        forward_overlap: Overlap of neighbours on a line, as a fraction of the footprint on flat
+            ground. With either overlap, the flight takes as many photographs as it needs; without,
+            as many as its session asks for, evenly spaced.
+        side_overlap: Overlap of neighbouring lines, as a fraction of the footprint.
+        terrain_following: Whether the altitude is held above the ground below. A flight that does
+            not follow the terrain is level, and its altitude is above the ground at the centre of
+            the area, or at the start of a corridor.
     """
 
     altitude_m: Positive | None = None
@@ -64,7 +105,7 @@ class _Survey(_Flight):
 
     @property
     def overlaps(self) -> tuple[float, float]:
-        """Forward and side, with the usual ones where nothing is said."""
+        """Forward and side overlap, with the usual ones where none is given."""
         forward, side = self.forward_overlap, self.side_overlap
         return (
             _FORWARD_OVERLAP if forward is None else forward,
@@ -72,18 +113,18 @@ class _Survey(_Flight):
         )
 
     def altitude(self, focal: float, usual_m: float) -> float:
-        """Metres above the ground for a focal length in pixels; `usual_m` when nothing is said."""
+        """Return the altitude in metres for a focal length in pixels, else ``usual_m``."""
         if self.gsd_cm is not None:
             return 0.01 * self.gsd_cm * focal
         return usual_m if self.altitude_m is None else self.altitude_m
 
 
 class NadirFlight(_Survey):
-    """A lawn-mower over the area; every second line is flown back.
+    """A lawn-mower pattern over the area; every second line is flown back.
 
     Attributes:
-        heading_deg: of the first line, clockwise from north.
-        pitch_deg: of the gimbal, -90 straight down.
+        heading_deg: Heading of the first line, clockwise from north.
+        pitch_deg: Pitch of the gimbal; -90 is straight down.
     """
 
     kind: Literal["nadir"] = "nadir"
@@ -92,11 +133,11 @@ class NadirFlight(_Survey):
 
 
 class GridFlight(_Survey):
-    """A double grid: two lawn-mowers at right angles.
+    """A double grid: two lawn-mower patterns at right angles.
 
     Attributes:
-        heading_deg: of the first grid's first line.
-        pitch_deg: of the gimbal: tilted, facades are seen from four sides.
+        heading_deg: Heading of the first line of the first pattern.
+        pitch_deg: Pitch of the gimbal. It is tilted, so that facades are seen from four sides.
     """
 
     kind: Literal["grid"] = "grid"
@@ -105,14 +146,14 @@ class GridFlight(_Survey):
 
 
 class ObliqueFlight(_Flight):
-    """An orbit looking inwards.
+    """A level orbit whose cameras look inwards.
 
     Attributes:
-        radius_m: of the orbit.
-        altitude_m: above the ground at the centre; the orbit is level.
-        pitch_deg: of the gimbal.
-        centre: east and north, metres.
-        start_deg: bearing of the first exposure from the centre.
+        radius_m: Radius of the orbit.
+        altitude_m: Altitude above the ground at the centre.
+        pitch_deg: Pitch of the gimbal.
+        centre: Centre of the orbit, east and north, metres.
+        start_deg: Bearing of the first exposure from the centre, clockwise from north.
     """
 
     kind: Literal["oblique"] = "oblique"
@@ -127,10 +168,10 @@ class CorridorFlight(_Survey):
     """Parallel lines along a line.
 
     Attributes:
-        line: points east and north, metres; None is the longest road.
-        width_m: of the strip to photograph; no camera leaves it.
-        lines: side by side; None is as many as the side overlap needs.
-        pitch_deg: of the gimbal.
+        line: Points of the line, east and north, metres; None follows the longest road.
+        width_m: Width of the strip to photograph; no camera leaves it.
+        lines: Number of lines side by side; None flies as many as the side overlap needs.
+        pitch_deg: Pitch of the gimbal.
     """
 
     kind: Literal["corridor"] = "corridor"
@@ -141,11 +182,12 @@ class CorridorFlight(_Survey):
 
 
 class FreeFlight(_Flight):
-    """A smooth random course over the area, other for every seed and session.
+    """A smooth random course over the area, a different one for every seed and session.
 
     Attributes:
-        altitude_m: lowest and highest above the ground; None is 0.7 to 1.1 of a survey's altitude.
-        pitch_deg: lowest and highest of the gimbal.
+        altitude_m: Lowest and highest altitude above the ground; None takes 0.7 and 1.1 times the
+            altitude of a survey.
+        pitch_deg: Lowest and highest pitch of the gimbal.
     """
 
     kind: Literal["free"] = "free"
@@ -161,17 +203,18 @@ class FreeFlight(_Flight):
 
 
 class StreetFlight(_Flight):
-    """A vehicle on the right-hand lanes of the roads, photographing to both sides. No wind.
+    """A drive on the right-hand lanes of the roads, without wind, with cameras to both sides.
 
     Attributes:
-        roads: how many of the roads, the longest first; None is all.
-        way: along them from their start, back from their end, or both; None is there for map
-            flights and back for queries (`backwards` of the plan).
-        offset_m: to the right of the middle of the lane.
-        edge_m: kept between the cameras and the edge of the place, which is open country.
-        height_m: of the cameras above the road.
-        yaws_deg: of the cameras, clockwise from the direction of travel.
-        pitch_deg: of the cameras.
+        roads: Number of roads that are driven, the longest first; None drives all of them.
+        way: "there" drives the roads from their start, "back" from their end, "both" both ways.
+            None drives "there" in map sessions and "back" in query sessions (``backwards`` of
+            ``FlightPlan``).
+        offset_m: Distance of the cameras to the right of the middle of the lane.
+        edge_m: Distance kept to the edge of the place, beyond which lies open country.
+        height_m: Height of the cameras above the road.
+        yaws_deg: Yaw of each camera, clockwise from the direction of travel.
+        pitch_deg: Pitch of the cameras.
     """
 
     kind: Literal["street"] = "street"
@@ -185,12 +228,13 @@ class StreetFlight(_Flight):
 
 
 class PlanFlight(_Flight):
-    """What a mission plan of QGroundControl photographs.
+    """The photographs of a mission plan of QGroundControl.
 
     Attributes:
-        file: the ``.plan``, relative to the working directory.
-        sha256: of the file, taken when nothing is said, so that a scene knows its flight.
-        pitch_deg: of the gimbal until the plan says.
+        file: The ``.plan`` file, relative to the working directory.
+        sha256: Digest of the file. It is computed when left out, so that a scene records the very
+            flight it was made with.
+        pitch_deg: Pitch of the gimbal until the plan changes it.
     """
 
     kind: Literal["plan"] = "plan"
@@ -214,12 +258,16 @@ class PlanFlight(_Flight):
 
 
 def plan_digest(file: Path) -> str:
-    """SHA-256 of a mission plan; InputError when it cannot be read."""
+    """Return the SHA-256 of a mission plan.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
     return hashlib.sha256(read_text(file, "mission plan").encode()).hexdigest()
 
 
 def _from_word(flight: object) -> object:
-    """ "nadir", or "plan=FILE"."""
+    """Read a flight that is written as one word: its kind, or "plan=FILE"."""
     if not isinstance(flight, str):
         return flight
     kind, equals, file = flight.partition("=")
@@ -239,4 +287,4 @@ Flight = Annotated[
     ],
     BeforeValidator(_from_word),
 ]
-"""A flight by its `kind`; a word alone stands for the kind with its usual numbers."""
+"""A flight, told apart by its ``kind``; a word alone stands for the kind with its usual numbers."""

@@ -1,197 +1,214 @@
-"""Surveys of an area: lawn-mower, double grid and orbit, as a mission planner would fly them.
+"""Surveys of an area: a lawn-mower pattern, a double grid and an orbit.
 
-Poses are `cam_from_world` (N, 4, 4) float64: OpenCV axes (x right, y down, z forward), world
-east-north-up metres with Z up. Headings are degrees clockwise from north, the direction the top of
-the image (nadir) or the camera (oblique) points to; pitches are degrees, -90 straight down.
+Every planner takes the flight's configuration, the site, the number of photographs and a generator
+of random numbers, and returns ``cam_from_world`` (N, 4, 4) float64 in flying order: OpenCV axes
+(x right, y down, z forward), world east-north-up in metres with Z up. Headings are degrees
+clockwise from north; they are where the top of the image (nadir) or the camera (oblique) points.
+Pitches are degrees above the horizon, -90 is straight down.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from simulate.flight.gimbal import gimbal_poses
+from simulate.flight.config import GridFlight, NadirFlight, ObliqueFlight
+from simulate.flight.gimbal import Aims, gimbal_poses, perturbed_poses
+from simulate.flight.site import MAX_PHOTOGRAPHS, FlightSite
 
 Array = NDArray[np.float64]
-GroundHeight = Callable[[Array, Array], Array]
-"""Ground height in metres at world x, y (N,) metres, such as `World.terrain.height`."""
 
-MAX_PHOTOGRAPHS = 20_000
-"""Of one flight; a plan that needs more is taken for a mistake."""
+INSET_SHARE: Final = 0.3
+"""Exposures stay inside the area by this share of the shorter side of a footprint. It is less than
+half, so that corners are seen at any heading and little is seen of what lies outside."""
+
+# Small areas are flown over at least this share of their side to either side of the middle.
+_LEAST_REACH_SHARE = 0.1
 
 
 def plan_nadir(
-    area_m: float,
-    ground_height: GroundHeight,
-    *,
-    width: int,
-    height: int,
-    focal: float,
-    altitude_m: float,
+    flight: NadirFlight | GridFlight,
+    site: FlightSite,
+    frames: int | None,
     rng: np.random.Generator,
-    frames: int | None = None,
-    forward_overlap: float = 0.7,
-    side_overlap: float = 0.6,
-    heading_deg: float = 0.0,
-    pitch_deg: float = -90.0,
+    *,
     alternate: bool = True,
-    terrain_following: bool = True,
-    position_jitter_m: float = 0.0,
-    attitude_jitter_deg: float = 0.0,
 ) -> Array:
-    """A lawn-mower pattern over a square of `area_m` metres centred on the origin.
+    """Plan a lawn-mower pattern over the square area of the site.
 
     Args:
-        width, height, focal: of the pinhole camera, pixels.
-        altitude_m: above the ground below each exposure, or above the ground at the origin
-            without `terrain_following`.
-        frames: exactly so many exposures, evenly spaced along all lines; None: as many as the
-            overlaps (fractions of the footprint on flat ground) need.
-        heading_deg: of the first line; every second line is flown the other way.
-        alternate: whether the aircraft, and so the image, turns round on those lines.
-        position_jitter_m, attitude_jitter_deg: standard deviations per axis.
+        flight: The survey. Its altitude is above the ground below each exposure, or above the
+            ground at the origin without ``terrain_following``.
+        site: The place and the camera.
+        frames: The exact number of exposures, evenly spaced along all lines. With None, there are
+            as many as the overlaps need.
+        rng: The generator of the wind.
+        alternate: Whether the aircraft, and so the image, turns round on every second line.
 
     Returns:
-        cam_from_world (N, 4, 4) float64 in flying order.
+        The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.
 
     Raises:
-        InputError: an overlap outside [0, 0.95], a size, altitude or count that is not positive,
-            or more photographs than a flight takes.
+        InputError: The number of frames is not positive, or the flight takes too many photographs.
     """
-    _require_positive(area_m=area_m, width=width, height=height, focal=focal, altitude_m=altitude_m)
-    for name, overlap in (("forward_overlap", forward_overlap), ("side_overlap", side_overlap)):
-        if not 0 <= overlap <= 0.95:
-            raise InputError(f"{name} must be 0 to 0.95, got {overlap:g}")
     if frames is not None:
-        _require_positive(frames=frames)
-    along_m = (1 - forward_overlap) * height * altitude_m / focal
-    across_m = (1 - side_overlap) * width * altitude_m / focal
-    # Exposures stay inside the area by somewhat less than half a footprint, so that corners are
-    # seen at any heading and little is seen of what lies outside.
-    inset = 0.3 * min(width, height) * altitude_m / focal
-    half = max(0.5 * area_m - inset, 0.1 * area_m)
-    heading = np.radians(heading_deg)
+        _require_positive(frames)
+    altitude_m = flight.altitude(site.camera.focal[0], site.usual.nadir_altitude_m)
+    heading_deg = flight.heading_deg
+    heading = np.radians(site.usual.nadir_heading_deg if heading_deg is None else heading_deg)
     forward = np.array([np.sin(heading), np.cos(heading)])
     right = np.array([np.cos(heading), -np.sin(heading)])
-    reach = half * np.abs(right).sum()  # of the rotated square, to either side
-
-    if frames is None:
-        lines = _few(2 * reach / across_m)
-    else:
-        # Lines and exposures as far apart as the footprint's sides are long.
-        cell = np.sqrt((2 * half) ** 2 / frames * across_m / along_m)
-        lines = max(1, min(frames, round(2 * reach / cell)))
-    offsets = reach * (2 * (np.arange(lines) + 0.5) / lines - 1)
-    if frames is None and lines > 1:
-        offsets = np.linspace(-reach, reach, lines)
-    starts, ends = _clip_lines(offsets, forward, right, half)
-
-    lengths = ends - starts
-    position, line = [], []
-    if frames is None:
-        _few((lengths / along_m).sum())
-        for k in range(lines):
-            count = _few(lengths[k] / along_m)
-            share = np.linspace(0, 1, count) if count > 1 else np.array([0.5])
-            position.append(share)
-            line.append(np.full(count, k))
-    else:
-        # Walk all lines end to end in equal steps.
-        total = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, 1e-9))])
-        at = (np.arange(frames) + 0.5) / frames * total[-1]
-        which = np.clip(np.searchsorted(total, at, side="right") - 1, 0, lines - 1)
-        position.append((at - total[which]) / (total[which + 1] - total[which]))
-        line.append(which)
-    s, k = np.concatenate(position), np.concatenate(line)
-    back = k % 2 == 1
-    s = np.where(back, 1 - s, s)
-    xy = offsets[k, None] * right + (starts[k] + s * lengths[k])[:, None] * forward
-    headings = np.where(back & alternate, heading + np.pi, heading)
+    lines = _lay_lines(flight, site, frames, forward, right)
+    line, share = _exposures(lines, frames)
+    back = line % 2 == 1
+    share = np.where(back, 1 - share, share)
+    along = lines.start[line] + share * lines.length[line]
+    xy = lines.offset[line, None] * right + along[:, None] * forward
 
     count = len(xy)
-    xy = xy + position_jitter_m * rng.standard_normal((count, 2))
-    below = xy if terrain_following else np.zeros((count, 2))
-    z = ground_height(below[:, 0], below[:, 1]) + altitude_m
-    z = z + position_jitter_m * rng.standard_normal(count)
+    jitter_m = site.wind.position_jitter_m
+    # The ground is looked up below where the wind has blown the aircraft.
+    xy = xy + jitter_m * rng.standard_normal((count, 2))
+    below = xy if flight.terrain_following else np.zeros((count, 2))
+    z = site.ground_height(below[:, 0], below[:, 1]) + altitude_m
+    z = z + jitter_m * rng.standard_normal(count)
+    headings = np.where(back & alternate, heading + np.pi, heading)
+    pitch = np.radians(flight.pitch_deg)
     centres = np.column_stack([xy, z])
-    return gimbal_poses(centres, headings, np.radians(pitch_deg), attitude_jitter_deg, rng)
+    return gimbal_poses(centres, headings, pitch, site.wind.attitude_jitter_deg, rng)
 
 
 def plan_grid(
-    area_m: float,
-    ground_height: GroundHeight,
-    *,
-    heading_deg: float,
-    frames: int | None,
-    **options: Any,
+    flight: GridFlight, site: FlightSite, frames: int | None, rng: np.random.Generator
 ) -> Array:
-    """A double grid: `plan_nadir` flown twice, the second time at right angles to the first.
+    """Plan a double grid: two lawn-mower patterns, the second at right angles to the first.
 
     Args:
-        frames: of both together, halved between them; None: as many as the overlaps need.
-        options: as `plan_nadir` takes them, for both.
+        flight: The survey; its heading is that of the first pattern.
+        site: The place and the camera.
+        frames: The number of exposures of both patterns together. With None, there are as many as
+            the overlaps need.
+        rng: The generator of the wind.
 
     Returns:
-        cam_from_world (N, 4, 4) float64 in flying order.
+        The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.
 
     Raises:
-        InputError: as `plan_nadir`, or fewer frames than two.
+        InputError: As ``plan_nadir``, or there are fewer frames than two.
     """
     if frames is not None and frames < 2:
         raise InputError(f"a grid needs at least 2 frames, got {frames}")
     halves = (None, None) if frames is None else ((frames + 1) // 2, frames // 2)
-    return np.concatenate(
-        [
-            plan_nadir(
-                area_m, ground_height, heading_deg=heading_deg + turn, frames=half, **options
-            )
-            for turn, half in zip((0.0, 90.0), halves, strict=True)
-        ]
-    )
+    heading_deg = flight.heading_deg
+    first_deg = site.usual.nadir_heading_deg if heading_deg is None else heading_deg
+    patterns = [
+        plan_nadir(flight.model_copy(update={"heading_deg": first_deg + turn}), site, half, rng)
+        for turn, half in zip((0.0, 90.0), halves, strict=True)
+    ]
+    return np.concatenate(patterns)
 
 
 def plan_oblique(
-    ground_height: GroundHeight,
-    *,
-    radius_m: float,
-    altitude_m: float,
-    frames: int,
-    rng: np.random.Generator,
-    pitch_deg: float = -45.0,
-    centre: tuple[float, float] = (0.0, 0.0),
-    start_deg: float = 0.0,
-    position_jitter_m: float = 0.0,
-    attitude_jitter_deg: float = 0.0,
+    flight: ObliqueFlight, site: FlightSite, frames: int, rng: np.random.Generator
 ) -> Array:
-    """An orbit of `radius_m` around `centre` (metres), looking inwards at `pitch_deg`.
+    """Plan a level orbit whose cameras look inwards.
 
     Args:
-        altitude_m: above the ground at the centre; the orbit is level.
-        start_deg: bearing of the first exposure from the centre, clockwise from north.
-        position_jitter_m, attitude_jitter_deg: standard deviations per axis.
+        flight: The orbit; its altitude is above the ground at its centre.
+        site: The place and the camera.
+        frames: The number of exposures, evenly spaced.
+        rng: The generator of the wind.
 
     Returns:
-        cam_from_world (frames, 4, 4) float64 in flying order.
+        The poses ``cam_from_world`` (frames, 4, 4) float64 in flying order.
 
     Raises:
-        InputError: a radius, altitude or count that is not positive.
+        InputError: The number of frames is not positive.
     """
-    _require_positive(radius_m=radius_m, altitude_m=altitude_m, frames=frames)
+    _require_positive(frames)
+    usual = site.usual
+    radius_m = flight.radius_m or usual.orbit_radius_share * site.area_m
+    altitude_m = flight.altitude_m or usual.orbit_altitude_m
+    start_deg = usual.orbit_start_deg if flight.start_deg is None else flight.start_deg
     bearing = np.radians(start_deg) + 2 * np.pi * np.arange(frames) / frames
-    out = np.column_stack([np.sin(bearing), np.cos(bearing)])
-    xy = np.asarray(centre) + radius_m * out
-    base = float(ground_height(np.array([centre[0]]), np.array([centre[1]]))[0])
-    centres = np.column_stack([xy, np.full(frames, base + altitude_m)])
-    centres = centres + position_jitter_m * rng.standard_normal((frames, 3))
-    return gimbal_poses(centres, bearing + np.pi, np.radians(pitch_deg), attitude_jitter_deg, rng)
+    outwards = np.column_stack([np.sin(bearing), np.cos(bearing)])
+    xy = np.asarray(flight.centre) + radius_m * outwards
+    middle_x, middle_y = (np.array([value]) for value in flight.centre)
+    ground = float(site.ground_height(middle_x, middle_y)[0])
+    centres = np.column_stack([xy, np.full(frames, ground + altitude_m)])
+    pitch = np.full(frames, np.radians(flight.pitch_deg))
+    return perturbed_poses(Aims(centres, bearing + np.pi, pitch), site.wind, rng)
+
+
+class _Lines(NamedTuple):
+    """Parallel flight lines over the area.
+
+    Attributes:
+        offset: Distance (K,) of each line to the right of the origin, metres.
+        start: Where each line begins (K,), metres along it from the foot of the origin.
+        length: Length (K,) of each line, metres.
+        spacing_m: The longest step (m) between exposures on a line that the overlap allows.
+    """
+
+    offset: Array
+    start: Array
+    length: Array
+    spacing_m: float
+
+
+def _lay_lines(
+    flight: NadirFlight | GridFlight,
+    site: FlightSite,
+    frames: int | None,
+    forward: Array,
+    right: Array,
+) -> _Lines:
+    """Lay the lines of a lawn-mower pattern in the unit direction ``forward`` (2,)."""
+    forward_overlap, side_overlap = flight.overlaps
+    camera, focal = site.camera, site.camera.focal[0]
+    altitude_m = flight.altitude(focal, site.usual.nadir_altitude_m)
+    along_m = (1 - forward_overlap) * camera.height * altitude_m / focal
+    across_m = (1 - side_overlap) * camera.width * altitude_m / focal
+    inset = INSET_SHARE * min(camera.width, camera.height) * altitude_m / focal
+    half = max(0.5 * site.area_m - inset, _LEAST_REACH_SHARE * site.area_m)
+    reach = half * np.abs(right).sum()  # of the rotated square, to either side
+    if frames is None:
+        lines = _count_stops(2 * reach / across_m)
+    else:
+        # Lines and exposures are as far apart as the footprint's sides are long.
+        cell = np.sqrt((2 * half) ** 2 / frames * across_m / along_m)
+        lines = max(1, min(frames, round(2 * reach / cell)))
+    offset = reach * (2 * (np.arange(lines) + 0.5) / lines - 1)
+    if frames is None and lines > 1:
+        offset = np.linspace(-reach, reach, lines)
+    start, end = _clip_lines(offset, forward, right, half)
+    return _Lines(offset, start, end - start, along_m)
+
+
+def _exposures(lines: _Lines, frames: int | None) -> tuple[NDArray[np.int64], Array]:
+    """Return the number of the line of each exposure (N,) and the share (N,) of it flown by then.
+
+    Shares are counted from the line's start, also where the line is flown back.
+    """
+    if frames is not None:
+        # All lines are walked end to end in equal steps.
+        total = np.concatenate([[0.0], np.cumsum(np.maximum(lines.length, 1e-9))])
+        at = (np.arange(frames) + 0.5) / frames * total[-1]
+        line = np.searchsorted(total, at, side="right") - 1
+        line = np.clip(line, 0, len(lines.length) - 1)
+        return line, (at - total[line]) / (total[line + 1] - total[line])
+    _count_stops((lines.length / lines.spacing_m).sum())
+    counts = [_count_stops(length / lines.spacing_m) for length in lines.length]
+    shares = [np.linspace(0, 1, count) if count > 1 else np.array([0.5]) for count in counts]
+    return np.repeat(np.arange(len(counts)), counts), np.concatenate(shares)
 
 
 def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tuple[Array, Array]:
-    """Where lines along `forward`, `offsets` (K,) to the right, enter and leave the square."""
+    """Return where lines along ``forward``, ``offsets`` (K,) to the right, enter and leave the
+    square of ``half`` metres to either side of the origin."""
     foot = offsets[:, None] * right
     low = np.full(len(offsets), -np.inf)
     high = np.full(len(offsets), np.inf)
@@ -204,8 +221,8 @@ def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tu
     return np.minimum(low, middle), np.maximum(high, middle)
 
 
-def _few(steps: float) -> int:
-    """Exposures, or lines, on a way of so many longest steps."""
+def _count_stops(steps: float) -> int:
+    """Return how many exposures, or lines, lie on a way of so many longest steps."""
     if steps > MAX_PHOTOGRAPHS:
         raise InputError(
             f"a flight takes at most {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"
@@ -213,7 +230,6 @@ def _few(steps: float) -> int:
     return int(np.ceil(steps)) + 1
 
 
-def _require_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not value > 0:
-            raise InputError(f"{name} must be positive, got {value:g}")
+def _require_positive(frames: int) -> None:
+    if not frames > 0:
+        raise InputError(f"frames must be positive, got {frames:g}")

@@ -1,7 +1,7 @@
-"""From where a camera is and where it looks to its pose, with the wind's share.
+"""Poses of gimballed cameras, from where they are and where they look.
 
-Poses are `cam_from_world` (N, 4, 4) float64: OpenCV axes (x right, y down, z forward), world
-east-north-up metres with Z up. Headings are clockwise from north, pitches above the horizon.
+Poses are ``cam_from_world`` (N, 4, 4) float64: OpenCV axes (x right, y down, z forward), world
+east-north-up in metres with Z up. Headings are clockwise from north, pitches are above the horizon.
 """
 
 from __future__ import annotations
@@ -11,16 +11,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulate.flight.site import Wind
+
 Array = NDArray[np.float64]
 
 
 class Aims(NamedTuple):
-    """Exposures as planned, in flying order.
+    """Exposures as they are planned, in flying order.
 
     Attributes:
-        centres: of the cameras, (N, 3) world metres.
-        heading: (N,) radians clockwise from north.
-        pitch: (N,) radians above the horizon.
+        centres: Camera centres (N, 3), world metres.
+        heading: Directions (N,) of the cameras, radians clockwise from north.
+        pitch: Pitches (N,) of the cameras, radians above the horizon.
     """
 
     centres: Array
@@ -28,12 +30,10 @@ class Aims(NamedTuple):
     pitch: Array
 
 
-def perturbed_poses(
-    aims: Aims, position_jitter_m: float, attitude_jitter_deg: float, rng: np.random.Generator
-) -> Array:
-    """Poses (N, 4, 4) of aims blown about, by standard deviations per axis."""
-    blown = aims.centres + position_jitter_m * rng.standard_normal(aims.centres.shape)
-    return gimbal_poses(blown, aims.heading, aims.pitch, attitude_jitter_deg, rng)
+def perturbed_poses(aims: Aims, wind: Wind, rng: np.random.Generator) -> Array:
+    """Return the poses ``cam_from_world`` (N, 4, 4) of planned exposures in the wind."""
+    centres = aims.centres + wind.position_jitter_m * rng.standard_normal(aims.centres.shape)
+    return gimbal_poses(centres, aims.heading, aims.pitch, wind.attitude_jitter_deg, rng)
 
 
 def gimbal_poses(
@@ -43,11 +43,14 @@ def gimbal_poses(
     jitter_deg: float,
     rng: np.random.Generator,
 ) -> Array:
-    """Poses (N, 4, 4) of level cameras at `centres` (N, 3) metres.
+    """Return the poses ``cam_from_world`` (N, 4, 4) of cameras that a gimbal holds level.
 
     Args:
-        heading: (N,) radians. pitch: (N,) or one for all, radians.
-        jitter_deg: standard deviation of yaw, pitch and roll.
+        centres: Camera centres (N, 3), world metres.
+        heading: Headings (N,), radians.
+        pitch: Pitches (N,), or one pitch for all, radians.
+        jitter_deg: Standard deviation of yaw, pitch and roll, degrees.
+        rng: The generator of the jitter.
     """
     count = len(centres)
     jitter = np.radians(jitter_deg) * rng.standard_normal((count, 3))
@@ -69,8 +72,11 @@ def gimbal_poses(
 
 
 def velocities(cam_from_world: ArrayLike, interval_s: float) -> Array:
-    """Velocities (N, 3), metres a second, of cameras with poses (N, 4, 4) at equal intervals:
-    central differences of their positions, one-sided at the ends, zero for a single one."""
+    """Return velocities (N, 3) in metres per second of poses (N, 4, 4) taken at equal intervals.
+
+    They are central differences of the positions, one-sided at both ends, and zero for a single
+    pose.
+    """
     centres = camera_centres(cam_from_world)
     if len(centres) < 2:
         return np.zeros_like(centres)
@@ -78,6 +84,6 @@ def velocities(cam_from_world: ArrayLike, interval_s: float) -> Array:
 
 
 def camera_centres(cam_from_world: ArrayLike) -> Array:
-    """World positions (N, 3) metres of cameras with poses (N, 4, 4)."""
+    """Return the camera centres (N, 3) in world metres of poses ``cam_from_world`` (N, 4, 4)."""
     pose = np.asarray(cam_from_world, float)
     return np.asarray(-np.einsum("nji,nj->ni", pose[:, :3, :3], pose[:, :3, 3]))

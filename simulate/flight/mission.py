@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
-from simulate.flight.flights import MAX_PHOTOGRAPHS, GroundHeight
 from simulate.flight.gimbal import Aims
+from simulate.flight.site import MAX_PHOTOGRAPHS, GroundHeight
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from scene.bundle.manifest import read_json
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic
-from simulate.flight.flights import GroundHeight
 from simulate.flight.gimbal import Aims
 from simulate.flight.mission import RELATIVE, TERRAIN, Aircraft, Command, Mav
+from simulate.flight.site import GroundHeight
 
 _Latitude = Annotated[float, Field(ge=-90, le=90)]
 _Longitude = Annotated[float, Field(ge=-180, le=180)]

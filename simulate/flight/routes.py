@@ -1,43 +1,52 @@
-"""Flights along a line: corridors from the air, streets from a vehicle; and free flight.
+"""Flights along a line, which are corridors from the air and streets from a vehicle; free flights.
 
-Aims as in `simulate.flight.gimbal`; the wind comes later.
+The functions return ``simulate.flight.gimbal.Aims``, exposures that the wind has not moved yet.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from simulate.flight.flights import MAX_PHOTOGRAPHS, GroundHeight
+from simulate.flight.config import CorridorFlight, FreeFlight, StreetFlight
+from simulate.flight.flights import INSET_SHARE
 from simulate.flight.gimbal import Aims
+from simulate.flight.site import MAX_PHOTOGRAPHS, FlightSite
+from simulate.place.world import Road, polyline_length, polyline_points
 
 Array = NDArray[np.float64]
 
 _SHARPEST_TURN_DEG = 150
-# Candidate positions of a vehicle, metres apart.
+# Distance between positions a vehicle may stop at (m).
 _STREET_STEP_M = 1.0
-# Of a free flight's course: periods per flight, the slower the stronger.
+# Distance between points of a road that is cut to the place (m).
+_ROAD_STEP_M = 5.0
+# Lowest and highest altitude of a free flight that names none, as shares of a survey's altitude.
+_FREE_ALTITUDES = 0.7, 1.1
+# Ranges of the waves of a free flight's course, periods per flight; slower ones are stronger.
 _PERIODS = np.array([[0.6, 1.2], [1.2, 2.5], [2.5, 4.0]])
 
 
 def beside(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array, Array]:
-    """Points (N, 2) and directions (N,) of travel `right_m` beside a (K, 2) line.
+    """Return points and directions of travel beside a line.
 
     Directions turn smoothly between the line's corners, so that parallel lines neither cross nor
-    tear; no point is farther than `right_m` from the line.
+    tear; no point is farther than ``right_m`` from the line.
 
     Args:
-        at_m: arc lengths (N,) metres.
-        right_m: distance to the right of the direction of travel, metres, (N,) or one for all.
+        line: Points (K, 2) of the line, metres.
+        at_m: Arc lengths (N,) on it, metres.
+        right_m: Distance to the right of the direction of travel, metres, (N,) or one for all.
 
     Returns:
-        Points in metres and directions in radians clockwise from north.
+        Points (N, 2) in metres and directions (N,) in radians clockwise from north.
 
     Raises:
-        InputError: the line has no length, or turns back on itself.
+        InputError: The line has no length, or turns back on itself.
     """
     steps = np.diff(line, axis=0)
     length = np.linalg.norm(steps, axis=1)
@@ -65,129 +74,141 @@ def beside(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array, Arr
     return point + offset[:, None] * right, np.arctan2(ahead[:, 0], ahead[:, 1])
 
 
-def plan_corridor(
-    line: Array,
-    ground_height: GroundHeight,
-    *,
-    footprint_m: tuple[float, float],
-    altitude_m: float,
-    width_m: float,
-    lines: int | None,
-    frames: int | None,
-    forward_overlap: float,
-    side_overlap: float,
-    pitch_deg: float,
-    terrain_following: bool,
-) -> Aims:
-    """Parallel lines along a (K, 2) line in metres, every second one flown back.
+def corridor_aims(flight: CorridorFlight, site: FlightSite, frames: int | None) -> Aims:
+    """Plan parallel lines along a line; every second one is flown back.
 
     Args:
-        footprint_m: of a photograph on flat ground straight below, across and along, metres.
-        altitude_m: above the ground below each exposure, or above that at the line's start.
-        width_m: of the strip to photograph; no camera leaves it.
-        lines: side by side; None: as many as the side overlap needs.
-        frames: exactly so many exposures, evenly spaced; None: as many as the overlap needs along
-            the line itself.
+        flight: The corridor. Its altitude is above the ground below each exposure, or above the
+            ground at the line's start without ``terrain_following``.
+        site: The place and the camera.
+        frames: The exact number of exposures, evenly spaced. With None, there are as many as the
+            overlap needs along the line itself.
+
+    Returns:
+        The exposures (N) in flying order.
 
     Raises:
-        InputError: the line has no length or turns back on itself, or too many photographs.
+        InputError: The line has no length or turns back on itself, the place has no road to
+            follow, or there are too many photographs.
     """
+    line = _longest_road(site) if flight.line is None else np.array(flight.line)
+    if site.usual.backwards:
+        line = line[::-1]
+    altitude_m = flight.altitude(site.camera.focal[0], site.usual.nadir_altitude_m)
+    length = _length(line)
+    stops = _corridor_stops(flight, site.footprint_m(altitude_m), length, frames)
+    share = np.where(stops.back, 1 - stops.share, stops.share)
+    xy, heading = beside(line, share * length, stops.right_m)
+    below = xy if flight.terrain_following else np.broadcast_to(line[0], xy.shape)
+    z = site.ground_height(below[:, 0], below[:, 1]) + altitude_m
+    return Aims(
+        np.column_stack([xy, z]),
+        np.where(stops.back, heading + np.pi, heading),
+        np.full(len(xy), np.radians(flight.pitch_deg)),
+    )
+
+
+class _Stops(NamedTuple):
+    """Where the exposures of a corridor are, before they are laid along its line.
+
+    Attributes:
+        right_m: Distance (N,) to the right of the middle of the corridor, metres.
+        share: Share (N,) of the corridor's length, counted in the direction of flight.
+        back: Whether each exposure (N,) is on a line that is flown back.
+    """
+
+    right_m: Array
+    share: Array
+    back: NDArray[np.bool_]
+
+
+def _corridor_stops(
+    flight: CorridorFlight, footprint_m: tuple[float, float], length: float, frames: int | None
+) -> _Stops:
+    """Return the exposures of a corridor of ``length`` metres."""
+    forward_overlap, side_overlap = flight.overlaps
     across_m = (1 - side_overlap) * footprint_m[0]
     along_m = (1 - forward_overlap) * footprint_m[1]
-    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    # Outer lines lie inside the strip by somewhat less than half a footprint, as in a survey.
-    reach = max(0.5 * width_m - 0.3 * min(footprint_m), 0.0)
+    # Outer lines lie inside the strip by less than half a footprint, as in a survey.
+    reach = max(0.5 * flight.width_m - INSET_SHARE * min(footprint_m), 0.0)
     if max(2 * reach / across_m, length / along_m, frames or 0) > MAX_PHOTOGRAPHS:
         raise InputError(
             f"a flight takes at most {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"
         )
-    if lines is None:
-        lines = int(np.ceil(2 * reach / across_m)) + 1
+    lines = int(np.ceil(2 * reach / across_m)) + 1 if flight.lines is None else flight.lines
     if frames is None:
         count = int(np.ceil(length / along_m)) + 1
-        along = np.tile(np.linspace(0, 1, count), lines)
-        which = np.repeat(np.arange(lines), count)
+        share = np.tile(np.linspace(0, 1, count), lines)
+        number = np.repeat(np.arange(lines), count)
     else:
         at = (np.arange(frames) + 0.5) / frames * lines  # all lines end to end in equal steps
-        which = np.floor(at).astype(int)
-        along = at - which
-    offsets = np.linspace(-reach, reach, lines) if lines > 1 else np.zeros(1)
-    back = which % 2 == 1
-    xy, heading = beside(line, np.where(back, 1 - along, along) * length, offsets[which])
-    below = xy if terrain_following else np.broadcast_to(line[0], xy.shape)
-    z = ground_height(below[:, 0], below[:, 1]) + altitude_m
-    return Aims(
-        np.column_stack([xy, z]),
-        np.where(back, heading + np.pi, heading),
-        np.full(len(xy), np.radians(pitch_deg)),
-    )
+        number = np.floor(at).astype(int)
+        share = at - number
+    right_m = np.linspace(-reach, reach, lines) if lines > 1 else np.zeros(1)
+    return _Stops(right_m[number], share, number % 2 == 1)
 
 
-def plan_street(
-    roads: Sequence[tuple[Array, float]],
-    ground_height: GroundHeight,
-    free: Callable[[Array], NDArray[np.bool_]],
-    *,
-    height_m: float,
-    yaws_deg: tuple[float, ...],
-    pitch_deg: float,
-    frames: int,
-    offset_m: float = 0.0,
-) -> Aims:
-    """A vehicle on the right-hand lane of every road, with a camera for each of `yaws_deg`.
+def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
+    """Plan the drive of a vehicle on the right-hand lane of the roads of a place.
 
-    All cameras expose together, one stop after the other, as in a survey of streets (CMU Seasons'
-    car looked 45 degrees to both sides).
+    All of the vehicle's cameras expose together, one stop after the other, as in a survey of
+    streets (the car of CMU Seasons looked 45 degrees to both sides).
 
     Args:
-        roads: centre lines (K, 2) in metres, driven from their start, and widths in metres.
-        free: which of (N, 3) positions the camera can be at.
-        height_m: of the camera above the ground.
-        yaws_deg: of the cameras, clockwise from the direction of travel.
-        frames: photographs of all cameras together; stops are spread evenly over all roads.
-        offset_m: to the right of the middle of the lane.
+        flight: The drive.
+        site: The place; its roads are driven from their start, unless the drive says otherwise.
+        frames: The number of photographs of all cameras together; stops are spread evenly over
+            all roads.
+
+    Returns:
+        The exposures (``frames``) in the order they are driven past.
 
     Raises:
-        InputError: the roads have fewer free places than the flight needs.
+        InputError: The roads have fewer free places than the drive needs.
     """
-    stops = -(-frames // len(yaws_deg))
-    found = [np.empty((0, 4))]
-    for line, width_m in roads:
-        length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-        right_m = 0.25 * width_m + offset_m
-        xy, heading = beside(line, np.arange(0.0, length, _STREET_STEP_M), right_m)
-        z = ground_height(xy[:, 0], xy[:, 1]) + height_m
-        found.append(np.column_stack([xy, z, heading]))
-    places = np.concatenate(found)
-    places = places[free(places[:, :3])]
+    cameras = len(flight.yaws_deg)
+    stops = -(-frames // cameras)
+    candidates = [np.empty((0, 4))]
+    for line, width_m in _driven_roads(flight, site):
+        right_m = 0.25 * width_m + flight.offset_m
+        xy, heading = beside(line, np.arange(0.0, _length(line), _STREET_STEP_M), right_m)
+        z = site.ground_height(xy[:, 0], xy[:, 1]) + flight.height_m
+        candidates.append(np.column_stack([xy, z, heading]))
+    places = np.concatenate(candidates)
+    reach = max(0.5 * site.area_m - flight.edge_m, 0.0)
+    away_from_edge = (np.abs(places[:, :2]) <= reach).all(1)
+    places = places[away_from_edge & site.is_free(places[:, :3])]
     if len(places) < stops:
         raise InputError(
             f"the roads have {len(places)} free places, {stops} are needed: fewer frames, or "
             "another place"
         )
     chosen = places[((np.arange(stops) + 0.5) / stops * len(places)).astype(int)]
-    yaw = chosen[:, 3:] + np.radians(yaws_deg)
-    centres = np.repeat(chosen[:, :3], len(yaws_deg), axis=0)[:frames]
-    return Aims(centres, yaw.ravel()[:frames], np.full(frames, np.radians(pitch_deg)))
+    yaw = chosen[:, 3:] + np.radians(flight.yaws_deg)
+    centres = np.repeat(chosen[:, :3], cameras, axis=0)[:frames]
+    return Aims(centres, yaw.ravel()[:frames], np.full(frames, np.radians(flight.pitch_deg)))
 
 
-def plan_free(
-    area_m: float,
-    ground_height: GroundHeight,
-    *,
-    altitude_m: tuple[float, float],
-    pitch_deg: tuple[float, float],
-    frames: int,
-    rng: np.random.Generator,
-) -> Aims:
-    """A smooth random course over a square of `area_m` metres.
+def free_aims(flight: FreeFlight, site: FlightSite, frames: int, rng: np.random.Generator) -> Aims:
+    """Plan a smooth random course over the square area of a site.
 
-    The camera looks towards a point that wanders about the middle; altitude above the ground and
-    pitch wander within their ranges.
+    The cameras look towards a point that wanders about the middle of the place; altitude above the
+    ground and pitch wander within the ranges of the flight.
+
+    Args:
+        flight: The ranges.
+        site: The place.
+        frames: The number of exposures.
+        rng: The generator of the course.
+
+    Returns:
+        The exposures (``frames``) in flying order.
     """
+    usual_m = site.usual.nadir_altitude_m
+    lowest, highest = _FREE_ALTITUDES
 
     def course(low: float, high: float) -> Array:
-        """A smooth random function of time, (frames,) values from `low` to `high`."""
+        """Return a smooth random function of time, (frames,) values from ``low`` to ``high``."""
         periods = rng.uniform(*_PERIODS.T)
         phase = rng.uniform(0, 2 * np.pi, len(periods))
         weight = 1 / np.arange(1, len(periods) + 1)
@@ -195,8 +216,41 @@ def plan_free(
         return np.asarray(low + 0.5 * (high - low) * (1 + wave))
 
     time = (np.arange(frames) + 0.5) / frames
-    reach, middle = 0.45 * area_m, 0.15 * area_m
+    reach, middle = 0.45 * site.area_m, 0.15 * site.area_m
     x, y = course(-reach, reach), course(-reach, reach)
     east, north = course(-middle, middle) - x, course(-middle, middle) - y
-    z = ground_height(x, y) + course(*altitude_m)
-    return Aims(np.column_stack([x, y, z]), np.arctan2(east, north), np.radians(course(*pitch_deg)))
+    altitude_m = flight.altitude_m or (lowest * usual_m, highest * usual_m)
+    z = site.ground_height(x, y) + course(*altitude_m)
+    pitch = np.radians(course(*flight.pitch_deg))
+    return Aims(np.column_stack([x, y, z]), np.arctan2(east, north), pitch)
+
+
+def _driven_roads(flight: StreetFlight, site: FlightSite) -> list[tuple[Array, float]]:
+    """Return centre lines (K, 2) in the direction they are driven, and the widths of the roads."""
+    roads: Sequence[Road] = site.roads
+    if flight.roads is not None:
+        by_length = sorted(roads, key=lambda road: -len(_part_inside(road, site.area_m)))
+        roads = by_length[: flight.roads]
+    way = flight.way or ("back" if site.usual.backwards else "there")
+    steps = {"there": (1,), "back": (-1,), "both": (1, -1)}[way]
+    return [(road.line[::step], road.width_m) for road in roads for step in steps]
+
+
+def _longest_road(site: FlightSite) -> Array:
+    """Return the line (K, 2) of the road with most of its length inside the place, cut to it."""
+    parts = (_part_inside(road, site.area_m) for road in site.roads)
+    longest = max(parts, key=len, default=np.empty((0, 2)))
+    if len(longest) < 2:
+        raise InputError("this place has no road for a corridor to follow: give the flight a line")
+    return longest
+
+
+def _part_inside(road: Road, area_m: float) -> Array:
+    """Return points (N, 2) of a road, metres apart, from where it enters to where it leaves."""
+    points, _ = polyline_points(road.line, np.arange(0.0, polyline_length(road.line), _ROAD_STEP_M))
+    inside = np.flatnonzero((np.abs(points) <= 0.5 * area_m).all(1))
+    return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]
+
+
+def _length(line: Array) -> float:
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())

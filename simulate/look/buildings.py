@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.look.mesh import Mesh, MeshBuilder
-from simulate.look.textures import BAY_M, BAYS, FLOOR_M, FLOORS, ROOF_TILE_M
-from simulate.place.world import Rgb, WorldObject
+from simulate.look.textures import BAY_M, BAYS, FLOOR_M, FLOORS, ROOF_TILE_M, facade_material
+from simulate.place.world import Facade, Rgb, WorldObject
 
 _FOUNDATION_M = 1.5  # walls go this far below the base, for ground that falls away beneath
 _CHIMNEY_M = 0.5  # the part of `roof_height_m` above the ridge of a pitched house roof
@@ -76,11 +76,12 @@ def _outline(rect: Rect, z: float) -> NDArray[np.float64]:
 
 
 def _walls(
-    out: MeshBuilder, rect: Rect, top: float, style: int, tint: Rgb, rng: np.random.Generator
+    out: MeshBuilder, rect: Rect, top: float, facade: Facade, tint: Rgb, rng: np.random.Generator
 ) -> None:
-    """Four walls whose facade texture always shows whole bays."""
+    """Add four walls whose facade image always shows whole bays."""
     low, high = _outline(rect, -_FOUNDATION_M), _outline(rect, top)
     v1 = top / (FLOORS * FLOOR_M)
+    material = facade_material(facade)
     for i in range(4):
         j = (i + 1) % 4
         bays = max(1, round(float(np.linalg.norm(low[j] - low[i])) / BAY_M))
@@ -89,9 +90,9 @@ def _walls(
         # Below the base the image would wrap to its top floor: stretch its lowest row instead.
         foot_i, foot_j = low[i] * [1, 1, 0], low[j] * [1, 1, 0]
         uv = [(u0, 0.001), (u1, 0.001), (u1, v1), (u0, v1)]
-        out.polygon([foot_i, foot_j, high[j], high[i]], f"facade_{style}", tint, uv)
+        out.polygon([foot_i, foot_j, high[j], high[i]], material, tint, uv)
         flat = [(u0, 0.001)] * 4
-        out.polygon([low[i], low[j], foot_j, foot_i], f"facade_{style}", tint, flat)
+        out.polygon([low[i], low[j], foot_j, foot_i], material, tint, flat)
 
 
 def _slope(

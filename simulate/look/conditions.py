@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic
+from scene.registry import Registry
 from simulate.look.sun import sun_position
 from simulate.place.world import Rgb
 
@@ -72,7 +73,7 @@ _BROWN_TIP: Rgb = (0.130, 0.105, 0.068)
 SUMMER_LEAF: tuple[Rgb, Rgb] = (0.028, 0.046, 0.016), (0.120, 0.150, 0.050)
 """Inner and outer foliage in summer; of conifers all year."""
 
-SEASONS: dict[str, Season] = {
+_SEASONS: dict[str, Season] = {
     "spring": Season(
         date(2026, 4, 28),
         _SPRING_GROUND,
@@ -90,6 +91,7 @@ SEASONS: dict[str, Season] = {
     "winter": Season(date(2026, 1, 20), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, snow=0.62),
     "snow": Season(date(2026, 2, 6), _WINTER_GROUND, _BROWN_LEAF, _BROWN_TIP, snow=0.95),
 }
+SEASONS = Registry("season", "objconnect.seasons", _SEASONS, lambda e: isinstance(e, Season))
 
 
 @dataclass(frozen=True)
@@ -100,12 +102,13 @@ class Light:
     rising: bool = False
 
 
-LIGHTS: dict[str, Light] = {
+_LIGHTS: dict[str, Light] = {
     "morning": Light(25.0, rising=True),
     "noon": Light(None),
     "afternoon": Light(35.0),
     "dusk": Light(10.0),
 }
+LIGHTS = Registry("light", "objconnect.lights", _LIGHTS, lambda e: isinstance(e, Light))
 # Where the sun never gets as high as a light wants it, it stands this share of its highest.
 _SHARE_OF_HIGHEST = 0.6
 _LOWEST_NOON = 3.0
@@ -125,42 +128,70 @@ class Weather:
     wet: float = 0.0
 
 
-WEATHER: dict[str, Weather] = {
+_WEATHER: dict[str, Weather] = {
     "clear": Weather(),
     "overcast": Weather(cloud=1.0),
     "fog": Weather(cloud=1.0, visibility_m=800.0),
     "wet": Weather(wet=1.0),
 }
+WEATHER = Registry("weather", "objconnect.weather", _WEATHER, lambda e: isinstance(e, Weather))
+
+
+@dataclass(frozen=True)
+class Sun:
+    """The sun at one moment.
+
+    Attributes:
+        azimuth: Degrees clockwise from north.
+        elevation: Degrees above the horizon.
+        angle: Diameter of the disc, degrees; cloud widens it.
+        watts: Irradiance in W/m2, on Blender's scale.
+        rgb: Linear colour.
+    """
+
+    azimuth: float
+    elevation: float
+    angle: float
+    watts: float
+    rgb: Rgb
+
+
+@dataclass(frozen=True)
+class Sky:
+    """The sky at one moment.
+
+    Attributes:
+        zenith: Linear colour straight above.
+        horizon: Linear colour at the horizon, and of fog.
+        strength: Factor of both colours, as of Blender's background.
+    """
+
+    zenith: Rgb
+    horizon: Rgb
+    strength: float
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Season, light and weather over a place. Angles in degrees: azimuth clockwise from north,
-    elevation above the horizon, `sun_angle` the diameter of the disc. Colours are linear RGB;
-    `snow`, `wet` and `visibility_m` as in Season and Weather, `time` when a flight under it begins.
+    """A season, a light and a weather over a place.
 
-    `leaf` and `leaf_tip` are the inner and outer colours of foliage, `sun_watts` and
-    `sky_strength` Blender's irradiance (W/m2) and background factor, `exposure` in stops.
+    Attributes:
+        name: SEASON-LIGHT[-WEATHER].
+        time: When a flight under the condition begins.
+        season: What grows and lies on the ground.
+        weather: Cloud, fog and rain.
+        sun: The sun at that time, through the clouds.
+        sky: The sky at that time.
+        exposure: Exposure of the photographs, stops.
     """
 
     name: str
     time: datetime
-    sun_azimuth: float
-    sun_elevation: float
-    sun_angle: float
-    sun_watts: float
-    sun_rgb: Rgb
-    sky_zenith: Rgb
-    sky_horizon: Rgb
-    sky_strength: float
+    season: Season
+    weather: Weather
+    sun: Sun
+    sky: Sky
     exposure: float
-    snow: float
-    wet: float
-    visibility_m: float
-    ground: Mapping[str, tuple[Rgb, Rgb]]
-    leaf: Rgb
-    leaf_tip: Rgb
-    bare: bool
 
 
 @cache
@@ -185,33 +216,23 @@ def condition(name: str, place: Geodetic = PLACE) -> Condition:
     azimuth, elevation = sun_position(time, place)
     watts, sun_rgb = _sunlight(elevation)
     watts *= 1 - 0.96 * weather.cloud
-    zenith, horizon, strength = _sky(elevation, weather.cloud)
+    sun = Sun(azimuth, elevation, 0.53 + 14.0 * weather.cloud, watts, sun_rgb)
+    sky = _sky(elevation, weather.cloud)
     return Condition(
         name=name.removesuffix("-clear"),
         time=time,
-        sun_azimuth=azimuth,
-        sun_elevation=elevation,
-        sun_angle=0.53 + 14.0 * weather.cloud,
-        sun_watts=watts,
-        sun_rgb=sun_rgb,
-        sky_zenith=zenith,
-        sky_horizon=horizon,
-        sky_strength=strength,
-        exposure=_exposure(elevation, watts, zenith, horizon, strength, season, weather),
-        snow=season.snow,
-        wet=weather.wet,
-        visibility_m=weather.visibility_m,
-        ground=season.ground,
-        leaf=season.leaf,
-        leaf_tip=season.leaf_tip,
-        bare=season.bare,
+        season=season,
+        weather=weather,
+        sun=sun,
+        sky=sky,
+        exposure=_exposure(sun, sky, season, weather),
     )
 
 
 T = TypeVar("T")
 
 
-def _part(known: dict[str, T], word: str, kind: str, name: str) -> T:
+def _part(known: Registry[T], word: str, kind: str, name: str) -> T:
     if word not in known:
         raise InputError(
             f"unknown condition {name!r}: no {kind} {word!r}, choose one of {', '.join(known)}"
@@ -249,8 +270,8 @@ def _sunlight(elevation: float) -> tuple[float, Rgb]:
     return 6.15 * 0.7 ** (mass**0.678), (1.0, exp(-0.042 * mass), exp(-0.092 * mass))
 
 
-def _sky(elevation: float, cloud: float) -> tuple[Rgb, Rgb, float]:
-    """Zenith, horizon and strength of the sky: darker and redder with a low sun, grey in cloud."""
+def _sky(elevation: float, cloud: float) -> Sky:
+    """Return the sky: darker and redder with a low sun, grey in cloud."""
     day = min(1.0, max(0.0, (sin(radians(elevation)) - 0.15) / 0.7))
     zenith = _mix((0.20, 0.30, 0.52), (0.30, 0.44, 0.72), day)
     horizon = _mix((0.55, 0.56, 0.62), (0.72, 0.80, 0.88), day)
@@ -258,24 +279,19 @@ def _sky(elevation: float, cloud: float) -> tuple[Rgb, Rgb, float]:
         _mix(zenith, (0.62, 0.65, 0.70), cloud),
         _mix(horizon, (0.52, 0.55, 0.59), cloud),
     )
-    return zenith, horizon, 0.5 + 0.85 * day
+    return Sky(zenith, horizon, 0.5 + 0.85 * day)
 
 
-def _exposure(
-    elevation: float,
-    watts: float,
-    zenith: Rgb,
-    horizon: Rgb,
-    strength: float,
-    season: Season,
-    weather: Weather,
-) -> float:
-    """Most of the stops a meter looking down from 100 m wants: an evening stays a little dark."""
-    sky = strength * (sum(zenith) + sum(horizon)) / 6
+def _exposure(sun: Sun, sky: Sky, season: Season, weather: Weather) -> float:
+    """Return most of the stops that a meter looking down from 100 m asks for.
+
+    An evening stays a little dark.
+    """
+    light = sky.strength * (sum(sky.zenith) + sum(sky.horizon)) / 6
     albedo = 0.12 + 0.3 * season.snow
-    ground = albedo * (watts * sin(radians(elevation)) / pi + sky)
+    ground = albedo * (sun.watts * sin(radians(sun.elevation)) / pi + light)
     through = exp(-3.912 * 100 / weather.visibility_m)
-    return 0.85 * log2(0.33 / (through * ground + (1 - through) * sky))
+    return 0.85 * log2(0.33 / (through * ground + (1 - through) * light))
 
 
 def _mix(a: Rgb, b: Rgb, share: float) -> Rgb:

@@ -62,7 +62,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     soft, sharp, single, snow = (np.zeros(size, np.float32) for _ in range(4))
     for name, (low, high, alone) in _TEXTURE.items():
         k = CLASSES[name]
-        colour[k], dry[k] = _SEASONLESS.get(name) or condition.ground[name]
+        colour[k], dry[k] = _SEASONLESS.get(name) or condition.season.ground[name]
         soft[k], sharp[k], single[k], snow[k] = low, high, alone, _SNOW_KEPT[name]
 
     labels = ground.labels
@@ -79,11 +79,11 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     albedo *= _kerbs(ground)[..., None]
     paint_mask = _marking_mask(ground) * np.clip(0.85 + 0.25 * blotch, 0.3, 1)
     albedo += paint_mask[..., None] * (np.float32(0.72) - albedo)
-    albedo *= 1 - _WET_DARKENING * condition.wet
-    if condition.snow > 0:
+    albedo *= 1 - _WET_DARKENING * condition.weather.wet
+    if condition.season.snow > 0:
         # Road edges keep what the wheels throw there, hence the blurred coverage.
         kept = cv2.GaussianBlur(snow[labels], (0, 0), 0.5 / ground.texel_m)
-        cover = np.clip(kept * condition.snow * 4.2 - 1.4 + 1.5 * drift, 0, 1)
+        cover = np.clip(kept * condition.season.snow * 4.2 - 1.4 + 1.5 * drift, 0, 1)
         white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
         albedo += (0.93 * cover)[..., None] * (white - albedo)
     return _srgb(albedo)
@@ -94,14 +94,14 @@ def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]
     film and puddles on sealed ground."""
     n = len(ground.labels)
     standing = np.where(ground.labels == CLASSES["water"], 255, 0).astype(np.uint8)
-    if condition.wet == 0:
+    if condition.weather.wet == 0:
         return standing
     rng = np.random.default_rng([seed, 2])
     across = n * ground.texel_m
     hollows = 0.6 * _noise(rng, n, across / 7.0) + 0.4 * _noise(rng, n, across / 2.0)
     puddles = np.clip((hollows - 0.35) / 0.08, 0, 1)
     sealed = np.isin(ground.labels, [CLASSES[c] for c in _SEALED])
-    film = sealed * condition.wet * (0.25 + 0.75 * puddles)
+    film = sealed * condition.weather.wet * (0.25 + 0.75 * puddles)
     return np.maximum(standing, np.asarray(255 * film, np.uint8))
 
 

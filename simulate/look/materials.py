@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from simulate.look import textures
 from simulate.look.conditions import SUMMER_LEAF, Condition
-from simulate.place.world import Rgb
+from simulate.place.world import Facade, Rgb
 
 _SNOW: Rgb = (0.76, 0.79, 0.84)
 _WET_DARKENING = 0.35  # of walls, roofs and paint
@@ -30,17 +30,17 @@ def build_materials(
     build = _Builder(data, condition)
     image = build.image("ground", np.dstack([ground, mirror]))
     materials = {"ground": build.ground(image, mirrored=bool(mirror.any()))}
-    for style in range(textures.FACADES):
-        name = f"facade_{style}"
+    for style in Facade:
+        name = textures.facade_material(style)
         materials[name] = build.textured(name, textures.facade(style))
     for kind in textures.ROOFINGS:
         materials[f"roof_{kind}"] = build.textured(f"roof_{kind}", textures.roof(kind))
     materials["plain"] = build.plain()
     materials["paint"] = build.paint()
     materials["glass"] = build.glass()
-    materials["leaf"] = build.leaf("leaf", condition.leaf, condition.leaf_tip)
+    materials["leaf"] = build.leaf("leaf", condition.season.leaf, condition.season.leaf_tip)
     materials["needle"] = build.leaf("needle", *SUMMER_LEAF)
-    if isfinite(condition.visibility_m):
+    if isfinite(condition.weather.visibility_m):
         for material in materials.values():
             _veil(material, condition)
     return materials
@@ -57,14 +57,14 @@ def _veil(material: Any, condition: Condition) -> None:
     (output,) = (node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
     surface = output.inputs["Surface"].links[0].from_socket
     distance = graph.node("ShaderNodeCameraData").outputs["View Distance"]
-    depth = graph.math("MULTIPLY", distance, -3.912 / condition.visibility_m)
+    depth = graph.math("MULTIPLY", distance, -3.912 / condition.weather.visibility_m)
     through = graph.math("EXPONENT", depth, 0.0)
     seen = graph.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
     veil = graph.math("MULTIPLY", graph.math("SUBTRACT", 1.0, through), seen)
     glow = graph.node(
         "ShaderNodeEmission",
-        Color=(*condition.sky_horizon, 1.0),
-        Strength=condition.sky_strength,
+        Color=(*condition.sky.horizon, 1.0),
+        Strength=condition.sky.strength,
     )
     veiled = graph.blend(veil, surface, glow.outputs[0])
     tree.links.new(veiled, output.inputs["Surface"])
@@ -137,10 +137,10 @@ class _Builder:
 
     def _snowed(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
         """The colour soaked, then under the condition's snow: on what faces up, in patches."""
-        if self.condition.wet > 0:
-            value = 1 - _WET_DARKENING * self.condition.wet
+        if self.condition.weather.wet > 0:
+            value = 1 - _WET_DARKENING * self.condition.weather.wet
             colour = graph.multiply(colour, graph.rgb((value, value, value)))
-        cover = share * self.condition.snow
+        cover = share * self.condition.season.snow
         if cover <= 0:
             return colour
         up = graph.ramp(graph.up(), 0.35, 0.75)

@@ -93,7 +93,9 @@ def _country(at: Array, beyond: Array, light: Condition) -> NDArray[np.float32]:
     patch = np.sin(x / 61.0 + 1.3 * np.sin(y / 83.0)) + np.sin(y / 47.0 + 1.7 * np.sin(x / 97.0))
     woods = (patch + beyond / 500.0 > 1.2)[:, None]
     fields = (patch < -0.5)[:, None]
-    open_land = np.where(fields, light.ground["field"][1], light.ground["grass"][0])
-    tint = np.where(woods, 0.6 * np.array(light.leaf) + 0.4 * np.array(light.leaf_tip), open_land)
+    season = light.season
+    open_land = np.where(fields, season.ground["field"][1], season.ground["grass"][0])
+    foliage = 0.6 * np.array(season.leaf) + 0.4 * np.array(season.leaf_tip)
+    tint = np.where(woods, foliage, open_land)
     air = 0.45 * (1 - np.exp(-beyond / 1500.0))[:, None]
     return np.asarray(tint + air * (_AIR_RGB - tint), np.float32)

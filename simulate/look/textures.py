@@ -6,11 +6,13 @@ object's own tint multiplies it (255: a wall or tile of that tint, 0: a colour o
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.place.world import Rgb
+from simulate.place.world import Facade, Rgb
 
 Image = NDArray[np.uint8]
 Float = NDArray[np.float32]
@@ -18,31 +20,66 @@ Float = NDArray[np.float32]
 BAY_M, FLOOR_M = 3.0, 2.8  # a window's share of a facade
 BAYS, FLOORS = 12, 6  # in one facade image
 ROOF_TILE_M = 12.8  # side of one roof image
-FACADES = 11
-"""Facade styles: 0-3 houses, 4-5 slabs, 6 halls, 7 sheds, 8-10 fronts with shops below."""
 ROOFINGS = ("tile", "slate", "metal", "flat")
 
 _TEXEL_M = 0.05
 
 
-def facade(style: int) -> Image:
-    """Facade image of `style` in 0..FACADES-1: BAYS x FLOORS cells, the bottom row has doors."""
-    rng = np.random.default_rng([77, style])
+# Linear colours of the frames of windows, in houses and slabs.
+_FRAMES: dict[Facade, Rgb] = {
+    Facade.HOUSE_WHITE_FRAMES: (0.85, 0.85, 0.83),
+    Facade.HOUSE_GREEN_SHUTTERS: (0.30, 0.20, 0.13),
+    Facade.HOUSE_DARK_FRAMES: (0.20, 0.21, 0.22),
+    Facade.HOUSE_BROWN_SHUTTERS: (0.80, 0.78, 0.72),
+    Facade.SLAB_WHITE_FRAMES: (0.85, 0.85, 0.83),
+    Facade.SLAB_WOODEN_FRAMES: (0.30, 0.20, 0.13),
+}
+_SHUTTERS: dict[Facade, Rgb] = {
+    Facade.HOUSE_GREEN_SHUTTERS: (0.12, 0.22, 0.16),
+    Facade.HOUSE_BROWN_SHUTTERS: (0.25, 0.13, 0.09),
+}
+_SLABS = (Facade.SLAB_WHITE_FRAMES, Facade.SLAB_WOODEN_FRAMES)
+
+
+class _Shops(NamedTuple):
+    """A town house with shops: linear colours of frames and stone, width (m) of its windows."""
+
+    frame: Rgb
+    stone: Rgb
+    window_m: float
+
+
+_SHOPS: dict[Facade, _Shops] = {
+    Facade.SHOPS_PALE_STONE: _Shops((0.82, 0.81, 0.78), (0.42, 0.40, 0.36), 1.1),
+    Facade.SHOPS_DARK_STONE: _Shops((0.25, 0.17, 0.11), (0.24, 0.20, 0.18), 1.5),
+    Facade.SHOPS_WHITE_STONE: _Shops((0.16, 0.17, 0.18), (0.52, 0.50, 0.46), 1.9),
+}
+
+
+def facade_material(facade: Facade) -> str:
+    """Return the name of the material that shows a facade."""
+    return f"facade_{facade.value}"
+
+
+def facade(style: Facade) -> Image:
+    """Draw the image of a facade: BAYS x FLOORS cells, with doors in the bottom row."""
+    rng = np.random.default_rng([77, style.value])
     canvas = _Canvas(BAYS * BAY_M, FLOORS * FLOOR_M)
     canvas.weather(rng)
-    if style == 7:
+    if style is Facade.SHED_BOARDS:
         _boards(canvas, rng)
-        return canvas.image()
-    if style == 6:
+    elif style is Facade.HALL_CLADDING:
         _cladding(canvas, rng)
-        return canvas.image()
-    if style >= 8:
-        _fronts(canvas, style - 8, rng)
-        return canvas.image()
-    slab = style >= 4
-    frame = [(0.85, 0.85, 0.83), (0.30, 0.20, 0.13), (0.20, 0.21, 0.22), (0.80, 0.78, 0.72)][
-        style % 4
-    ]
+    elif style in _SHOPS:
+        _fronts(canvas, _SHOPS[style], rng)
+    else:
+        _dwellings(canvas, style, rng)
+    return canvas.image()
+
+
+def _dwellings(canvas: _Canvas, style: Facade, rng: np.random.Generator) -> None:
+    """Draw the wall of a house or of a slab of flats."""
+    slab, frame, shutters = style in _SLABS, _FRAMES[style], _SHUTTERS.get(style)
     canvas.rect(0, 0, BAYS * BAY_M, 0.45, (0.45, 0.44, 0.42), tinted=0.4)  # plinth
     for floor in range(FLOORS):
         z = floor * FLOOR_M
@@ -65,11 +102,9 @@ def facade(style: int) -> Image:
                 width = 1.8 if kind > 0.72 else 1.3
                 left = x + 0.5 * (BAY_M - width) + rng.normal(0, 0.08)
                 _window(canvas, left, z + 0.95, width, 1.35, frame, rng)
-                if style in (1, 3) and kind < 0.6:
-                    colour = (0.12, 0.22, 0.16) if style == 1 else (0.25, 0.13, 0.09)
+                if shutters is not None and kind < 0.6:
                     for side in (left - 0.42, left + width + 0.04):
-                        canvas.rect(side, z + 0.92, side + 0.38, z + 2.33, colour)
-    return canvas.image()
+                        canvas.rect(side, z + 0.92, side + 0.38, z + 2.33, shutters)
 
 
 def roof(kind: str) -> Image:
@@ -204,11 +239,10 @@ def _balcony(
     canvas.rect(x + 0.1, z + 0.98, x + BAY_M - 0.1, z + 1.05, (0.75, 0.75, 0.75))
 
 
-def _fronts(canvas: _Canvas, style: int, rng: np.random.Generator) -> None:
-    """A town house: shop windows, doors and signs below, a high window in every bay above."""
+def _fronts(canvas: _Canvas, shops: _Shops, rng: np.random.Generator) -> None:
+    """Draw a town house: shop windows, doors and signs below, a high window in every bay above."""
     width = BAYS * BAY_M
-    frame = [(0.82, 0.81, 0.78), (0.25, 0.17, 0.11), (0.16, 0.17, 0.18)][style]
-    stone = [(0.42, 0.40, 0.36), (0.24, 0.20, 0.18), (0.52, 0.50, 0.46)][style]
+    frame, stone, window_m = shops
     canvas.rect(0, 0, width, FLOOR_M, stone, tinted=0.35)
     for bay in range(BAYS):
         x = bay * BAY_M
@@ -233,7 +267,7 @@ def _fronts(canvas: _Canvas, style: int, rng: np.random.Generator) -> None:
         z = floor * FLOOR_M
         canvas.rect(0, z - 0.05, width, z + 0.05, (0.66, 0.65, 0.62), tinted=0.7)
         for bay in range(BAYS):
-            wide = (1.1, 1.5, 1.9)[style] if bay % 3 else 1.1
+            wide = window_m if bay % 3 else 1.1
             left = bay * BAY_M + 0.5 * (BAY_M - wide)
             canvas.rect(left - 0.16, z + 0.5, left + wide + 0.16, z + 2.6, stone, tinted=0.6)
             _window(canvas, left, z + 0.62, wide, 1.8, frame, rng)

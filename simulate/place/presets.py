@@ -1,120 +1,45 @@
-"""The places that can be built, by name: each is a plan."""
+"""The presets, which are the kinds of places that can be built, by name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from typing import TYPE_CHECKING, Final
 
-from scene.errors import InputError
-from simulate.place.dwellings import flats, housing
-from simulate.place.farms import farm, hayfield, pasture
-from simulate.place.greens import field, meadow, park, woods
-from simulate.place.plan import Plan, Quarter
-from simulate.place.power import power_lines
-from simulate.place.roadside import avenues, deliveries, street_furniture, street_lamps, traffic
-from simulate.place.town import TOWN
-from simulate.place.trade import tank_farm, trade, works
-from simulate.place.urban import fronts, square
-from simulate.place.water import dock, lake
-from simulate.place.world import World
+from scene.registry import Lazy, Registry
 
-PLANS: dict[str, Plan] = {
-    "town": TOWN,
-    "suburb": Plan(
-        block_m=85.0,
-        quarters=(
-            Quarter(
-                first=(housing, housing, flats, park),
-                uses={housing: 0.82, flats: 0.06, park: 0.07, lake: 0.05},
-                open_land=meadow,
-                open_share=0.06,
-            ),
-        ),
-        after=(street_lamps, traffic, street_furniture, deliveries),
-    ),
-    "park": Plan(
-        block_m=130.0,
-        quarters=(
-            Quarter(
-                first=(lake, park, woods, meadow),
-                uses={park: 0.45, woods: 0.35, lake: 0.20},
-                open_land=meadow,
-                open_share=0.3,
-            ),
-        ),
-        after=(street_lamps, street_furniture),
-        verge="path",
-    ),
-    "farmland": Plan(
-        block_m=150.0,
-        quarters=(
-            Quarter(
-                first=(farm, hayfield, pasture, field),
-                uses={farm: 0.18, hayfield: 0.32, pasture: 0.27, woods: 0.15, lake: 0.08},
-                open_land=field,
-                open_share=0.4,
-            ),
-        ),
-        before=(power_lines,),
-        after=(partial(traffic, parked=0.0),),
-        verge="grass",
-    ),
-    "industrial": Plan(
-        block_m=110.0,
-        quarters=(
-            Quarter(
-                first=(works, trade, tank_farm, dock),
-                uses={works: 0.42, trade: 0.30, tank_farm: 0.13, dock: 0.15},
-                open_land=meadow,
-                open_share=0.06,
-            ),
-        ),
-        before=(power_lines,),
-        after=(street_lamps, traffic, street_furniture, deliveries),
-    ),
-    "street": Plan(
-        block_m=62.0,
-        least_m=180.0,
-        quarters=(
-            Quarter(
-                name="urban",
-                first=(fronts, fronts, square),
-                uses={fronts: 1.0},
-                open_land=square,
-                open_share=0.1,
-            ),
-            Quarter(
-                name="suburban",
-                first=(housing,),
-                uses={housing: 1.0},
-                open_land=meadow,
-                open_share=0.0,
-            ),
-            Quarter(
-                name="park",
-                first=(park, lake, woods),
-                uses={park: 0.5, woods: 0.35, lake: 0.15},
-                open_land=meadow,
-                open_share=0.0,
-            ),
-        ),
-        after=(
-            street_lamps,
-            partial(traffic, parked=0.45),
-            street_furniture,
-            deliveries,
-            avenues,
-        ),
-    ),
-}
+if TYPE_CHECKING:
+    from simulate.place.plan import Plan
+    from simulate.place.world import World
+
+
+def _is_plan(found: object) -> bool:
+    from simulate.place.plan import Plan  # not before it is needed: the command line lists presets
+
+    return isinstance(found, Plan)
+
+
+PRESETS: Final[Registry[Plan]] = Registry(
+    "preset",
+    "objconnect.presets",
+    {
+        "town": Lazy("simulate.place.town:TOWN"),
+        "suburb": Lazy("simulate.place.plans:SUBURB"),
+        "park": Lazy("simulate.place.plans:PARK"),
+        "farmland": Lazy("simulate.place.plans:FARMLAND"),
+        "industrial": Lazy("simulate.place.plans:INDUSTRIAL"),
+        "street": Lazy("simulate.place.plans:STREET"),
+    },
+    accepts=_is_plan,
+)
 
 
 def preset(name: str) -> Callable[[int, float], World]:
-    """Makes a World of a seed and a side in metres; see ``Plan.build``.
+    """Return the function that builds a World from a seed and a side in metres.
 
-    InputError naming the valid names when there is no preset called `name`.
+    ``simulate.place.plan.Plan.build`` describes it. A package adds a preset by an entry point of
+    the group ``objconnect.presets``: a ``simulate.place.plan.Plan``.
+
+    Raises:
+        InputError: there is no such preset, or a package's cannot be loaded.
     """
-    try:
-        return PLANS[name].build
-    except KeyError:
-        raise InputError(f"unknown preset {name!r}: choose one of {', '.join(PLANS)}") from None
+    return PRESETS.load(name).build

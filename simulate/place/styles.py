@@ -1,9 +1,9 @@
-"""What buildings of each kind wear: roofs, facades and colours drawn for one building."""
+"""Styles of buildings of each kind: roofs, facades and colours, drawn at random."""
 
 from __future__ import annotations
 
 from simulate.place.site import Site
-from simulate.place.world import BuildingStyle, Rgb
+from simulate.place.world import BuildingStyle, Facade, Rgb, Roof, Roofing
 
 # Linear albedo.
 WALLS: tuple[Rgb, ...] = (
@@ -31,18 +31,30 @@ METAL_ROOFS: tuple[Rgb, ...] = (
     (0.20, 0.26, 0.21),
 )
 
+_HOUSE_ROOFS: tuple[Roof, ...] = ("gable", "hip", "flat")
+_PITCHED: tuple[Roofing, ...] = ("tile", "slate")
+_HOUSES = (
+    Facade.HOUSE_WHITE_FRAMES,
+    Facade.HOUSE_GREEN_SHUTTERS,
+    Facade.HOUSE_DARK_FRAMES,
+    Facade.HOUSE_BROWN_SHUTTERS,
+)
+_SLABS = (Facade.SLAB_WHITE_FRAMES, Facade.SLAB_WOODEN_FRAMES)
+_SHOPS = (Facade.SHOPS_PALE_STONE, Facade.SHOPS_DARK_STONE, Facade.SHOPS_WHITE_STONE)
+
 
 def vary(site: Site, rgb: Rgb) -> Rgb:
-    """The colour, a little lighter or darker and a little warmer or colder."""
+    """Return a colour made a little lighter or darker, and a little warmer or colder."""
     value = site.rng.uniform(0.82, 1.15)
     warm = site.rng.uniform(0.95, 1.05)
     return (rgb[0] * value * warm, rgb[1] * value, rgb[2] * value / warm)
 
 
 def house_style(site: Site, front: float, back: float) -> BuildingStyle:
+    """Draw the style of a house whose box is ``front`` metres wide and ``back`` metres deep."""
     rng = site.rng
     floors = 1 if site.chance(0.3) else 2
-    roof = str(rng.choice(["gable", "hip", "flat"], p=[0.6, 0.28, 0.12]))
+    roof = _HOUSE_ROOFS[int(rng.choice(len(_HOUSE_ROOFS), p=[0.6, 0.28, 0.12]))]
     pitch = rng.uniform(0.55, 0.95)
     flat = roof == "flat"
     l_shaped = site.chance(0.45) and min(front, back) > 8.0
@@ -52,8 +64,8 @@ def house_style(site: Site, front: float, back: float) -> BuildingStyle:
         roof=roof,
         roof_height_m=0.45 if flat else 0.5 * pitch * back * main[0] + 0.5,
         eaves_m=0.05 if flat else 0.45,
-        facade=int(rng.integers(4)),
-        roofing="flat" if flat else str(rng.choice(["tile", "slate"], p=[0.65, 0.35])),
+        facade=_HOUSES[int(rng.integers(len(_HOUSES)))],
+        roofing="flat" if flat else _PITCHED[int(rng.choice(len(_PITCHED), p=[0.65, 0.35]))],
         wall_rgb=vary(site, site.choose(WALLS)),
         roof_rgb=vary(site, site.choose(FLAT_ROOFS if flat else TILES)),
         wing=main,
@@ -62,6 +74,7 @@ def house_style(site: Site, front: float, back: float) -> BuildingStyle:
 
 
 def slab_style(site: Site, floors: int) -> BuildingStyle:
+    """Draw the style of a block of flats."""
     rng = site.rng
     flat = site.chance(0.65)
     return BuildingStyle(
@@ -69,7 +82,7 @@ def slab_style(site: Site, floors: int) -> BuildingStyle:
         roof="flat" if flat else "hip",
         roof_height_m=2.3 if flat else 3.2,  # a flat roof carries a stair head
         eaves_m=0.05 if flat else 0.5,
-        facade=4 + int(rng.integers(2)),
+        facade=_SLABS[int(rng.integers(len(_SLABS)))],
         roofing="flat" if flat else "tile",
         wall_rgb=vary(site, site.choose(WALLS)),
         roof_rgb=vary(site, site.choose(FLAT_ROOFS if flat else TILES)),
@@ -79,15 +92,15 @@ def slab_style(site: Site, floors: int) -> BuildingStyle:
 
 
 def front_style(site: Site, floors: int) -> BuildingStyle:
-    """Of a building wall to wall with its neighbours, shops on its ground floor."""
+    """Draw the style of a building wall to wall with its neighbours, with shops below."""
     gabled = site.chance(0.5)
     return BuildingStyle(
         floors=floors,
         roof="gable" if gabled else "flat",
         roof_height_m=3.4 if gabled else 2.3,
         eaves_m=0.05,
-        facade=8 + int(site.rng.integers(3)),
-        roofing=str(site.rng.choice(["tile", "slate"])) if gabled else "flat",
+        facade=_SHOPS[int(site.rng.integers(len(_SHOPS)))],
+        roofing=_PITCHED[int(site.rng.choice(len(_PITCHED)))] if gabled else "flat",
         wall_rgb=vary(site, site.choose(WALLS)),
         roof_rgb=vary(site, site.choose(TILES if gabled else FLAT_ROOFS)),
         wing=(1.0, 1.0),
@@ -96,6 +109,7 @@ def front_style(site: Site, floors: int) -> BuildingStyle:
 
 
 def hall_style(site: Site) -> BuildingStyle:
+    """Draw the style of an industrial hall."""
     rng = site.rng
     flat = site.chance(0.45)
     return BuildingStyle(
@@ -103,7 +117,7 @@ def hall_style(site: Site) -> BuildingStyle:
         roof="flat" if flat else "gable",
         roof_height_m=1.6 if flat else 2.2,
         eaves_m=0.1,
-        facade=6,
+        facade=Facade.HALL_CLADDING,
         roofing="flat" if flat else "metal",
         wall_rgb=vary(site, site.choose(METAL_ROOFS + WALLS[:2])),
         roof_rgb=vary(site, site.choose(FLAT_ROOFS if flat else METAL_ROOFS)),
@@ -113,13 +127,14 @@ def hall_style(site: Site) -> BuildingStyle:
 
 
 def shed_style(site: Site) -> BuildingStyle:
+    """Draw the style of a shed or garage."""
     gabled = site.chance(0.5)
     return BuildingStyle(
         floors=1,
         roof="gable" if gabled else "flat",
         roof_height_m=0.7 if gabled else 0.25,
         eaves_m=0.1 if gabled else 0.03,
-        facade=7,
+        facade=Facade.SHED_BOARDS,
         roofing="tile" if gabled else "flat",
         wall_rgb=vary(site, site.choose(WALLS)),
         roof_rgb=vary(site, site.choose(TILES if gabled else FLAT_ROOFS)),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -130,21 +132,50 @@ class Ground:
         )
 
 
+class Facade(IntEnum):
+    """What the walls of a building look like. The numbers seed the images and never change."""
+
+    HOUSE_WHITE_FRAMES = 0
+    HOUSE_GREEN_SHUTTERS = 1
+    HOUSE_DARK_FRAMES = 2
+    HOUSE_BROWN_SHUTTERS = 3
+    SLAB_WHITE_FRAMES = 4
+    SLAB_WOODEN_FRAMES = 5
+    HALL_CLADDING = 6
+    SHED_BOARDS = 7
+    SHOPS_PALE_STONE = 8
+    SHOPS_DARK_STONE = 9
+    SHOPS_WHITE_STONE = 10
+
+
+Roof = Literal["gable", "hip", "flat"]
+Roofing = Literal["tile", "slate", "metal", "flat"]
+
+
 @dataclass(frozen=True)
 class BuildingStyle:
-    """What the box of a building does not say; lengths in metres.
+    """How a building looks inside its box.
 
-    `roof` is "gable", "hip" or "flat"; the ridge runs along the box's x axis. `wing` is the
-    fraction of the box's depth and of its width taken by the main body when the footprint is an
-    L, (1, 1) when it is a rectangle. `detail` seeds chimneys, vents, windows.
+    Attributes:
+        floors: Number of floors.
+        roof: Shape of the roof. Ridges run along the x axis of the box.
+        roof_height_m: Height of the roof above the walls, metres.
+        eaves_m: How far the roof overhangs the walls, metres.
+        facade: What the walls look like.
+        roofing: What the roof is covered with.
+        wall_rgb: Albedo of the walls, linear RGB.
+        roof_rgb: Albedo of the roof, linear RGB.
+        wing: Fractions of the depth and of the width of the box that the main body of an L-shaped
+            building takes; (1, 1) where the footprint is a rectangle.
+        detail: Seed of chimneys, vents and windows.
     """
 
     floors: int
-    roof: str
+    roof: Roof
     roof_height_m: float
     eaves_m: float
-    facade: int
-    roofing: str
+    facade: Facade
+    roofing: Roofing
     wall_rgb: Rgb
     roof_rgb: Rgb
     wing: tuple[float, float]

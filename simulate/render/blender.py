@@ -26,14 +26,16 @@ from simulate.look import ground
 from simulate.look.buildings import building_mesh
 from simulate.look.conditions import Condition, condition
 from simulate.look.materials import build_materials
-from simulate.look.mesh import Mesh, MeshBuilder
+from simulate.look.mesh import Mesh
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
 from simulate.look.terrain import ground_mesh, kerbs_mesh
 from simulate.look.wires import wire_mesh
 from simulate.place.change import changed_world
 from simulate.place.presets import preset
-from simulate.place.world import World, WorldObject, class_lookup
+from simulate.place.world import World, WorldObject
+from simulate.render.board import board_mesh
+from simulate.render.frame import late_by, pinhole_rays, row_shift, save_layers, semantic_labels
 from simulate.render.job import Board, FrameDone, RenderChunk, frame_path
 from simulate.render.process import end_with, keep_to_one_core
 
@@ -64,7 +66,7 @@ def main(chunk_path: str) -> None:
         _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
     bpy.context.scene.cycles.use_denoising = job.board is None  # which would move its edges
-    rays = _pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
+    rays = pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
     caster = _Caster()
     held = None  # bytes, after the first frame
     with scratch(Path(chunk_path).parent) as folder:
@@ -84,9 +86,9 @@ def main(chunk_path: str) -> None:
                 xy, small = c.f * rays + [c.cx, c.cy], caster.small(pose, c.f)
                 arrays = resample(arrays, xy, rays, caster.seen_from(pose), small)
             if world is not None:
-                shift = _row_shift(travel, len(rays))
-                arrays["semantic"] = _semantic(world, rays, pose, shift, arrays)
-            _save(path, arrays)
+                shift = row_shift(travel, len(rays))
+                arrays["semantic"] = semantic_labels(world, rays, pose, shift, arrays)
+            save_layers(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
             held = held or resident_bytes()
@@ -157,19 +159,7 @@ def _build_board(board: Board) -> None:
         glow.inputs["Color"].default_value = (shade, shade, shade, 1.0)
         output = tree.nodes.new("ShaderNodeOutputMaterial")
         tree.links.new(glow.outputs[0], output.inputs["Surface"])
-    out = MeshBuilder()
-    side = board.square_m
-
-    def square(x0: float, x1: float, y0: float, y1: float, z: float, name: str) -> None:
-        corners = [[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]
-        out.polygon(np.multiply(corners, [side, side, 1]), name)
-
-    for j in range(-1, board.rows):
-        for i in range(-1, board.columns):
-            square(i, i + 1, j, j + 1, 0.0, "white" if (i + j) % 2 else "black")
-    square(-2, board.columns + 1, -2, board.rows + 1, 1e-3 * side, "white")  # the quiet margin
-    square(-99, 99, -99, 99, 1.0, "grey")
-    _add("board", _mesh_data("board", out.build(), materials))
+    _add("board", _mesh_data("board", board_mesh(board), materials))
 
 
 def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:
@@ -216,8 +206,8 @@ def _add(name: str, data: Any) -> Any:
 def _add_light(light: Condition) -> None:
     """The sun, and a sky that brightens towards the horizon."""
     sun = bpy.data.lights.new("sun", "SUN")
-    sun.energy, sun.color, sun.angle = light.sun_watts, light.sun_rgb, np.radians(light.sun_angle)
-    elevation, azimuth = np.radians([light.sun_elevation, light.sun_azimuth])
+    sun.energy, sun.color, sun.angle = light.sun.watts, light.sun.rgb, np.radians(light.sun.angle)
+    elevation, azimuth = np.radians([light.sun.elevation, light.sun.azimuth])
     _add("sun", sun).rotation_euler = (0.5 * np.pi - elevation, 0.0, np.pi - azimuth)
 
     sky = bpy.data.worlds.new("sky")
@@ -230,10 +220,10 @@ def _add_light(light: Condition) -> None:
     ramp = tree.nodes.new("ShaderNodeValToRGB")
     background = tree.nodes.new("ShaderNodeBackground")
     output = tree.nodes.new("ShaderNodeOutputWorld")
-    ramp.color_ramp.elements[0].color = (*light.sky_horizon, 1.0)
-    ramp.color_ramp.elements[1].color = (*light.sky_zenith, 1.0)
+    ramp.color_ramp.elements[0].color = (*light.sky.horizon, 1.0)
+    ramp.color_ramp.elements[1].color = (*light.sky.zenith, 1.0)
     ramp.color_ramp.elements[1].position = 0.6
-    background.inputs["Strength"].default_value = light.sky_strength
+    background.inputs["Strength"].default_value = light.sky.strength
     tree.links.new(direction, split.inputs[0])
     tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
@@ -313,7 +303,7 @@ def _render(
         channels = {name.split(".", 1)[1]: c.pixels for name, c in exr.channels().items()}
     depth = channels["Depth.Z"]
     # Cycles measures depth from where the camera is at the frame; rows are elsewhere.
-    ahead = (_row_shift(travel, len(depth)) + _late(travel, len(depth))) @ cam_from_world[2, :3]
+    ahead = (row_shift(travel, len(depth)) + late_by(travel, len(depth))) @ cam_from_world[2, :3]
     depth = np.where(depth < _NO_SURFACE_M, depth - ahead[:, None], 0)
     normal = np.stack([channels[f"Normal.{axis}"] for axis in "XYZ"], -1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
@@ -338,29 +328,13 @@ def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
     scene.cycles.rolling_shutter_type = "TOP"
     scene.cycles.rolling_shutter_duration = 0.0  # a row at a time, no streaks
     now = scene.frame_current
-    middle = np.array(camera.location) - _late(travel, scene.render.resolution_y)
+    middle = np.array(camera.location) - late_by(travel, scene.render.resolution_y)
     for step in (-1, 1):
         camera.location = middle + step * travel
         camera.keyframe_insert("location", frame=now + step)
     for curve in camera.animation_data.action.fcurves:
         for key in curve.keyframe_points:
             key.interpolation = "LINEAR"
-
-
-def _late(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
-    """How much too far Cycles has the camera at every row: it takes the time of the row's end."""
-    return 0.5 * travel / height
-
-
-def _row_shift(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
-    """Where the camera is at every row, (height, 3) metres from where it is at the middle."""
-    return ((np.arange(height) + 0.5) / height - 0.5)[:, None] * travel
-
-
-def _pinhole_rays(camera: PinholeCamera) -> NDArray[np.float64]:
-    """x/z and y/z through every pixel centre, (H, W, 2)."""
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    return np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f], -1)
 
 
 class _Caster:
@@ -416,34 +390,6 @@ class _Caster:
             return nearest
 
         return cast
-
-
-def _semantic(
-    world: World,
-    rays: NDArray[np.float64],
-    cam_from_world: NDArray[np.float64],
-    shift: NDArray[np.float64],
-    arrays: dict[str, NDArray[Any]],
-) -> NDArray[np.uint8]:
-    """Labels (H, W): the class of the object, or of the ground each pixel's ray (H, W, 2) meets.
-
-    `shift` (H, 3) is how far from its pose the camera is at each row."""
-    depth, instance = arrays["depth"], arrays["instance"]
-    ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], -1)
-    rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
-    points = (ahead * depth[..., None] - translation) @ rotation + shift[:, None]
-    labels = class_lookup(world.objects)[instance]
-    on_ground = (instance == 0) & (depth > 0)
-    labels[on_ground] = world.ground.label(points[on_ground, 0], points[on_ground, 1])
-    return np.asarray(labels)
-
-
-def _save(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Write under another name first: a file called `path` is always complete."""
-    partial = path.with_suffix(".partial")
-    with partial.open("wb") as file:
-        np.savez(file, **arrays)
-    partial.replace(path)
 
 
 if __name__ == "__main__":

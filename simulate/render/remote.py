@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from scene.runtime.cluster import WorkerPool, shares
-from scene.storage.files import written_whole
+from scene.runtime.cluster import WorkerPool, split_work
+from scene.storage.atomic import atomic_write
 from scene.storage.scratch import scratch
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import FRAMES_PER_PROCESS, rendering
@@ -45,12 +45,12 @@ def render_remotely(
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
     with closing(crew.map(divided(job, missing, crew.cores))) as files:
         for frame, data in files:
-            with written_whole(frame_path(out_dir, frame)) as partial:
+            with atomic_write(frame_path(out_dir, frame)) as partial:
                 partial.write_bytes(data)
             on_frame(frame)
 
 
 def divided(job: RenderJob, frames: Sequence[int], cores: int) -> Iterator[RenderJob]:
     """Shares of a job's frames for the workers of so many cores."""
-    for share in shares(frames, cores, _WORTH_A_PROCESS, FRAMES_PER_PROCESS):
+    for share in split_work(frames, cores, _WORTH_A_PROCESS, FRAMES_PER_PROCESS):
         yield job.model_copy(update={"poses": {i: job.poses[i] for i in share}})

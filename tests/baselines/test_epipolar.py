@@ -11,7 +11,7 @@ from PIL import Image
 
 from baselines.epipolar import EpipolarConfig, EpipolarLocalizer
 from baselines.features import Extractor
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Query, Status

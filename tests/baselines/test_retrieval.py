@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.retrieval import Viewpoints, VladIndex
+from baselines.retrieval import RetrievalOptions, Viewpoints, VladIndex
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import MapImage, SparseMap
 
@@ -73,12 +73,9 @@ def test_a_map_of_fewer_descriptors_than_words() -> None:
     assert sorted(index.rank(few[1], 2)) == [0, 1]
 
 
-def test_a_map_of_more_photographs_than_landmarks(
-    photographs: list[NDArray[np.float32]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_map_of_more_photographs_than_landmarks(photographs: list[NDArray[np.float32]]) -> None:
     """Fewer numbers a photograph, which is still found again by half of it."""
-    monkeypatch.setattr("baselines.retrieval._LANDMARKS", 8)
-    index = VladIndex.build(photographs)
+    index = VladIndex.build(photographs, RetrievalOptions(landmarks=8))
     assert index.vectors.shape == (12, 8)
     found = [int(index.rank(each[:75], 1)[0]) for each in photographs]
     assert np.mean(np.array(found) == np.arange(12)) > 0.7

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from baselines.prior import PriorConfig, PriorLocalizer
-from baselines.starts import every_way, starts
-from baselines.views import north
+from baselines.starts import starts, with_all_headings
+from baselines.views import north_angle
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior, Query, Status
@@ -43,7 +43,7 @@ def sparse_map() -> SparseMap:
 
 
 def headings(poses: list[Pose]) -> list[float]:
-    return [np.degrees(north(pose.rotation.numpy())) for pose in poses]
+    return [np.degrees(north_angle(pose.rotation.numpy())) for pose in poses]
 
 
 EVERY = np.arange(len(HEADINGS))
@@ -89,7 +89,7 @@ def test_where_photographs_are_at_several_heights_each_is_tried(sparse_map: Spar
         centres = [pose.centre().numpy() for pose in found]
         np.testing.assert_allclose(centres, [[3, 1, z] for z in altitudes], atol=1e-9)
     unknown = starts(Prior(POSITION, np.array([2.0, 2.0, np.inf])), climbing, EVERY)
-    heights = [float(pose.centre()[2]) for pose in every_way(unknown)]
+    heights = [float(pose.centre()[2]) for pose in with_all_headings(unknown)]
     assert heights == sorted(heights, reverse=True)
     assert heights.count(heights[0]) == heights.count(heights[-1]) >= 12
 
@@ -118,7 +118,7 @@ def test_the_floor_is_the_first_start(sparse_map: SparseMap) -> None:
 
 def test_no_heading_is_far_from_one_that_is_tried(sparse_map: SparseMap) -> None:
     begun = starts(Prior(POSITION), sparse_map, EVERY)
-    poses = every_way(begun)
+    poses = with_all_headings(begun)
     assert poses[: len(begun)] == begun
     tried = np.array(headings(poses))
     apart = (np.arange(360)[:, None] - tried + 180) % 360 - 180
@@ -135,7 +135,7 @@ def test_where_photographs_look_down_aslant_straight_down_is_tried_too(
     level = looking_down(20.0, 0.0)
     lean = so3_exp(torch.tensor([np.radians(tilt), 0.0, 0.0], dtype=torch.float64))
     rotation = lean @ level.rotation
-    poses = every_way([Pose(rotation, -rotation @ level.centre())])
+    poses = with_all_headings([Pose(rotation, -rotation @ level.centre())])
     down = [pose for pose in poses if float(pose.rotation[2, 2]) < -1 + 1e-12]
     assert len(down) == straight
     if down:

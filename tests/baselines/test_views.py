@@ -6,7 +6,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.features import Extractor
-from baselines.views import north, turned_to, view
+from baselines.views import north_angle, warp_image, with_heading
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, so3_exp
 from scene.maps.features import Features
@@ -24,18 +24,18 @@ def turned(degrees: float) -> NDArray[np.float64]:
 def test_north_is_where_the_ground_s_north_projects(heading: float) -> None:
     rotation = turned(heading)
     x, y, _ = rotation @ [0, 1, 0]
-    assert north(rotation) == pytest.approx(np.arctan2(x, -y), abs=1e-9)
+    assert north_angle(rotation) == pytest.approx(np.arctan2(x, -y), abs=1e-9)
 
 
 def test_an_oblique_view_along_north_is_upright_already() -> None:
     tilt = so3_exp(torch.tensor([np.radians(-50.0), 0.0, 0.0], dtype=torch.float64)).numpy()
-    assert north(tilt @ DOWN) == pytest.approx(0, abs=1e-9)
+    assert north_angle(tilt @ DOWN) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize("heading", [0.0, 90.0, 200.0])
 def test_views_from_a_street_keep_the_sky_up(heading: float) -> None:
     level = so3_exp(torch.tensor([np.radians(-80.0), 0.0, 0.0], dtype=torch.float64)).numpy()
-    assert north(level @ turned(heading)) == pytest.approx(0, abs=1e-9)
+    assert north_angle(level @ turned(heading)) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, 3.0, -2.0])
@@ -43,8 +43,8 @@ def test_a_camera_turned_about_its_axis_looks_at_the_same(heading: float) -> Non
     tilt = so3_exp(torch.tensor([np.radians(-20.0), 0.1, 0.0], dtype=torch.float64)).numpy()
     rotation = torch.from_numpy(tilt @ turned(70))
     pose = Pose(rotation, torch.tensor([3.0, -2.0, 40.0], dtype=torch.float64))
-    other = turned_to(pose, heading)
-    assert north(other.rotation.numpy()) == pytest.approx(heading, abs=1e-9)
+    other = with_heading(pose, heading)
+    assert north_angle(other.rotation.numpy()) == pytest.approx(heading, abs=1e-9)
     torch.testing.assert_close(other.centre(), pose.centre())
     torch.testing.assert_close(other.rotation[2], pose.rotation[2])
 
@@ -91,7 +91,7 @@ def test_a_view_is_what_its_camera_sees(camera: Camera, angle: float, scale: flo
     points = torch.tensor([[0.4, -0.3, 1.0], [-0.5, 0.3, 1.2], [0.1, 0.2, 0.9]]).double()
     there = camera.project(points).xy.numpy()
     for point, (x, y) in zip(points, there, strict=True):
-        seen = view(spot(int(x), int(y)), camera, angle, scale)
+        seen = warp_image(spot(int(x), int(y)), camera, angle, scale)
         turned_point = point @ torch.from_numpy(seen.view_from_camera).T
         xy = seen.camera.project(turned_point[None]).xy.numpy()
         assert seen.in_photograph(xy)[0] == pytest.approx([x, y], abs=1e-6)
@@ -103,7 +103,7 @@ def test_a_view_is_what_its_camera_sees(camera: Camera, angle: float, scale: flo
 
 
 def test_poses_and_covariances_come_back() -> None:
-    seen = view(spot(50, 40), LENS, 0.7)
+    seen = warp_image(spot(50, 40), LENS, 0.7)
     pose = Pose.exp(torch.tensor([0.1, -0.2, 0.3, 4.0, 5.0, 6.0], dtype=torch.float64))
     back = seen.photograph_pose(seen.pose(pose))
     np.testing.assert_allclose(back.matrix(), pose.matrix(), atol=1e-12)
@@ -116,7 +116,7 @@ def test_poses_and_covariances_come_back() -> None:
 
 
 def test_what_is_left_of_a_turned_picture_is_known() -> None:
-    seen = view(np.full((80, 120, 3), 200, np.uint8), OBLONG, 0.5)
+    seen = warp_image(np.full((80, 120, 3), 200, np.uint8), OBLONG, 0.5)
     x, y = np.meshgrid(np.arange(seen.camera.width) + 0.5, np.arange(seen.camera.height) + 0.5)
     shown = seen.shows(np.stack([x, y], -1))
     assert (seen.picture[shown] == 200).all()

@@ -14,7 +14,7 @@ from PIL import Image
 from benchmark.results import QueryResult
 from scene.bundle.frames import Frames, write_frames
 from scene.bundle.manifest import Manifest, Session, Splits, write_json
-from scene.bundle.scene import finish
+from scene.bundle.scene import finish_scene
 from scene.config import Config
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
@@ -136,7 +136,7 @@ def write_scene(path: Path) -> Path:
         sessions=sessions,
         sha256={},
     )
-    finish(path, manifest)
+    finish_scene(path, manifest)
     return path
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.ablation import TABLE, Plan, ablate
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.starts import parse_start
 from scene.bundle.scene import Scene
 from scene.config import load_config

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from benchmark.basin import DEFAULT_SIZES, Size, basin, load_basin, parse_sizes
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.starts import parse_start
 from scene.errors import InputError

@@ -13,10 +13,15 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import typer
+from pydantic import BaseModel
 from typer.testing import CliRunner, Result
 
 import benchmark.registry
 from benchmark.cli import app
+from benchmark.cli.commands import COMMANDS, CommandGroup
+from benchmark.cli.options import options_of
+from benchmark.cli.output import Summary, emit
 from scene.localizer import Estimate, Status
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
 
@@ -433,3 +438,58 @@ def test_help_is_quick() -> None:
         [sys.executable, "-c", heavy], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert imported.stdout.strip() == "set()"
+
+
+def test_the_list_of_commands_quotes_their_help() -> None:
+    """The list is written by hand, because reading it from the commands would load them all."""
+    for summaries in COMMANDS.values():
+        for name, summary in summaries.items():
+            text = " ".join(CommandGroup().commands[name].help.split())
+            assert text.startswith(summary), name
+
+
+class Weather(BaseModel):
+    """What a flight meets.
+
+    Attributes:
+        wind: speed of the ``wind``,
+            metres per second.
+        rain: millimetres per hour.
+
+    Raises:
+        ValueError: no text of a field.
+    """
+
+    wind: float = 1.0
+    rain: int = 2
+
+
+def test_options_of_a_configuration() -> None:
+    calls: list[tuple[Any, ...]] = []
+    small = typer.Typer(rich_markup_mode=None)
+
+    @small.command()
+    @options_of(Weather, "wind", "rain", defaults={"rain": 5})
+    def fly(place: str, settings: dict[str, Any], height: int = 3) -> None:
+        """Fly."""
+        calls.append((place, settings, height))
+
+    runner = CliRunner()
+    assert runner.invoke(small, ["here"]).exit_code == 0
+    assert runner.invoke(small, ["here", "--wind", "7", "--height", "4"]).exit_code == 0
+    assert runner.invoke(small, ["here", "--rain", "much"]).exit_code == 2
+    assert calls == [
+        ("here", {"wind": None, "rain": 5}, 3),
+        ("here", {"wind": 7.0, "rain": 5}, 4),
+    ]
+    text = " ".join(runner.invoke(small, ["--help"]).stdout.split())
+    assert "--wind <float> Speed of the wind, metres per second." in text
+    assert "--rain <int> Millimetres per hour. [default: 5]" in text
+
+
+def test_text_ends_in_one_line_break(capsys: pytest.CaptureFixture[str]) -> None:
+    for text in ("one\ntwo", "one\ntwo\n"):
+        emit(Summary(text, {}), as_json=False)
+        assert capsys.readouterr().out == "one\ntwo\n"
+    emit(Summary("", {"path": Path("a/b"), "degrees": 1.5}), as_json=True)
+    assert json.loads(capsys.readouterr().out) == {"path": "a/b", "degrees": 1.5}

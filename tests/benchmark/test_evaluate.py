@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.journal import Journal
 from benchmark.registry import create

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.results import load
 from scene.geometry.pose import Pose
 from tests.benchmark.made_data import moved, pose_at

@@ -16,7 +16,8 @@ from typer.testing import CliRunner, Result
 
 from baselines.sift import Sift, SiftConfig, SiftLocalizer
 from benchmark.cli import app
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from scene.geometry.camera import Camera
 from scene.localizer import Estimate, Query, Status

@@ -17,7 +17,8 @@ from safetensors.torch import save_file
 
 from baselines.d2net import localizer as d2net
 from baselines.pixloc import localizer as pixloc
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import create
 from benchmark.results import Summary

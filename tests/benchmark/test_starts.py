@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.starts import moved_prior, parse_start
 from scene.errors import InputError
@@ -97,13 +98,13 @@ def test_pairs_reach_the_method(meadow: Dataset, tmp_path: Path) -> None:
 def test_bad_pairs(meadow: Dataset, tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "pairs.txt").write_text(text)
     with pytest.raises(InputError, match=message):
-        parse_start(f"pairs={tmp_path / 'pairs.txt'}").asker(meadow, meadow.load_map())
+        parse_start(f"pairs={tmp_path / 'pairs.txt'}").loader(meadow, meadow.load_map())
 
 
 def test_retrieval_is_of_the_map(meadow: Dataset) -> None:
-    asker = parse_start("retrieval=2").asker(meadow, meadow.load_map())
+    load = parse_start("retrieval=2").loader(meadow, meadow.load_map())
     for query in meadow.queries:
-        found = asker(query).references
+        found = load(query).references
         assert found is not None
         assert len(set(found)) == 2
         assert set(found) <= set(MAP_NAMES)
@@ -113,9 +114,9 @@ def test_retrieval_is_of_the_map(meadow: Dataset) -> None:
 def test_retrieval_finds_what_overlaps(beach: Path) -> None:
     whole, _ = open_datasets(beach)
     sparse_map = whole.load_map()
-    asker = parse_start("retrieval=3").asker(whole, sparse_map)
+    load = parse_start("retrieval=3").loader(whole, sparse_map)
     query = whole.queries[0]
-    references = asker(query).references
+    references = load(query).references
     assert references is not None
     distances = {
         name: float((image.pose.centre() - query.reference.centre()).norm())

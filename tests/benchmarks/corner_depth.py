@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from baselines.featuremetric.corners import CornerFinder
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from scene.bundle.scene import Scene
 
 _PHOTOGRAPHS = slice(8, 11)

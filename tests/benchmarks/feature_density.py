@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.structure import StructureLocalizer
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.registry import create
 from dense.report import GROUPS, Groups
 from objconnect.localizer import SHIPPED

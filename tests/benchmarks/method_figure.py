@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 from skimage.segmentation import find_boundaries
 
 from baselines.align.aligner import align
-from baselines.align.hypotheses import SearchRadius, align_from_many
+from baselines.align.hypotheses import align_from_many
+from baselines.align.options import SearchRadius
 from baselines.starts import starts
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.starts import moved_prior
 from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network import read_network
@@ -37,8 +38,8 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
         chosen = localizer._retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
         (start,) = starts(query.prior, dataset.load_map(), chosen)
-        view, maps = localizer._problems.look(query, chosen, start)
-        problem = localizer._problems.of(view, maps, chosen, start, localizer.config.points)
+        view, maps = localizer._problems.view(query, chosen, start)
+        problem = localizer._problems.build(view, maps, chosen, start, localizer.config.points)
     network, _ = read_network(weights)
     image = torch.from_numpy(view.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
 
@@ -64,14 +65,14 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
     figure.colorbar(shown, ax=axes[0, 1], shrink=0.7)
     axes[0, 1].set_title("confidence of places (stride 4)")
 
-    (world,), batch = problem[1], problem[3]
+    (world,), batch = problem.points, problem.start
     true = view.camera.project(view.pose(wanted.reference).transform(world))
     for axis, title, found in (
-        (axes[1, 0], "one start", align(*problem)),
-        (axes[1, 1], "many starts", align_from_many(*problem, SearchRadius())),
+        (axes[1, 0], "one start", align(problem)),
+        (axes[1, 1], "many starts", align_from_many(problem, SearchRadius())),
     ):
         stations = [batch, *found.by_level]
-        names = ("start", *(f"stride {level.stride}" for level in problem[0]))
+        names = ("start", *(f"stride {level.stride}" for level in problem.levels))
         for pose, name, colour in zip(
             stations, names, ("red", "orange", "yellow", "cyan"), strict=True
         ):

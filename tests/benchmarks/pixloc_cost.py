@@ -35,7 +35,7 @@ from PIL import Image
 from baselines.checkpoint import write_weights
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.pixloc.localizer import PixlocConfig, PixlocLocalizer
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.starts import moved_prior
 from objconnect.localizer import ObjConnectConfig, ObjConnectLocalizer
 from scene.geometry.camera import Camera

@@ -25,12 +25,10 @@ from simulate.place.presets import preset
 from simulate.render.blender import (
     _build_scene,
     _claim_stdout,
-    _pinhole_rays,
     _render,
-    _save,
-    _semantic,
     _set_up_render,
 )
+from simulate.render.frame import pinhole_rays, save_layers, semantic_labels
 from simulate.render.job import RenderJob, frame_path
 
 
@@ -41,7 +39,7 @@ def main(job_path: str, out: str) -> None:
     _build_scene(world, condition(job.condition))
     _set_up_render(job.camera, job.samples, 0)
     scene = bpy.context.scene
-    layer, rays, glow = scene.view_layers[0], _pinhole_rays(job.camera), _glow()
+    layer, rays, glow = scene.view_layers[0], pinhole_rays(job.camera), _glow()
     with tempfile.TemporaryDirectory() as scratch:
         for line in sys.stdin:
             kind, number = line.split()
@@ -54,8 +52,10 @@ def main(job_path: str, out: str) -> None:
             start = time.process_time()
             if ours:
                 arrays = _render(pose, np.zeros(3), Path(scratch))
-                arrays["semantic"] = _semantic(world, rays, pose, np.zeros((len(rays), 3)), arrays)
-                _save(frame_path(Path(out), int(number)), arrays)
+                arrays["semantic"] = semantic_labels(
+                    world, rays, pose, np.zeros((len(rays), 3)), arrays
+                )
+                save_layers(frame_path(Path(out), int(number)), arrays)
             else:
                 _render_picture(pose, Path(scratch))
             took = time.process_time() - start

@@ -10,7 +10,9 @@ import numpy as np
 
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
+from simulate.flight.config import NadirFlight
 from simulate.flight.flights import plan_nadir
+from simulate.flight.site import FlightSite
 from simulate.place.presets import preset
 from simulate.render.job import RenderJob
 
@@ -20,16 +22,9 @@ ROOT = Path(__file__).parents[2]
 def nadir_job(config: SimulateConfig, frames: int) -> RenderJob:
     """Photographs looking down, under the condition of the first session."""
     camera = config.photo_camera()
-    poses = plan_nadir(
-        config.area,
-        preset(config.preset)(config.seed, config.area).terrain.height,
-        width=config.size,
-        height=config.size,
-        focal=camera.focal[0],
-        altitude_m=80.0,
-        frames=frames,
-        rng=np.random.default_rng(0),
-    )
+    world = preset(config.preset)(config.seed, config.area)
+    site = FlightSite(config.area, world.terrain.height, camera)
+    poses = plan_nadir(NadirFlight(altitude_m=80.0), site, frames, np.random.default_rng(0))
     pinhole = PinholeCamera(
         width=config.size,
         height=config.size,

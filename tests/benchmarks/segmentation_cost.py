@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.starts import moved_prior
 from objconnect import network
 from objconnect.config import ObjConnectNetConfig

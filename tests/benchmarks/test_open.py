@@ -16,8 +16,8 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
 import scene.storage.digests
-from benchmark.datasets.dataset import open_datasets
 from benchmark.datasets.flight import gps_sigma
+from benchmark.datasets.open import open_datasets
 from benchmark.datasets.textfiles import read_cameras, read_gps, read_poses
 from scene.maps.colmap_files import read_model
 from tests.benchmark.made_data import CAMERA, pose_at, write_model

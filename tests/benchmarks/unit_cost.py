@@ -49,7 +49,7 @@ def unit_cost(scene: Scene) -> Iterator[tuple[str, str]]:
     dataset = open_scene(scene.path)
     localizer, sparse_map = create("sift", {}), dataset.load_map()
     localizer.prepare(sparse_map, dataset.images)
-    ask, queries = PRIOR.asker(dataset, sparse_map), dataset.queries[:_SOME]
+    ask, queries = PRIOR.loader(dataset, sparse_map), dataset.queries[:_SOME]
     yield (
         "a query of sift",
         _seconds(lambda k: localize_safely(localizer, ask(queries[k % len(queries)]))),

@@ -17,7 +17,8 @@ from pathlib import Path
 
 import torch
 
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from scene.geometry.pose import Pose
 
 

@@ -22,7 +22,7 @@ from scene.colmap.models import write_posed
 from scene.errors import InputError, WriteError
 from scene.maps.photographs import PosedImage
 from scene.maps.sparse_map import SparseMap
-from scene.storage.files import sole_writer
+from scene.storage.locks import write_lock
 
 SIZE = 96
 
@@ -217,7 +217,7 @@ def straightened(scene: Scene) -> SparseMap:
 
 
 def test_two_runs_do_not_write_one_cloud(rendered: Scene) -> None:
-    with sole_writer(rendered.path), pytest.raises(InputError, match="another run is writing"):
+    with write_lock(rendered.path), pytest.raises(InputError, match="another run is writing"):
         dense(rendered.path)
 
 

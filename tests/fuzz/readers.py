@@ -22,7 +22,7 @@ from baselines.training.config import TrainConfig
 from baselines.training.loop import _claim, _log, _restore
 from benchmark.basin import load_basin
 from benchmark.datasets.cmu import open_cmu, open_slices
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.datasets.textfiles import read_cameras, read_gps, read_poses, read_priors
 from benchmark.journal import Journal
 from benchmark.localize import _origin

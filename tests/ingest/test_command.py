@@ -17,8 +17,8 @@ import ingest.command
 import scene.bundle.manifest
 import scene.storage.images
 from benchmark.cli import app
-from benchmark.datasets.dataset import open_datasets
 from benchmark.datasets.flight import TRACK
+from benchmark.datasets.open import open_datasets
 from benchmark.datasets.textfiles import read_poses
 from benchmark.registry import create
 from ingest.attitude import gimbal_pose
@@ -32,8 +32,8 @@ from scene.exports.export import export
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.localizer import Status
-from scene.storage.files import sole_writer
 from scene.storage.images import read_rgb
+from scene.storage.locks import write_lock
 
 Ingested = tuple[Scene, IngestReport]
 
@@ -273,14 +273,14 @@ def test_killed_while_pictures_are_turned_back(
     def write_json(path: Path, value: BaseModel) -> None:
         if path.name == "turned.json":
             raise KeyboardInterrupt
-        scene.manifest.write_json(path, value)
+        scene.bundle.manifest.write_json(path, value)
 
     def write_resized(source: Path, target: Path, longest: int, *, over: bool) -> None:
         nonlocal turned
         turned += over
         if turned == 2:
             raise KeyboardInterrupt
-        scene.images.write_resized(source, target, longest, over=over)
+        scene.storage.images.write_resized(source, target, longest, over=over)
 
     for patched in (write_json, write_resized):
         with monkeypatch.context() as patch:
@@ -293,7 +293,7 @@ def test_killed_while_pictures_are_turned_back(
     assert report.turned == tuple(over)
     # A picture turned twice or not at all would contradict its gimbal, or not be registered.
     assert (report.registered, report.wrong_attitudes) == (10, {})
-    scene.images.write_resized(folder / over[1], tmp_path / "turned.jpg", 1600, over=True)
+    scene.storage.images.write_resized(folder / over[1], tmp_path / "turned.jpg", 1600, over=True)
     assert (pictures / over[1]).read_bytes() == (tmp_path / "turned.jpg").read_bytes()
     assert not list(out.glob(".*"))
 
@@ -372,7 +372,7 @@ def test_a_table_of_positions_does_as_well(photographs: Path, beach: Path, tmp_p
 
 def test_two_runs_do_not_write_one_scene(photographs: Path, tmp_path: Path) -> None:
     out = tmp_path / "scene"
-    with sole_writer(out), pytest.raises(InputError, match="another run is writing"):
+    with write_lock(out), pytest.raises(InputError, match="another run is writing"):
         run(photographs, out)
     assert not out.exists()
 

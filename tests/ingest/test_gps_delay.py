@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmark.datasets.textfiles import read_gps, read_poses
-from ingest.gps_delay import find_lag, motions, undo_lag
+from ingest.gps_delay import find_delay, motions, undo_delay
 from scene.maps.colmap_files import read_model
 from scene.storage.images import read_exif
 
@@ -48,7 +48,7 @@ def received(centres: Placed, lag: float, drift: float) -> Placed:
 
 
 def lag_of(centres: Placed, fixes: Placed) -> float:
-    return find_lag(motions(sorted(centres), centres, TIMES), centres, fixes)
+    return find_delay(motions(sorted(centres), centres, TIMES), centres, fixes)
 
 
 @pytest.mark.parametrize("lag", [1.7, -0.6])
@@ -59,13 +59,13 @@ def test_a_known_lag_is_found(lag: float) -> None:
     # Whole seconds, as most cameras write them, change little.
     coarse = {name: float(round(time / 2.13 * 2.0)) for name, time in TIMES.items()}
     moving = motions(sorted(centres), centres, coarse)
-    assert find_lag(moving, centres, fixes) == pytest.approx(lag * 2.0 / 2.13, abs=0.3)
+    assert find_delay(moving, centres, fixes) == pytest.approx(lag * 2.0 / 2.13, abs=0.3)
 
 
 def test_positions_without_the_lag_are_better() -> None:
     centres = survey()
     fixes = received(centres, 1.7, drift=0.5)
-    undone = undo_lag(fixes, motions(sorted(centres), centres, TIMES), lag_of(centres, fixes))
+    undone = undo_delay(fixes, motions(sorted(centres), centres, TIMES), lag_of(centres, fixes))
 
     def spread(places: Placed) -> float:
         off = np.array([places[name] - centres[name] for name in centres])
@@ -86,7 +86,7 @@ def test_nothing_is_said_where_nothing_can_be_told() -> None:
     straight = {name: np.array([0, SPEED * TIMES[name], 40.0]) for name in NAMES}
     assert lag_of(straight, received(straight, 1.7, drift=0.1)) == 0
     centres = survey()
-    assert find_lag(motions(sorted(centres), centres, {}), centres, centres) == 0
+    assert find_delay(motions(sorted(centres), centres, {}), centres, centres) == 0
     at_once = dict.fromkeys(NAMES, 5.0)
     assert motions(sorted(centres), centres, at_once) == {}
 
@@ -104,5 +104,5 @@ def test_a_real_receiver_that_lags(flights: Path) -> None:
         time = read_exif(path / "photos" / name).time
         assert time is not None
         times[name] = time.timestamp()
-    lag = find_lag(motions(sorted(centres), centres, times), centres, fixes)
+    lag = find_delay(motions(sorted(centres), centres, times), centres, fixes)
     assert lag == pytest.approx(2.1, abs=0.3)

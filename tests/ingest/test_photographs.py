@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from ingest.photographs import photographs_of, read_roll
+from ingest.photographs import photographs_of, read_flight
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 
@@ -22,28 +22,28 @@ def test_a_folder_with_everything_wrong_in_it(photographs: Path, tmp_path: Path)
     (tmp_path / "empty.jpg").touch()
     (tmp_path / "._b.jpg").write_bytes(b"of another file system")
     Image.open(third).save(tmp_path / "bare.jpg")
-    roll = read_roll(tmp_path)
-    assert {shot.file for shot in roll.shots} == {"100MEDIA/a one.JPG", "b.jpeg", "bare.jpg"}
-    assert roll.shots[0].name == "flight/images/100MEDIA/a_one.JPG"
-    assert roll.left_out.keys() == {"copy of it.jpg", "text.jpg", "empty.jpg"}
-    assert roll.left_out["copy of it.jpg"] == "the same file as 100MEDIA/a one.JPG"
-    assert "not an image" in roll.left_out["text.jpg"]
+    flight = read_flight(tmp_path)
+    assert {image.file for image in flight.images} == {"100MEDIA/a one.JPG", "b.jpeg", "bare.jpg"}
+    assert flight.images[0].name == "flight/images/100MEDIA/a_one.JPG"
+    assert flight.left_out.keys() == {"copy of it.jpg", "text.jpg", "empty.jpg"}
+    assert flight.left_out["copy of it.jpg"] == "the same file as 100MEDIA/a one.JPG"
+    assert "not an image" in flight.left_out["text.jpg"]
 
 
 def test_order_is_that_of_time(photographs: Path, tmp_path: Path) -> None:
     files = sorted(photographs.iterdir())[:4]
     for path, name in zip(files, "dbca", strict=True):
         shutil.copy(path, tmp_path / f"{name}.jpg")
-    assert [shot.file[0] for shot in read_roll(tmp_path).shots] == list("dbca")
+    assert [image.file[0] for image in read_flight(tmp_path).images] == list("dbca")
     Image.open(files[0]).save(tmp_path / "d.jpg")  # no time: then names tell the order
-    assert [shot.file[0] for shot in read_roll(tmp_path).shots] == list("abcd")
+    assert [image.file[0] for image in read_flight(tmp_path).images] == list("abcd")
 
 
 def test_no_photographs(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no photograph"):
-        read_roll(tmp_path)
+        read_flight(tmp_path)
     with pytest.raises(InputError, match="does not exist"):
-        read_roll(tmp_path / "missing")
+        read_flight(tmp_path / "missing")
 
 
 def test_names_that_become_one(photographs: Path, tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_names_that_become_one(photographs: Path, tmp_path: Path) -> None:
     shutil.copy(first, tmp_path / "a b.jpg")
     shutil.copy(second, tmp_path / "a_b.jpg")
     with pytest.raises(InputError, match="'a b.jpg' and 'a_b.jpg' would have one name"):
-        read_roll(tmp_path)
+        read_flight(tmp_path)
 
 
 def test_focal_lengths_of_real_cameras(flights: Path, tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_focal_lengths_of_real_cameras(flights: Path, tmp_path: Path) -> None:
     for name in truth:
         path = min((flights / name / "photos").iterdir())
         shutil.copy(path, tmp_path / path.name)
-    taken = photographs_of(read_roll(tmp_path).shots, 1024, None)
+    taken = photographs_of(read_flight(tmp_path).images, 1024, None)
     assert len({photograph.lens for photograph in taken}) == 2
     for photograph in taken:
         expected = truth["brighton_beach" if "DJI" in photograph.name else "caliterra"]
@@ -70,11 +70,13 @@ def test_focal_lengths_of_real_cameras(flights: Path, tmp_path: Path) -> None:
 
 
 def test_a_given_camera_is_scaled_to_the_photographs(photographs: Path) -> None:
-    roll = read_roll(photographs)
+    flight = read_flight(photographs)
     calibration = Camera("SIMPLE_RADIAL", 4000, 2250, (2330.0, 2000.0, 1125.0, 0.004))
-    (first, *_) = photographs_of(roll.shots, 400, calibration)
+    (first, *_) = photographs_of(flight.images, 400, calibration)
     assert first.calibrated
     assert first.camera.focal[0] == pytest.approx(233.0)
     assert (first.camera.width, first.camera.height) == (400, 225)
     with pytest.raises(InputError, match="give a calibration of its shape"):
-        photographs_of(roll.shots, 400, Camera("PINHOLE", 400, 300, (300.0, 300.0, 200.0, 150.0)))
+        photographs_of(
+            flight.images, 400, Camera("PINHOLE", 400, 300, (300.0, 300.0, 200.0, 150.0))
+        )

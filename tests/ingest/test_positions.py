@@ -5,28 +5,28 @@ from pathlib import Path
 import pytest
 
 from benchmark.datasets.textfiles import read_gps
-from ingest.photographs import Roll, read_roll
+from ingest.photographs import Flight, read_flight
 from ingest.positions import local, with_positions
 from scene.errors import InputError
 
 
 @pytest.fixture(scope="module")
-def roll(photographs: Path) -> Roll:
-    return read_roll(photographs)
+def flight(photographs: Path) -> Flight:
+    return read_flight(photographs)
 
 
-def test_a_table_takes_the_place_of_exif(roll: Roll, beach: Path, tmp_path: Path) -> None:
+def test_a_table_takes_the_place_of_exif(flight: Flight, beach: Path, tmp_path: Path) -> None:
     """The flight's own, which has more columns; its metres have another origin."""
-    placed = with_positions(roll, beach / "gps.csv")
-    ours, theirs = local(placed.shots)[1], read_gps(beach / "gps.csv")
-    first = placed.shots[0]
-    for shot in placed.shots:
-        step = ours[shot.name] - ours[first.name]
-        assert step == pytest.approx(theirs[shot.file] - theirs[first.file], abs=0.02)
+    placed = with_positions(flight, beach / "gps.csv")
+    ours, theirs = local(placed.images)[1], read_gps(beach / "gps.csv")
+    first = placed.images[0]
+    for image in placed.images:
+        step = ours[image.name] - ours[first.name]
+        assert step == pytest.approx(theirs[image.file] - theirs[first.file], abs=0.02)
     table = tmp_path / "gps.csv"
     table.write_text("\ufeffname,lat,lon,alt\nDJI_0020.jpg,46.5,-92,200.5\nother.jpg,1,2,3\n")
-    known = [shot for shot in with_positions(roll, table).shots if shot.exif.position]
-    assert [shot.file for shot in known] == ["DJI_0020.jpg"]
+    known = [image for image in with_positions(flight, table).images if image.exif.position]
+    assert [image.file for image in known] == ["DJI_0020.jpg"]
     assert known[0].exif.position == (46.5, -92, 200.5)
 
 
@@ -43,9 +43,9 @@ def test_a_table_takes_the_place_of_exif(roll: Roll, beach: Path, tmp_path: Path
         ("name,lat,lon,alt\nb.jpg,1,2,3\n", "has none of the photographs: its first name is 'b"),
     ],
 )
-def test_tables_that_are_wrong(roll: Roll, tmp_path: Path, text: str, said: str) -> None:
+def test_tables_that_are_wrong(flight: Flight, tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "gps.csv").write_text(text)
     with pytest.raises(InputError, match=said):
-        with_positions(roll, tmp_path / "gps.csv")
+        with_positions(flight, tmp_path / "gps.csv")
     with pytest.raises(InputError, match="cannot read table of positions"):
-        with_positions(roll, tmp_path / "missing.csv")
+        with_positions(flight, tmp_path / "missing.csv")

@@ -19,7 +19,8 @@ from mapping.class_coverage import class_coverage
 from scene.bundle.scene import FEATURES, Scene
 from scene.errors import InputError
 from scene.maps.features import read_features
-from scene.storage.files import sha256_of, sole_writer
+from scene.storage.files import sha256_of
+from scene.storage.locks import write_lock
 
 
 def test_map_of_a_rendered_flight(rendered: Scene) -> None:
@@ -86,7 +87,7 @@ def test_pairs_of_hundreds_of_frames_grow_with_their_number() -> None:
 
 
 def test_two_runs_do_not_write_one_map(rendered: Scene) -> None:
-    with sole_writer(rendered.path), pytest.raises(InputError, match="another run is writing"):
+    with write_lock(rendered.path), pytest.raises(InputError, match="another run is writing"):
         build_map(rendered.path)
 
 

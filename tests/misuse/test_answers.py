@@ -31,7 +31,7 @@ from benchmark.localize import open_place
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.markdown import escaped
 from benchmark.results import load
-from ingest.photographs import read_roll
+from ingest.photographs import read_flight
 from scene.errors import InputError
 from scene.exports.export import export
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
@@ -41,7 +41,7 @@ from scene.localizer import Estimate, Prior, Query, Status
 from scene.maps.colmap_files import read_model
 from scene.maps.sparse_map import SparseMap
 from scene.storage.images import Exif, write_jpeg
-from scene.storage.names import from_cell, leading_name, words, written, written_cell
+from scene.storage.names import quote_cell, quote_name, split_name, split_words, unquote_cell
 from tests.benchmark.made_data import (
     CAMERA,
     QUERY_NAMES,
@@ -108,7 +108,7 @@ def localizing(flight: Path, photographs: Path, out: Path, *more: object) -> tup
 
 def rows(table: Path) -> dict[str, dict[str, str]]:
     with table.open(newline="", encoding="utf-8") as stream:
-        return {from_cell(row["name"]): row for row in csv.DictReader(stream)}
+        return {unquote_cell(row["name"]): row for row in csv.DictReader(stream)}
 
 
 # ---- localize: what its outputs may replace
@@ -236,7 +236,7 @@ def test_odd_queries_are_scored(flight: Path, tmp_path: Path) -> None:
     (flight / "images" / "b.jpg").rename(flight / "images" / odd)
     for name in ("queries.txt", "reference_poses.txt"):
         text = (flight / name).read_text()
-        (flight / name).write_text(text.replace("b.jpg", written(odd)))
+        (flight / name).write_text(text.replace("b.jpg", quote_name(odd)))
     poses = tmp_path / "found.txt"
     poses.write_text(pose_line(odd, pose_at(1), 9) + "\n")
     command = ("score", poses, "--reference", flight, "--out", tmp_path / "out")
@@ -247,12 +247,12 @@ def test_odd_queries_are_scored(flight: Path, tmp_path: Path) -> None:
 
 @given(st.text(st.characters(exclude_characters="/\0"), min_size=1))
 def test_every_name_comes_back(name: str) -> None:
-    assert words(f"{written(name)} {written(name)}") == [name, name]
-    assert leading_name(f"{written(name)} 1 2 3", 3) == (name, ["1", "2", "3"])
-    assert from_cell(written_cell(name)) == name
-    assert len(written(name).splitlines()) == 1
-    written(name).encode()
-    written_cell(name).encode()
+    assert split_words(f"{quote_name(name)} {quote_name(name)}") == [name, name]
+    assert split_name(f"{quote_name(name)} 1 2 3", 3) == (name, ["1", "2", "3"])
+    assert unquote_cell(quote_cell(name)) == name
+    assert len(quote_name(name).splitlines()) == 1
+    quote_name(name).encode()
+    quote_cell(name).encode()
 
 
 def test_names_with_spaces_of_other_programs(tmp_path: Path) -> None:
@@ -276,8 +276,8 @@ def test_photographs_whose_names_are_not_utf8_are_left_out(tmp_path: Path) -> No
     photograph = np.zeros((20, 30, 3), np.uint8)
     for name in (os.fsdecode(b"\xff.jpg"), "b.jpg"):
         write_jpeg(tmp_path / name, photograph, Exif(None, None))
-    roll = read_roll(tmp_path)
-    assert [shot.file for shot in roll.shots] == ["b.jpg"]
+    roll = read_flight(tmp_path)
+    assert [shot.file for shot in roll.images] == ["b.jpg"]
     assert roll.left_out == {r"\udcff.jpg": "its name is not UTF-8: rename it"}
 
 

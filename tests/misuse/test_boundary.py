@@ -51,10 +51,11 @@ def shell(line: str, **variables: str) -> subprocess.CompletedProcess[str]:
 REPORTING = """
 import os, sys, types
 from benchmark import cli
+from scene.errors import InputError
 
 def validate(path, cache):
     if not path.is_dir():
-        raise cli.InputError(f"{path} is no folder")
+        raise InputError(f"{path} is no folder")
     with open(path / "written", "w") as file:
         os.write(1, b"a library says\\n"), os.write(2, b"a library says\\n")
         file.write("ours")

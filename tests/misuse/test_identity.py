@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import METHODS, create
 from benchmark.results import load

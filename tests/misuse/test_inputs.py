@@ -34,7 +34,7 @@ from benchmark.cli import app
 from benchmark.datasets.textfiles import read_cameras, read_priors
 from benchmark.starts import parse_start
 from dense.command import DENSE, dense
-from ingest.photographs import Roll, Shot, read_roll
+from ingest.photographs import Flight, FlightImage, read_flight
 from ingest.positions import local, with_positions
 from mapping.build import build_map
 from mapping.supplement.map import add_to_map
@@ -43,11 +43,12 @@ from scene.colmap.sift import SiftOptions, extract_sift
 from scene.config import load_config
 from scene.errors import InputError, WriteError
 from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic, amid, enu_from_geodetic, geodetic_from_enu
+from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu, median_place
 from scene.maps.colmap_files import read_model
 from scene.maps.features import Features, read_features, write_features
 from scene.runtime.progress import progress_bar
-from scene.storage.files import MARK, read_text, sha256_of
+from scene.storage.atomic import TEMPORARY_PREFIX
+from scene.storage.files import read_text, sha256_of
 from scene.storage.images import Exif, read_exif, read_rgb, write_jpeg, write_resized
 from simulate.config import SimulateConfig
 from tests.benchmark.made_data import MAP_NAMES, pose_at, write_flight, write_model
@@ -103,7 +104,7 @@ def test_files_of_the_user_s_outlive_every_command_that_writes_a_scene(rendered_
     lost = [name for name in KEPT if not (rendered_copy / name).is_file()]
     assert lost == []
     assert (rendered_copy / DENSE / "fused.ply").is_file()
-    assert [path.name for path in rendered_copy.rglob(f"{MARK}*")] == []
+    assert [path.name for path in rendered_copy.rglob(f"{TEMPORARY_PREFIX}*")] == []
 
 
 def noise_jpeg(path: Path, seed: int, place: Geodetic | None) -> None:
@@ -161,7 +162,7 @@ def test_evaluation_needs_no_room_in_the_system_s_temporary_folder(
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert list(disk.iterdir()) == []
-    assert [path.name for path in out.rglob(f"{MARK}*")] == []
+    assert [path.name for path in out.rglob(f"{TEMPORARY_PREFIX}*")] == []
 
 
 def test_room_is_asked_for_where_nobody_names_a_folder(
@@ -224,7 +225,7 @@ def test_an_origin_lies_amid_its_photographs_everywhere(
 ) -> None:
     middle = Geodetic(latitude, longitude, 100.0)
     places = [geodetic_from_enu(np.array(offset), middle) for offset in offsets]
-    origin = amid(places)
+    origin = median_place(places)
     assert -90 <= origin.latitude <= 90
     assert -180 <= origin.longitude <= 180
     # A kilometre: the meridians of a flight around a pole have no middle.
@@ -235,20 +236,20 @@ def test_an_origin_lies_amid_its_photographs_everywhere(
 def test_an_origin_at_a_pole(latitude: float) -> None:
     pole = Geodetic(latitude, 0.0, 10.0)
     places = [geodetic_from_enu(np.array([x, y, 0.0]), pole) for x in (-50, 50) for y in (-50, 50)]
-    assert np.linalg.norm(enu_from_geodetic(amid([pole, *places]), pole)) < 100
+    assert np.linalg.norm(enu_from_geodetic(median_place([pole, *places]), pole)) < 100
 
 
 def test_a_few_wrong_places_do_not_move_the_origin() -> None:
     places = [Geodetic(0.0, 0.0, 0.0)] * 2 + [
         Geodetic(-17.0, 179.999 + 0.0005 * k - (360 if k > 1 else 0), 50.0) for k in range(5)
     ]
-    origin = amid(places)
+    origin = median_place(places)
     assert abs(abs(origin.longitude) - 180) < 0.01
     assert origin.latitude == -17.0
 
 
-def shot(file: str, place: Geodetic | None = None) -> Shot:
-    return Shot(file, f"flight/images/{file}", file, Exif(place, None), (64, 48))
+def shot(file: str, place: Geodetic | None = None) -> FlightImage:
+    return FlightImage(file, f"flight/images/{file}", file, Exif(place, None), (64, 48))
 
 
 def test_photographs_on_both_sides_of_longitude_180() -> None:
@@ -262,14 +263,14 @@ def test_photographs_on_both_sides_of_longitude_180() -> None:
 # --- tables of positions ------------------------------------------------------------------------
 
 HEADER = "name,lat,lon,alt\n"
-CARDS = Roll((shot("card1/DJI_0000.jpg"), shot("card2/DJI_0000.jpg"), shot("c/Einzig.JPG")), {})
+CARDS = Flight((shot("card1/DJI_0000.jpg"), shot("card2/DJI_0000.jpg"), shot("c/Einzig.JPG")), {})
 
 
-def placed(tmp_path: Path, text: str, roll: Roll = CARDS) -> dict[str, float | None]:
+def placed(tmp_path: Path, text: str, roll: Flight = CARDS) -> dict[str, float | None]:
     """Latitude of each photograph."""
     table = tmp_path / "gps.csv"
     table.write_text(text)
-    found = with_positions(roll, table).shots
+    found = with_positions(roll, table).images
     return {s.file: s.exif.position.latitude if s.exif.position else None for s in found}
 
 
@@ -277,7 +278,7 @@ def test_a_bare_name_on_two_cards_is_refused(tmp_path: Path) -> None:
     said = refused(lambda: placed(tmp_path, HEADER + "DJI_0000.jpg,1,2,3\n"))
     assert "'DJI_0000.jpg' may be 'card1/DJI_0000.jpg' or 'card2/DJI_0000.jpg'" in said
     assert "folder" in said
-    root = Roll((shot("a.jpg"), shot("b/a.jpg")), {})
+    root = Flight((shot("a.jpg"), shot("b/a.jpg")), {})
     assert "may be" in refused(lambda: placed(tmp_path, HEADER + "a.jpg,1,2,3\n", root))
 
 
@@ -642,8 +643,8 @@ def test_a_folder_of_photographs_of_every_kind(tmp_path: Path) -> None:
     for kind in KINDS:
         if kind not in ("truncated", "large"):
             made(tmp_path / f"{kind}.jpg", kind)
-    roll = read_roll(tmp_path)
-    assert [shot.file for shot in roll.shots] == [
+    roll = read_flight(tmp_path)
+    assert [shot.file for shot in roll.images] == [
         "a.jpg",
         "back\\slash.JPG",
         "sub/a.jpg",

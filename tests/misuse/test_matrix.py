@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from benchmark.boundary import REGRESSION
+from benchmark.cli.boundary import REGRESSION
 from tests.fuzz.readers import READERS
 from tests.misuse import world
 from tests.misuse.arguments import Fault

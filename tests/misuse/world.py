@@ -20,7 +20,7 @@ from objconnect.config import ObjConnectNetConfig
 from scene.bundle.covisibility import Covisibility, write_covisibility
 from scene.bundle.frames import write_frames
 from scene.bundle.manifest import Objects, SceneObject, write_json
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.bundle.supplement import AddedPoint, Supplement
 from scene.config import load_config
 from scene.geometry.camera import Camera
@@ -98,7 +98,7 @@ def make_scene(path: Path) -> Path:
     added = AddedPoint(id=60, object=0, confidence=0.5)
     digest = scene.sparse_map().without(np.arange(60) == 59).sha256
     write_json(path / "map" / "supplement.json", Supplement(points=(added,), map_sha256=digest))
-    finish(path, scene.manifest)
+    finish_scene(path, scene.manifest)
     return path
 
 
@@ -112,7 +112,7 @@ def _grove(hamlet: Path, path: Path) -> None:
         frames = scene.frames(session)
         straight = replace(frames, cameras=(pinhole,) * len(frames))
         write_frames(path / "sessions" / session / "frames.h5", straight, (), iter([{}] * 9))
-    finish(path, scene.manifest)
+    finish_scene(path, scene.manifest)
 
 
 def _cmu(root: Path) -> None:

@@ -92,3 +92,17 @@ def test_a_large_bad_value_is_shortened(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="bad value for 'seed'") as caught:
         load_config(Strict, write(tmp_path, f"table: {{}}\nseed: {'x' * 10_000}\n"), {})
     assert len(str(caught.value)) < 400
+
+
+def test_dotted_overrides_change_nested_values_alone(tmp_path: Path) -> None:
+    class Outer(Config):
+        ratio: float = 0.8
+        options: Options = Options()
+
+    path = write(tmp_path, "options: {ratio: 0.5, name: orb}\n")
+    changed = load_config(Outer, path, {"options.inner.depth": 3, "options.name": "brief"})
+    assert changed.options == Options(ratio=0.5, name="brief", inner=Nested(depth=3))
+    with pytest.raises(InputError, match=r"unknown key 'options\.depth' .*known: ratio, name"):
+        load_config(Outer, None, {"options.depth": 3})
+    with pytest.raises(InputError, match="bad value for 'ratio'"):
+        load_config(Outer, None, {"ratio.depth": 3})

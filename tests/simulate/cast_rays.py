@@ -15,7 +15,8 @@ from mathutils import Vector
 
 from simulate.look.conditions import condition
 from simulate.place.presets import preset
-from simulate.render.blender import _build_scene, _pinhole_rays
+from simulate.render.blender import _build_scene
+from simulate.render.frame import pinhole_rays
 from simulate.render.job import RenderJob
 from simulate.render.pool import _lens_rays
 
@@ -26,7 +27,7 @@ def main(job_path: str, out: str) -> None:
     job = RenderJob.model_validate_json(Path(job_path).read_text())
     _build_scene(preset(job.preset)(job.seed, job.area_m), condition(job.condition))
     graph = bpy.context.evaluated_depsgraph_get()
-    rays = _pinhole_rays(job.camera) if job.lens is None else _lens_rays(job.lens)
+    rays = pinhole_rays(job.camera) if job.lens is None else _lens_rays(job.lens)
     height, width = rays.shape[:2]
     rng = np.random.default_rng(0)
     found = {name: np.zeros((len(job.poses), PIXELS)) for name in ("depth", "instance")}

@@ -18,8 +18,8 @@ from scene.bundle.frames import LAYERS, Frames
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.geodesy import geodetic_from_enu
-from scene.storage.files import sole_writer
 from scene.storage.images import read_exif, read_rgb
+from scene.storage.locks import write_lock
 from simulate.command import _finished, _frames, lasting_noise, simulate
 from simulate.config import SimulateConfig
 from simulate.render.disk import bytes_needed
@@ -188,7 +188,7 @@ def test_another_configuration_is_refused(rendered: Scene) -> None:
 
 def test_two_runs_do_not_write_one_scene(tmp_path: Path) -> None:
     out = tmp_path / "scene"
-    with sole_writer(out), pytest.raises(InputError, match="another run is writing"):
+    with write_lock(out), pytest.raises(InputError, match="another run is writing"):
         simulate(RENDERED, out)
     assert not out.exists()
 

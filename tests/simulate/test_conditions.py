@@ -12,7 +12,9 @@ from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.config import SimulateConfig
+from simulate.flight.config import ObliqueFlight
 from simulate.flight.flights import plan_oblique
+from simulate.flight.site import FlightSite
 from simulate.look import ground
 from simulate.look.conditions import LIGHTS, PLACE, SEASONS, WEATHER, condition
 from simulate.look.sun import sun_position
@@ -20,16 +22,19 @@ from simulate.place.change import Change
 from simulate.place.town import build_town
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
+from tests.simulate.test_flights import pinhole
 
 
 def test_every_combination_is_a_condition() -> None:
     names = [f"{s}-{t}-{w}" for s in SEASONS for t in LIGHTS for w in WEATHER]
     all_of_them = [condition(name) for name in names]
-    assert len({(c.time, c.sun_watts, c.visibility_m, c.wet) for c in all_of_them}) == len(names)
+    assert len(
+        {(c.time, c.sun.watts, c.weather.visibility_m, c.weather.wet) for c in all_of_them}
+    ) == len(names)
     for c in all_of_them:
-        assert sun_position(c.time, PLACE) == (c.sun_azimuth, c.sun_elevation)
-        assert c.sun_elevation > 5
-        assert set(c.ground) == set(condition("summer-noon").ground)
+        assert sun_position(c.time, PLACE) == (c.sun.azimuth, c.sun.elevation)
+        assert c.sun.elevation > 5
+        assert set(c.season.ground) == set(condition("summer-noon").season.ground)
 
 
 def test_clear_goes_without_saying() -> None:
@@ -55,21 +60,21 @@ def test_unknown_parts_name_the_valid_ones(name: str, message: str) -> None:
 def test_the_two_first_conditions_keep_their_hours() -> None:
     noon, dusk = condition("summer-noon"), condition("winter-dusk")
     assert f"{noon.time:%Y-%m-%d %H}" == "2025-07-02 11"
-    assert 160 < noon.sun_azimuth < 180
-    assert noon.sun_elevation > 60
+    assert 160 < noon.sun.azimuth < 180
+    assert noon.sun.elevation > 60
     assert f"{dusk.time:%Y-%m-%d %H}" == "2026-01-20 14"
-    assert 220 < dusk.sun_azimuth < 232
-    assert dusk.sun_elevation == pytest.approx(10, abs=0.2)
-    assert dusk.sun_rgb[2] < noon.sun_rgb[2] - 0.2  # redder
+    assert 220 < dusk.sun.azimuth < 232
+    assert dusk.sun.elevation == pytest.approx(10, abs=0.2)
+    assert dusk.sun.rgb[2] < noon.sun.rgb[2] - 0.2  # redder
 
 
 def test_light_follows_the_place() -> None:
     east, west = (condition("summer-morning", Geodetic(47.0, e, 0.0)) for e in (100.0, -100.0))
     assert (west.time - east.time).total_seconds() / 3600 == pytest.approx(200 / 15, abs=0.1)
-    assert west.sun_elevation == pytest.approx(east.sun_elevation, abs=0.3)
+    assert west.sun.elevation == pytest.approx(east.sun.elevation, abs=0.3)
     south = condition("summer-noon", Geodetic(-35.0, 18.0, 0.0))
     assert south.time.month == 12
-    assert abs((south.sun_azimuth + 180) % 360 - 180) < 60
+    assert abs((south.sun.azimuth + 180) % 360 - 180) < 60
 
 
 def test_a_polar_night_is_refused() -> None:
@@ -100,8 +105,9 @@ CAMERA = PinholeCamera(width=96, height=72, f=80.0, cx=48.0, cy=36.0)
 
 def shoot(name: str, folder: Path, bare: bool = False) -> dict[str, np.ndarray]:
     height = build_town(SEED, AREA).terrain.height
-    rng = np.random.default_rng(0)
-    pose = plan_oblique(height, radius_m=50.0, altitude_m=45.0, frames=1, rng=rng)[0]
+    site = FlightSite(AREA, height, pinhole(96, 72, 80.0))
+    flight = ObliqueFlight(radius_m=50.0, altitude_m=45.0)
+    pose = plan_oblique(flight, site, 1, np.random.default_rng(0))[0]
     job = RenderJob(
         seed=SEED, area_m=AREA, condition=name, change=Change(bare_trees=bare),
         camera=CAMERA, samples=1, poses={0: pose.tolist()},
@@ -145,7 +151,7 @@ def test_no_season_light_and_weather_together_move_anything(tmp_path: Path) -> N
     for k, season in enumerate(SEASONS):
         for i, light in enumerate(LIGHTS):
             name = f"{season}-{light}-{weather[(k + i) % len(weather)]}"
-            bare = condition(name).bare
+            bare = condition(name).season.bare
             shot = shoot(name, tmp_path / name, bare)
             assert same_geometry(shown.setdefault(bare, shot), shot), name
     assert not same_geometry(shown[False], shown[True])

@@ -4,9 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from scene.config import load_config
 from scene.errors import InputError
+from scene.geometry.camera import Camera
+from simulate.flight.config import NadirFlight, ObliqueFlight
 from simulate.flight.flights import plan_nadir, plan_oblique
 from simulate.flight.gimbal import camera_centres
+from simulate.flight.site import FlightSite, Wind
 
 CAMERA = {"width": 512, "height": 384, "focal": 443.0}
 
@@ -19,9 +23,24 @@ def level(x, y):
     return 0.0 * np.asarray(x)
 
 
-def nadir(area=200.0, ground=hills, seed=0, **options):
-    options = {"altitude_m": 60.0, **CAMERA, **options}
-    return plan_nadir(area, ground, rng=np.random.default_rng(seed), **options)
+def pinhole(width: int, height: int, focal: float) -> Camera:
+    return Camera("PINHOLE", width, height, (focal, focal, 0.5 * width, 0.5 * height))
+
+
+def nadir(
+    area=200.0,
+    ground=hills,
+    seed=0,
+    frames=None,
+    alternate=True,
+    position_jitter_m=0.0,
+    attitude_jitter_deg=0.0,
+    **numbers,
+):
+    flight = load_config(NadirFlight, None, {"altitude_m": 60.0, **numbers})
+    wind = Wind(position_jitter_m, attitude_jitter_deg)
+    site = FlightSite(area, ground, pinhole(**CAMERA), wind=wind)
+    return plan_nadir(flight, site, frames, np.random.default_rng(seed), alternate=alternate)
 
 
 def assert_rigid(poses):
@@ -142,11 +161,15 @@ def test_jitter_comes_from_the_generator():
     start=st.floats(0, 360),
 )
 def test_oblique_orbits_and_looks_inwards(radius, altitude, pitch, frames, start):
-    options = {"radius_m": radius, "altitude_m": altitude, "frames": frames}
-    rng = np.random.default_rng(0)
-    poses = plan_oblique(
-        hills, rng=rng, pitch_deg=pitch, centre=(10.0, -5.0), start_deg=start, **options
+    flight = ObliqueFlight(
+        radius_m=radius,
+        altitude_m=altitude,
+        pitch_deg=pitch,
+        centre=(10.0, -5.0),
+        start_deg=start,
     )
+    site = FlightSite(200.0, hills, pinhole(**CAMERA))
+    poses = plan_oblique(flight, site, frames, np.random.default_rng(0))
     assert poses.shape == (frames, 4, 4)
     assert_rigid(poses)
     offset = camera_centres(poses) - [10.0, -5.0, hills(10.0, -5.0)]

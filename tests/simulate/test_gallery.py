@@ -16,11 +16,18 @@ from scene.errors import InputError
 from scene.storage.images import read_rgb
 from simulate.config import SimulateConfig
 from simulate.gallery import gallery
-from simulate.look.conditions import LIGHTS, SEASONS, WEATHER, condition
-from simulate.place.presets import PLANS
+from simulate.look import conditions
+from simulate.look.conditions import condition
+from simulate.place.presets import PRESETS
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError
 from tests.benchmark.test_cli import error_line, invoke
+
+# The built-in entries, which tests may change.
+PLANS: Any = PRESETS.built_in
+SEASONS: Any = conditions.SEASONS.built_in
+LIGHTS: Any = conditions.LIGHTS.built_in
+WEATHER: Any = conditions.WEATHER.built_in
 
 SMALL = SimulateConfig(seed=5, area=120, size=64, spp=1)
 

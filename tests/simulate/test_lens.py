@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,16 @@ from scene.geometry.camera import Camera
 from simulate.camera.lens import PRESETS, rendered_through
 from simulate.camera.resample import resample
 from simulate.config import SimulateConfig
+from simulate.flight.config import NadirFlight, ObliqueFlight
 from simulate.flight.flights import plan_nadir, plan_oblique
+from simulate.flight.site import FlightSite, Wind
 from simulate.place.town import build_town
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
 from tests.scene.made_cameras import CAMERAS
 from tests.simulate.blender_says import check_rays, dot_errors
 from tests.simulate.made_ground import ground_error
+from tests.simulate.test_flights import pinhole as made_pinhole
 
 SEED, AREA = 5, 120.0
 # Off-centre, not square, and with unequal focal lengths, so that a mistaken axis shows.
@@ -123,11 +127,10 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     camera = LENSES[request.param]
     town = build_town(SEED, AREA)
     rng = np.random.default_rng(0)
-    down = plan_nadir(
-        AREA, town.terrain.height, width=128, height=96, focal=90.0, altitude_m=50.0, rng=rng,
-        frames=6, attitude_jitter_deg=3.0,
-    )[2:4]  # fmt: skip
-    oblique = plan_oblique(town.terrain.height, radius_m=45.0, altitude_m=40.0, frames=12, rng=rng)
+    site = FlightSite(AREA, town.terrain.height, made_pinhole(128, 96, 90.0))
+    windy = replace(site, wind=Wind(attitude_jitter_deg=3.0))
+    down = plan_nadir(NadirFlight(altitude_m=50.0), windy, 6, rng)[2:4]
+    oblique = plan_oblique(ObliqueFlight(radius_m=45.0, altitude_m=40.0), site, 12, rng)
     poses = np.concatenate([down, oblique[:2]])
     pinhole, lens = rendered_through(camera)
     job = RenderJob(

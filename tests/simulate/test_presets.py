@@ -11,7 +11,9 @@ from scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
 from scene.errors import InputError
 from scene.geometry.rectangle import overlap
 from simulate.camera.pinhole import PinholeCamera
+from simulate.flight.config import ObliqueFlight
 from simulate.flight.flights import plan_oblique
+from simulate.flight.site import FlightSite
 from simulate.look.buildings import building_mesh
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
@@ -19,10 +21,11 @@ from simulate.look.wires import wire_mesh
 from simulate.place import site as site_module
 from simulate.place.grid import CircleGrid
 from simulate.place.plan import MAX_AREA_M
-from simulate.place.presets import PLANS, preset
+from simulate.place.presets import PRESETS, preset
 from simulate.place.world import MAX_OBJECT_ID, World
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
+from tests.simulate.test_flights import pinhole
 from tests.simulate.test_town import flat
 
 AREA = 180.0
@@ -52,19 +55,19 @@ GROUND = {
 }
 
 
-@pytest.fixture(scope="module", params=[(name, seed) for name in PLANS for seed in (1, 2)])
+@pytest.fixture(scope="module", params=[(name, seed) for name in PRESETS for seed in (1, 2)])
 def place(request: pytest.FixtureRequest) -> tuple[str, World]:
     name, seed = request.param
     return name, preset(name)(seed, AREA)
 
 
 def test_all_kinds_of_places_are_there():
-    assert set(PLANS) == set(ALWAYS) == set(GROUND)
+    assert set(PRESETS) == set(ALWAYS) == set(GROUND)
 
 
-@pytest.mark.parametrize("name", PLANS)
+@pytest.mark.parametrize("name", PRESETS)
 def test_the_seed_decides_everything(name):
-    area = max(120.0, PLANS[name].least_m)
+    area = max(120.0, PRESETS[name].least_m)
     a, b, other = (preset(name)(seed, area) for seed in (3, 3, 4))
     assert flat(a) == flat(b)
     assert flat(a.objects) != flat(other.objects)
@@ -160,22 +163,21 @@ def test_a_place_with_too_many_things_is_refused_in_one_line(monkeypatch):
         preset("town")(1, AREA)
 
 
-@pytest.mark.parametrize("name", PLANS)
+@pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("area", [10.0, MAX_AREA_M + 1, float("nan")])
 def test_an_impossible_area_is_refused(name, area):
-    least = PLANS[name].least_m
+    least = PRESETS[name].least_m
     with pytest.raises(InputError, match=f"area must be {least:.0f} to 2000 m a side"):
         preset(name)(1, area)
 
 
-@pytest.mark.parametrize("name", sorted(set(PLANS) - {"town"}))
+@pytest.mark.parametrize("name", sorted(set(PRESETS) - {"town"}))
 def test_a_place_renders(name, tmp_path: Path):
-    area = max(120.0, PLANS[name].least_m)
+    area = max(120.0, PRESETS[name].least_m)
     world = preset(name)(1, area)
-    poses = plan_oblique(
-        world.terrain.height, radius_m=40.0, altitude_m=45.0, frames=1,
-        rng=np.random.default_rng(0),
-    )  # fmt: skip
+    site = FlightSite(area, world.terrain.height, pinhole(96, 96, 80.0))
+    flight = ObliqueFlight(radius_m=40.0, altitude_m=45.0)
+    poses = plan_oblique(flight, site, 1, np.random.default_rng(0))
     camera = PinholeCamera(width=96, height=96, f=80.0, cx=48.0, cy=48.0)
     job = RenderJob(
         preset=name, seed=1, area_m=area, condition="summer-noon", camera=camera, samples=1,

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,13 +17,16 @@ import simulate.render.pool
 from scene.bundle.labels import CLASSES
 from scene.errors import InputError
 from simulate.camera.pinhole import PinholeCamera
+from simulate.flight.config import NadirFlight, ObliqueFlight
 from simulate.flight.flights import plan_nadir, plan_oblique
+from simulate.flight.site import FlightSite, Wind
 from simulate.place.town import build_town
 from simulate.place.world import MAX_OBJECT_ID, class_lookup
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from tests.simulate.blender_says import check_rays
 from tests.simulate.made_ground import ground_error
+from tests.simulate.test_flights import pinhole
 
 SEED, AREA = 5, 120.0
 # Off-centre and not square, so that a mistaken principal point or axis shows.
@@ -32,11 +36,10 @@ CAMERA = PinholeCamera(width=112, height=96, f=90.0, cx=52.5, cy=50.25)
 def job(condition: str) -> RenderJob:
     town = build_town(SEED, AREA)
     rng = np.random.default_rng(0)
-    down = plan_nadir(
-        AREA, town.terrain.height, width=112, height=96, focal=90.0, altitude_m=50.0, rng=rng,
-        frames=2, attitude_jitter_deg=3.0,
-    )  # fmt: skip
-    oblique = plan_oblique(town.terrain.height, radius_m=45.0, altitude_m=40.0, frames=1, rng=rng)
+    site = FlightSite(AREA, town.terrain.height, pinhole(112, 96, 90.0))
+    windy = replace(site, wind=Wind(attitude_jitter_deg=3.0))
+    down = plan_nadir(NadirFlight(altitude_m=50.0), windy, 2, rng)
+    oblique = plan_oblique(ObliqueFlight(radius_m=45.0, altitude_m=40.0), site, 1, rng)
     poses = np.concatenate([down, oblique])
     return RenderJob(
         preset="town", seed=SEED, area_m=AREA, condition=condition, camera=CAMERA, samples=1,

@@ -16,13 +16,14 @@ from scene.errors import InputError
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.flight.clearance import check_flight, is_free
-from simulate.flight.flights import plan_nadir
+from simulate.flight.config import CorridorFlight, FreeFlight
 from simulate.flight.gimbal import camera_centres
-from simulate.flight.routes import beside, plan_corridor, plan_free
+from simulate.flight.routes import beside, corridor_aims, free_aims
+from simulate.flight.site import FlightSite
 from simulate.place.town import build_town
 from simulate.place.world import World
 from simulate.planner import plan_session
-from tests.simulate.test_flights import CAMERA, assert_rigid, hills, level
+from tests.simulate.test_flights import CAMERA, assert_rigid, hills, level, nadir, pinhole
 
 Array = NDArray[np.float64]
 AREA = 160.0
@@ -136,19 +137,16 @@ def test_grid_is_perpendicular(town: World, heading: float, frames: int) -> None
 def test_corridor_stays_in_its_width(
     width: float, lines: int | None, frames: int | None, altitude: float
 ) -> None:
-    aims = plan_corridor(
-        BENT,
-        hills,
-        footprint_m=(1.15 * altitude, 0.9 * altitude),
+    flight = CorridorFlight(
+        line=tuple((x, y) for x, y in BENT.tolist()),
         altitude_m=altitude,
         width_m=width,
         lines=lines,
-        frames=frames,
         forward_overlap=0.7,
         side_overlap=0.6,
-        pitch_deg=-90,
-        terrain_following=True,
     )
+    site = FlightSite(AREA, hills, pinhole(1150, 900, 1000.0))
+    aims = corridor_aims(flight, site, frames)
     x, y, z = aims.centres.T
     assert frames is None or len(x) == frames
     assert distance(aims.centres[:, :2], BENT).max() <= 0.5 * width + 1e-9
@@ -156,20 +154,16 @@ def test_corridor_stays_in_its_width(
 
 
 def test_corridor_overlaps_as_asked() -> None:
-    straight = np.array([[-50.0, 0.0], [70.0, 0.0]])
-    aims = plan_corridor(
-        straight,
-        level,
-        footprint_m=(40, 30),
+    flight = CorridorFlight(
+        line=((-50.0, 0.0), (70.0, 0.0)),
         altitude_m=50,
         width_m=100,
-        lines=None,
-        frames=None,
         forward_overlap=0.8,
         side_overlap=0.5,
-        pitch_deg=-90,
-        terrain_following=True,
     )
+    site = FlightSite(AREA, level, pinhole(800, 600, 1000.0))
+    assert site.footprint_m(50) == (40, 30)
+    aims = corridor_aims(flight, site, None)
     lines = np.unique(aims.centres[:, 1].round(6))
     assert len(lines) > 2
     assert np.diff(lines).max() <= 0.5 * 40
@@ -192,14 +186,9 @@ def test_routes_that_turn_back_or_lead_nowhere_are_refused() -> None:
 
 @given(seed=st.integers(0, 10_000), frames=st.integers(1, 100))
 def test_free_flight_stays_in_its_ranges_and_is_smooth(seed: int, frames: int) -> None:
-    aims = plan_free(
-        200.0,
-        hills,
-        altitude_m=(40, 90),
-        pitch_deg=(-85, -50),
-        frames=frames,
-        rng=np.random.default_rng(seed),
-    )
+    flight = FreeFlight(altitude_m=(40, 90), pitch_deg=(-85, -50))
+    site = FlightSite(200.0, hills, pinhole(**CAMERA))
+    aims = free_aims(flight, site, frames, np.random.default_rng(seed))
     x, y, z = aims.centres.T
     assert np.abs(aims.centres[:, :2]).max() <= 100
     agl = z - hills(x, y)
@@ -287,6 +276,5 @@ def test_impossible_flights_leave_nothing_behind(
 
 
 def test_a_flight_of_millions_is_refused() -> None:
-    options = {"altitude_m": 1.0, **CAMERA, "forward_overlap": 0.95, "side_overlap": 0.95}
     with pytest.raises(InputError, match="at most 20000 photographs"):
-        plan_nadir(600.0, level, rng=np.random.default_rng(0), **options)  # type: ignore[arg-type]
+        nadir(600.0, level, altitude_m=1.0, forward_overlap=0.95, side_overlap=0.95)

@@ -12,7 +12,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from benchmark.cli import app
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from scene.bundle.labels import CLASSES
 from simulate.config import SimulateConfig
 from simulate.flight.gimbal import camera_centres

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import create
 

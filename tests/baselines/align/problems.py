@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from baselines.align.aligner import Alignment, align
-from baselines.align.descent import Options
+from baselines.align.options import Options
+from baselines.align.problem import Problem
 from baselines.align.residuals import Level
 from scene.geometry.pose import Pose
 from tests.baselines.align.world import PINHOLE, World, looking_down
@@ -30,7 +31,9 @@ class Small:
     def align(self, start: Pose, options: Options | None = None) -> Alignment:
         """From starts (B) or (B, K)."""
         return align(
-            self.levels, self.points, PINHOLE.intrinsics(), start, DAMPING, options or Options()
+            Problem(
+                self.levels, self.points, PINHOLE.intrinsics(), start, DAMPING, options or Options()
+            )
         )
 
 

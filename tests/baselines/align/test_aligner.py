@@ -7,7 +7,8 @@ import torch
 
 from baselines.align.aligner import Alignment, align
 from baselines.align.damping import damping_factors
-from baselines.align.descent import Options
+from baselines.align.options import Options
+from baselines.align.problem import Problem
 from scene.geometry.pose import Pose
 from tests.baselines.align.problems import DAMPING, PLAIN, Small, batch, small, stacked
 from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
@@ -23,7 +24,7 @@ def test_finds_the_pose_from_3_m_and_5_degrees() -> None:
     problems = [small(seed) for seed in SEEDS]
     all_at_once = batch(problems)
     starts = stacked([wrong(p.truth, 3, 5, seed) for seed, p in zip(SEEDS, problems, strict=True)])
-    for options in (Options(), replace(PLAIN, iterations=15)):
+    for options in (Options(), PLAIN.model_copy(update={"iterations": 15})):
         found = all_at_once.align(starts, options)
         assert not found.failed.any()
         metres, degrees = found.pose.error_to(all_at_once.truth)
@@ -37,10 +38,10 @@ def test_lens_with_distortion() -> None:
     levels = world.levels(DISTORTED, truth, points, confident=True)
     at = torch.as_tensor(points)[None]
     start = one(wrong(truth, 3, 5, 0))
-    found = align(levels, at, DISTORTED.intrinsics(), start, DAMPING, Options())
+    found = align(Problem(levels, at, DISTORTED.intrinsics(), start, DAMPING, Options()))
     assert not found.failed.any()
     assert found.pose.error_to(truth)[0] < 0.1
-    without = align(levels, at, PINHOLE.intrinsics(), start, DAMPING, Options())
+    without = align(Problem(levels, at, PINHOLE.intrinsics(), start, DAMPING, Options()))
     assert without.pose.error_to(truth)[0] > 0.3
 
 
@@ -88,7 +89,9 @@ def test_cameras_of_their_own() -> None:
         limit=torch.stack([i.limit for i in intrinsics]),
     )
     start = wrong(problems[0].truth, 1, 1, 0)
-    found = align(both.levels, both.points, stack, stacked([start] * 2), DAMPING, Options())
+    found = align(
+        Problem(both.levels, both.points, stack, stacked([start] * 2), DAMPING, Options())
+    )
     assert found.pose.error_to(both.truth)[0][0] < 0.15
     assert found.failed[1] or found.pose.error_to(both.truth)[0][1] > 5
 
@@ -155,7 +158,15 @@ def test_points_too_few_and_features_that_say_nothing() -> None:
     for count in (0, 1, 9):
         mask = torch.arange(200)[None] < count
         found = align(
-            problem.levels, problem.points, PINHOLE.intrinsics(), start, DAMPING, Options(), mask
+            Problem(
+                problem.levels,
+                problem.points,
+                PINHOLE.intrinsics(),
+                start,
+                DAMPING,
+                Options(),
+                mask,
+            )
         )
         seen = int(found.seen)
         assert found.reason(0) == f"too few points of the map are in view ({seen})"
@@ -191,12 +202,14 @@ def test_gradients_reach_features_confidence_and_damping() -> None:
         features, reference, confidence, theta = values
         levels = [replace(level, features=features, reference=reference, confidence=confidence)]
         found = align(
-            levels,
-            problem.points,
-            PINHOLE.intrinsics(),
-            start,
-            [damping_factors(theta)],
-            replace(PLAIN, iterations=3),
+            Problem(
+                levels,
+                problem.points,
+                PINHOLE.intrinsics(),
+                start,
+                [damping_factors(theta)],
+                PLAIN.model_copy(update={"iterations": 3}),
+            )
         )
         return found.pose.centre().sum()
 

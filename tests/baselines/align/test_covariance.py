@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from baselines.align.aligner import align
-from baselines.align.descent import Options
+from baselines.align.options import Options
+from baselines.align.problem import Problem
 from scene.geometry.pose import Pose
 from tests.baselines.align.world import PINHOLE, World, looking_down
 
@@ -32,12 +33,14 @@ def test_predicts_the_scatter_of_poses(ranks: int) -> None:
     )
     start = Pose(truth.rotation.expand(TRIALS, 3, 3), truth.translation.expand(TRIALS, 3))
     found = align(
-        [level],
-        torch.as_tensor(points).expand(TRIALS, -1, -1),
-        PINHOLE.intrinsics(),
-        start,
-        [torch.full((6,), 1e-4)],
-        Options(iterations=30, small_metres=1e-3, small_degrees=1e-2),
+        Problem(
+            [level],
+            torch.as_tensor(points).expand(TRIALS, -1, -1),
+            PINHOLE.intrinsics(),
+            start,
+            [torch.full((6,), 1e-4)],
+            Options(iterations=30, converged_m=1e-3, converged_deg=1e-2),
+        )
     )
     assert not found.failed.any()
     errors = (found.pose @ start.inverse()).log()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.align.descent import Options
-from baselines.align.hypotheses import SearchRadius, _best, align_from_many, around, promise
+from baselines.align.hypotheses import _best, align_from_many, around, highest_gain
+from baselines.align.options import HypothesisOptions, Options, SearchRadius
+from baselines.align.problem import Problem
 from scene.geometry.pose import Pose
 from tests.baselines.align.problems import DAMPING, Small, batch, small, stacked
 from tests.baselines.align.world import PINHOLE, looking_down, wrong
@@ -25,7 +26,7 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
         rays = PINHOLE.unproject(pixels)[0] @ truth.rotation
         ground = truth.centre() - rays * (truth.centre()[2] / rays[:, 2:])
         start = stacked([wrong(truth, 10, 10, seed)])
-        poses = around(start, torch.tensor([80.0]), reach, 5.9)
+        poses = around(start, torch.tensor([80.0]), reach, 5.9, HypothesisOptions())
         seen = PINHOLE.project(poses.transform(ground)[0])
         best.append(float((seen.xy - pixels).norm(dim=-1).mean(-1).min()))
         first = PINHOLE.project(start.transform(ground)).xy
@@ -36,7 +37,9 @@ def test_grid_holds_a_pose_near_every_prior_error() -> None:
 def test_narrow_reach_asks_less() -> None:
     start, distance = stacked([looking_down(0)]), torch.tensor([80.0])
     sizes = [
-        around(start, distance, SearchRadius(metres, degrees), 3.5).translation.shape[1]
+        around(
+            start, distance, SearchRadius(metres, degrees), 3.5, HypothesisOptions()
+        ).translation.shape[1]
         for metres, degrees in ((1, 1), (8, 10), (30, 20))
     ]
     assert sizes == [27, 243, 17 * 17 * 5]
@@ -45,7 +48,7 @@ def test_narrow_reach_asks_less() -> None:
 def test_an_unknown_heading_turns_the_picture_and_takes_no_shift_from_the_position() -> None:
     start, distance = stacked([looking_down(0)]), torch.tensor([80.0])
     level, turned = (
-        around(start, distance, SearchRadius(20, 10, heading=heading), 3.5)
+        around(start, distance, SearchRadius(20, 10, heading=heading), 3.5, HypothesisOptions())
         for heading in (0.0, 15.0)
     )
     assert turned.translation.shape[1] == level.translation.shape[1] // 3 * 7
@@ -69,12 +72,9 @@ def test_many_starts_reach_what_one_does_not() -> None:
     starts = stacked([wrong(p.truth, 10, 10, s) for s, p in zip(SEEDS, problems, strict=True)])
     single = everything.align(starts)
     many = align_from_many(
-        everything.levels,
-        everything.points,
-        PINHOLE.intrinsics(),
-        starts,
-        DAMPING,
-        Options(),
+        Problem(
+            everything.levels, everything.points, PINHOLE.intrinsics(), starts, DAMPING, Options()
+        ),
         SearchRadius(10, 10),
     )
     assert many.pose.translation.shape == (len(SEEDS), 3)
@@ -88,14 +88,14 @@ def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> 
     problem = small(0)
     twice = [wrong(problem.truth, 0.1, 0.1, seed) for seed in range(3)]
     found = problem.align(Pose(*(t[None] for t in vars(stacked(twice)).values())))
-    level, scale = problem.levels[-1], Options().scale
+    level, scale = problem.levels[-1], Options().robust_scale
     ranked = replace(
         found,
         cost=torch.tensor([[0.0, 0.004, 0.001]]).to(found.cost),
         seen=torch.tensor([[12, 180, 200]]),
         failure=torch.tensor([[0, 0, 1]]),
     )
-    assert _best(ranked, level, scale, 3).seen.tolist() == [[180, 12, 200]]
+    assert _best(ranked, level, scale, 3, 256).seen.tolist() == [[180, 12, 200]]
 
 
 def test_hypotheses_that_have_met_go_on_as_one() -> None:
@@ -103,7 +103,7 @@ def test_hypotheses_that_have_met_go_on_as_one() -> None:
     problem = small(0)
     start = stacked([wrong(problem.truth, 0.5, 0.5, 0)])
     place = problem.points, PINHOLE.intrinsics(), start
-    found = align_from_many(problem.levels, *place, DAMPING, Options(), SearchRadius(1, 1))
+    found = align_from_many(Problem(problem.levels, *place, DAMPING, Options()), SearchRadius(1, 1))
     alone = problem.align(start)
     assert found.iterations.item() <= 9 * 4 + alone.iterations.item()
 
@@ -114,10 +114,9 @@ def test_starts_near_the_truth_promise_more_than_those_far_off() -> None:
 
         def most(metres: float, problem: Small = problem, seed: int = seed) -> float:
             start = stacked([wrong(problem.truth, metres, 3, seed)])
-            level, points = problem.levels[0], problem.points
-            found = promise(
-                level, points, PINHOLE.intrinsics(), start, Options(), SearchRadius(8, 10)
-            )
+            levels, points = problem.levels[:1], problem.points
+            asked = Problem(levels, points, PINHOLE.intrinsics(), start, DAMPING[:1], Options())
+            found = highest_gain(asked, SearchRadius(8, 10))
             assert found.shape == (1,)
             return float(found)
 
@@ -132,12 +131,7 @@ def test_hopeless_input_fails_with_a_reason(value: float) -> None:
 
     def found(case: Small) -> str:
         result = align_from_many(
-            case.levels,
-            case.points,
-            PINHOLE.intrinsics(),
-            start,
-            DAMPING,
-            Options(),
+            Problem(case.levels, case.points, PINHOLE.intrinsics(), start, DAMPING, Options()),
             SearchRadius(),
         )
         assert result.failed.all() and result.pose.matrix().isfinite().all()

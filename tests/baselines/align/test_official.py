@@ -8,7 +8,8 @@ import torch
 
 from baselines.align.aligner import align
 from baselines.align.damping import Damping
-from baselines.align.descent import Options
+from baselines.align.options import Options
+from baselines.align.problem import Problem
 from scene.geometry.pose import Pose
 from tests.baselines.align.official import CASES, ITERATIONS, RECORD, case
 
@@ -23,8 +24,10 @@ def test_poses_are_those_of_the_official_optimizer(name: str) -> None:
         damping.append(module())
     start = Pose(at.start.rotation[None], at.start.translation[None])
     for count in ITERATIONS:
-        options = Options(iterations=count, careful=False, border=4)
-        found = align(at.levels, at.points[None], at.camera.intrinsics(), start, damping, options)
+        options = Options(iterations=count, careful=False, border_cells=4)
+        found = align(
+            Problem(at.levels, at.points[None], at.camera.intrinsics(), start, damping, options)
+        )
         assert not found.failed.any()
         rotation = torch.as_tensor(record[f"{name}/{count}/R"])
         translation = torch.as_tensor(record[f"{name}/{count}/t"])

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from baselines.align.damping import moved
-from baselines.align.residuals import Level, Problem
+from baselines.align.residuals import Level, LevelCost
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
@@ -32,7 +32,7 @@ def test_gradient_and_hessian_are_those_of_autograd(camera: Camera) -> None:
         confidence=torch.full((1, 1, 64, 80), 0.7, dtype=torch.float64),
     )
     usable = torch.ones(1, 60, dtype=torch.bool)
-    problem = Problem.of(level, points, usable, camera.intrinsics(), 1, 0.1)
+    problem = LevelCost.of(level, points, usable, camera.intrinsics(), 1, 0.1)
     start = wrong(truth, 1, 2, 0)
     start = Pose(start.rotation[None], start.translation[None])
     around = problem.linearise(start)
@@ -62,7 +62,7 @@ def test_confidence_scales_and_masks_remove() -> None:
     first = torch.arange(50)[None] < 25
 
     def linearised(level: Level, usable: torch.Tensor) -> torch.Tensor:
-        problem = Problem.of(level, local, usable, PINHOLE.intrinsics(torch.float32), 1, 0.1)
+        problem = LevelCost.of(level, local, usable, PINHOLE.intrinsics(torch.float32), 1, 0.1)
         return problem.linearise(pose).hessian
 
     everything = torch.ones_like(first)

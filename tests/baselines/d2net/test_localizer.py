@@ -12,7 +12,7 @@ import pytest
 
 from baselines.d2net.localizer import D2NetConfig, D2NetExtractor, D2NetLocalizer
 from baselines.d2net.network import read_network
-from baselines.views import north
+from baselines.views import north_angle
 from benchmark.registry import create
 from scene.errors import InputError
 from scene.localizer import Prior, Query, Status
@@ -73,8 +73,8 @@ def test_headings_of_the_map_are_tried_where_attitude_is_unknown(
 ) -> None:
     """A photograph that was flown otherwise than north, and nobody knows."""
     poses = [sparse_map.images[name].cam_from_world for name in sparse_map.names]
-    row = int(np.argmax([abs(north(pose[:3, :3])) for pose in poses]))
-    assert abs(north(poses[row][:3, :3])) > 0.5
+    row = int(np.argmax([abs(north_angle(pose[:3, :3])) for pose in poses]))
+    assert abs(north_angle(poses[row][:3, :3])) > 0.5
     query = again(sparse_map, row)
     assert query.prior is not None
     position = query.prior.position - [0, 0, 200]

@@ -81,14 +81,13 @@ def test_kept_for_every_method(
 ) -> None:
     sparse_map, images = made
     path = tmp_path / "corners.h5"
-    first = all_corners(sparse_map, images, 200, 1024, path)
+    find, names = CornerFinder(sparse_map, images, 200, 1024), sparse_map.names
+    first = all_corners(find, names, path)
     assert len(first) == len(sparse_map.names)
-    np.testing.assert_array_equal(
-        first[2], CornerFinder(sparse_map, images, 200, 1024)("2.png").xyz
-    )
+    np.testing.assert_array_equal(first[2], find("2.png").xyz)
     monkeypatch.setattr(CornerFinder, "__call__", None)  # nothing is swept again
-    for ours, theirs in zip(all_corners(sparse_map, images, 200, 1024, path), first, strict=True):
+    for ours, theirs in zip(all_corners(find, names, path), first, strict=True):
         np.testing.assert_array_equal(ours, theirs)
     path.write_bytes(path.read_bytes()[:600])
     with pytest.raises(InputError, match="delete it"):
-        all_corners(sparse_map, images, 200, 1024, path)
+        all_corners(find, names, path)

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from baselines.align.descent import Options
+from baselines.align.options import Options
 from baselines.featuremetric.maps import MapExtractor
-from baselines.featuremetric.problem import Problems
-from baselines.featuremetric.references import references
+from baselines.featuremetric.problem import ProblemBuilder
+from baselines.featuremetric.references import ReferenceSource, references
 from baselines.pixloc.network import read_network
 from scene.localizer import Query
 from tests.baselines.pixloc.made_map import (
@@ -25,15 +25,15 @@ def test_points_cover_the_image_although_references_overlap_in_its_middle(tmp_pa
     extract = MapExtractor(network, 1024, "float32")
     images = tmp_path / "images"
     observations = references(
-        write_map(images), images, extract, 2000, 0, "pixloc", "key", tmp_path, 2**20
+        ReferenceSource(write_map(images), images, extract, "key", "pixloc", 2000), tmp_path, 2**20
     )
     damping = [factors().detach() for factors in network.damping]
-    problems = Problems(extract, observations, damping, Options())
+    problems = ProblemBuilder(extract, observations, damping, Options())
     start = looking_down(12.0, 0.0)  # above the middle one of five
     chosen = np.arange(5)
     with torch.inference_mode():
-        looked = problems.look(Query("q", photograph(start), CAMERA), chosen, start)
-        problem = problems.of(*looked, chosen, start, 200)
+        looked = problems.view(Query("q", photograph(start), CAMERA), chosen, start)
+        problem = problems.build(*looked, chosen, start, 200)
     view = looked[0]
     xy = view.camera.project(view.pose(start).transform(problem.points[0])).xy
     column = (xy[:, 0] / view.camera.width * 4).long()

@@ -9,7 +9,13 @@ import pytest
 import torch
 
 from baselines.featuremetric.maps import MapExtractor
-from baselines.featuremetric.references import ReferenceFeatures, observe, references, spaced_order
+from baselines.featuremetric.references import (
+    ReferenceFeatures,
+    ReferenceSource,
+    observe,
+    references,
+    spaced_order,
+)
 from baselines.pixloc.network import read_network
 from scene.errors import InputError
 from scene.maps.sparse_map import SparseMap
@@ -30,7 +36,7 @@ def extract(tmp_path_factory: pytest.TempPathFactory) -> MapExtractor:
 
 
 def read(made: tuple[SparseMap, Path], extract: MapExtractor, cache: Path) -> ReferenceFeatures:
-    return references(*made, extract, 100, 0, "method", "key", cache, 2**20)
+    return references(ReferenceSource(*made, extract, "key", "method", 100), cache, 2**20)
 
 
 def test_beginnings_cover_the_picture() -> None:
@@ -38,7 +44,7 @@ def test_beginnings_cover_the_picture() -> None:
     # Nearly all points in one corner.
     xy = np.concatenate([rng.uniform(0, 0.06, (900, 2)), rng.uniform(0, 1, (100, 2))])
     worth = rng.integers(3, 9, 1000)
-    order = spaced_order(xy, worth)
+    order = spaced_order(xy, worth, 16)
     assert sorted(order) == list(range(1000))
     cells = (xy * 16).astype(int) @ [1, 16]
     taken = len(np.unique(cells))
@@ -54,7 +60,7 @@ def test_observed_as_the_network_sees_them(
     image = sparse_map.images["2.png"]
     view, maps = extract(read_rgb(images / "2.png"), image.camera)
     rows = np.unique(image.point_rows[image.point_rows >= 0])
-    seen = observe(view, maps, image.pose, sparse_map.xyz[rows], 60)
+    seen = observe(view, maps, image.pose, sparse_map.xyz[rows], 60, 16)
     assert len(seen.xyz) == 60 == len(np.unique(seen.xyz, axis=0))
     xy = image.camera.project(image.pose.transform(torch.from_numpy(seen.xyz))).xy
     for level, map_ in enumerate(maps):
@@ -87,8 +93,8 @@ def test_kept_on_disk_and_bounded_in_memory(
         for ours, theirs in zip(again[row].features, first[row].features, strict=True):
             np.testing.assert_array_equal(ours, theirs)
         np.testing.assert_array_equal(again[row].xyz, first[row].xyz)
-        assert again._held.nbytes <= 2 * one + one // 2
-    assert len(again._held) == 2
+        assert again._cache.nbytes <= 2 * one + one // 2
+    assert len(again._cache) == 2
     assert again[2] is again[2]
     # 100 points of 112 channels and 3 confidences in half precision, and their places.
     assert one == 100 * (2 * (112 + 3) + 24)
@@ -100,9 +106,10 @@ def test_other_inputs_are_other_files(
     read(made, extract, tmp_path)
     sparse_map, images = made
     moved = replace(sparse_map, xyz=sparse_map.xyz + 0.01)
-    references(moved, images, extract, 100, 0, "method", "key", tmp_path, 2**30)
-    references(sparse_map, images, extract, 100, 0, "method", "other", tmp_path, 2**30)
-    references(sparse_map, images, extract, 100, 50, "method", "key", tmp_path, 2**30)
+    source = ReferenceSource(sparse_map, images, extract, "key", "method", 100)
+    references(replace(source, sparse_map=moved), tmp_path, 2**30)
+    references(replace(source, extractor_key="other"), tmp_path, 2**30)
+    references(replace(source, corners=50), tmp_path, 2**30)
     # The last has a file of corners beside it.
     assert len(list(tmp_path.iterdir())) == 5
 
@@ -131,5 +138,6 @@ def test_missing_photograph(
     made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match="does not exist"):
-        references(made[0], tmp_path, extract, 100, 0, "method", "key", tmp_path, 2**30)
+        source = ReferenceSource(made[0], tmp_path, extract, "key", "method", 100)
+        references(source, tmp_path, 2**30)
     assert not list(tmp_path.iterdir())

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
-from baselines.views import turned_to
+from baselines.views import with_heading
 from benchmark.registry import create
 from scene.errors import InputError
 from scene.geometry.camera import Camera
@@ -139,7 +139,7 @@ def test_beside_photographs_is_looked_where_the_position_is_poor(
     weights: Path, made: tuple[SparseMap, Path]
 ) -> None:
     """Above ground that the map does not have, and turned by a right angle."""
-    turned = turned_to(TRUTH, math.radians(100))
+    turned = with_heading(TRUTH, math.radians(100))
     aside = Prior(np.array([9.3, -26.0, 20.0]))
     query = Query("query.png", photograph(turned), CAMERA, aside)
     localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True))

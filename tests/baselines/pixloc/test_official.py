@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from baselines.align.aligner import align
-from baselines.align.descent import Options
+from baselines.align.options import Options
+from baselines.align.problem import Problem
 from baselines.align.residuals import Level
 from baselines.align.sampling import sample
 from baselines.featuremetric.maps import FeatureMap
@@ -37,7 +38,7 @@ def test_pose_between_two_pictures(network: PixlocNet) -> None:
         for ours, theirs in zip(query, reference, strict=True):
             xy = projected.xy.float()
             features, confidence = theirs.sample(xy)
-            _, inside = sample(theirs.confidence, xy[None], theirs.stride, border=3)
+            _, inside = sample(theirs.confidence, xy[None], theirs.stride, border_cells=3)
             unit = torch.nn.functional.normalize(ours.features, dim=1)
             level = Level(unit, ours.stride, features[None], ours.confidence, confidence[None])
             levels.append((level, inside[0]))
@@ -46,13 +47,15 @@ def test_pose_between_two_pictures(network: PixlocNet) -> None:
         found = []
         for (level, inside), damping in zip(levels, network.damping, strict=True):
             answer = align(
-                [level],
-                pair.points[None],
-                official.CAMERA.intrinsics(),
-                start,
-                [damping()],
-                Options(iterations=15, careful=False, border=3),
-                inside[None],
+                Problem(
+                    [level],
+                    pair.points[None],
+                    official.CAMERA.intrinsics(),
+                    start,
+                    [damping()],
+                    Options(iterations=15, careful=False, border_cells=3),
+                    inside[None],
+                )
             )
             start = answer.pose
             found.append(torch.cat([start.rotation.flatten(1), start.translation], 1)[0].numpy())

@@ -12,7 +12,8 @@ from torch.nn import functional
 
 import baselines.pixloc.training
 from baselines.align.aligner import align
-from baselines.align.descent import Options
+from baselines.align.options import Options
+from baselines.align.problem import Problem
 from baselines.pixloc.training import PixlocTraining, contrast_of, levels_of, unrolled
 from baselines.training.config import TrainConfig
 from tests.baselines.training.made_pairs import pairs
@@ -163,7 +164,7 @@ def test_poses_are_those_of_eight_plain_steps_on_the_points_that_count() -> None
         for _ in range(8):
             step = Options(iterations=1, careful=False)
             place = batch.points[:, :40], batch.intrinsics_b, pose
-            pose = align([level], *place, [factors()], step).pose
+            pose = align(Problem([level], *place, [factors()], step)).pose
         torch.testing.assert_close(ended.translation, pose.translation, atol=1e-3, rtol=1e-3)
         torch.testing.assert_close(ended.rotation, pose.rotation, atol=1e-4, rtol=1e-3)
 

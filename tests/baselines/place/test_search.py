@@ -14,7 +14,7 @@ from baselines.featuremetric.maps import FeatureMap
 from baselines.place.grid import GroundGrid, ground_grid
 from baselines.place.mosaic import Mosaic, empty_mosaic
 from baselines.place.search import Hypotheses, PlaceSearch
-from baselines.views import View, view
+from baselines.views import WarpedImage, warp_image
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, so3_exp
@@ -43,9 +43,9 @@ def tilted(degrees: float) -> torch.Tensor:
     return so3_exp(about_x) @ DOWN
 
 
-def seen(mosaic: Mosaic, pose: Pose) -> tuple[View, FeatureMap]:
+def seen(mosaic: Mosaic, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
     """What a perfect network sees from a pose: the ground's own features in each cell."""
-    picture = view(np.zeros((320, 320, 3), np.uint8), CAMERA)
+    picture = warp_image(np.zeros((320, 320, 3), np.uint8), CAMERA)
     grid, stride = mosaic.grid, 16
     steps = (torch.arange(20, dtype=torch.float64) + 0.5) * stride
     xy = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), -1).reshape(-1, 2)

@@ -22,7 +22,7 @@ from baselines.training.pairs import PairBatch
 from benchmark.registry import TRAINABLE, trainable
 from scene.bundle.scene import Scene
 from scene.errors import InputError
-from scene.storage.files import sole_writer
+from scene.storage.locks import write_lock
 
 ROOT = Path(__file__).parents[3]
 TINY = TrainConfig(
@@ -111,7 +111,7 @@ def test_a_killed_maker_of_pairs_is_one_line(rendered: Scene, tmp_path: Path) ->
 
 
 def test_two_trainings_do_not_write_one_folder(rendered: Scene, tmp_path: Path) -> None:
-    with sole_writer(tmp_path), pytest.raises(InputError, match="another run is writing"):
+    with write_lock(tmp_path), pytest.raises(InputError, match="another run is writing"):
         train("pixloc", PixlocTraining, [rendered.path], tmp_path, TINY)
     assert not list(tmp_path.iterdir())
 

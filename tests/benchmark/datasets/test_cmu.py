@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from benchmark.datasets.cmu import condition, is_cmu, open_cmu
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from scene.errors import InputError
-from scene.exports.cmu import surroundings
+from scene.exports.cmu_names import surroundings
 from tests.benchmark.made_data import pose_at, write_jpeg, write_model
 
 INTRINSICS = """\

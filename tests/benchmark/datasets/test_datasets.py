@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.flight import gps_sigma
+from benchmark.datasets.open import open_datasets
 from benchmark.datasets.textfiles import read_priors
 from scene.errors import InputError
 from scene.maps.colmap_files import read_model

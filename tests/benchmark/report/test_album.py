@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.report.album import (
     ALBUM,
     SIDE,

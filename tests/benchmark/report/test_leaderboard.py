@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.report.leaderboard import leaderboard
 from benchmark.starts import NONE, PRIOR, Start

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from benchmark.basin import Size, basin
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.report.album import ALBUM, SIDE, Album, read_album, write_album
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.page import PICTURE_BYTES

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.report.pictures import median_query, query_overlay
 from scene.errors import InputError
 from scene.localizer import Status

@@ -18,7 +18,7 @@ from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 
-# Sees 40 x 30 m of flat ground from 40 m.
+# This camera sees 40 x 30 m of flat ground from 40 m.
 CAMERA = Camera("PINHOLE", 80, 60, (80.0, 80.0, 40.0, 30.0))
 
 
@@ -71,7 +71,7 @@ def test_what_is_hidden_is_not_seen() -> None:
     shares = visible_share([CAMERA] * 2, poses, points, depths)
     hidden = (depths[1] == 25).mean()
     assert hidden > 0.05
-    # The first sees everything the second does: the block's top lies before its ground.
+    # The first sees all that the second sees: the top of the block lies before its ground.
     assert shares[1, 0] == 1
     assert shares[0, 1] == pytest.approx(1 - hidden, abs=0.03)
     assert overlap_matrix([CAMERA] * 2, poses, points)[0, 1] == 1

@@ -49,7 +49,7 @@ def made_layers(k: int) -> dict[Layer, NDArray[Any]]:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """A session of three frames with every layer."""
+    """Write a session of three frames with every layer."""
     path = tmp_path / "frames.h5"
     write_frames(path, made_frames(3), ALL, (made_layers(k) for k in range(3)))
     return path

@@ -1,4 +1,4 @@
-"""Points are counted for the objects that photographs show under them."""
+"""Each point of a map is assigned to the object that photographs show at its keypoints."""
 
 from __future__ import annotations
 

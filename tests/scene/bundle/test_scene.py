@@ -7,7 +7,7 @@ import pytest
 
 from scene.bundle.frames import write_frames
 from scene.bundle.manifest import Manifest, Objects, Session, Splits, write_json
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic
 from scene.storage.files import sha256_of
@@ -18,7 +18,7 @@ SESSION = "summer-noon-nadir"
 
 @pytest.fixture
 def unfinished(tmp_path: Path) -> tuple[Path, Manifest]:
-    """A scene but for its manifest, in a folder with a space in its name."""
+    """Write a scene without its manifest, in a folder with a space in its name."""
     path = tmp_path / "my scene"
     images = path / "sessions" / SESSION / "images"
     images.mkdir(parents=True)
@@ -47,7 +47,7 @@ def unfinished(tmp_path: Path) -> tuple[Path, Manifest]:
 
 @pytest.fixture
 def scene(unfinished: tuple[Path, Manifest]) -> Path:
-    finish(*unfinished)
+    finish_scene(*unfinished)
     return unfinished[0]
 
 

@@ -1,4 +1,4 @@
-"""Every way to misread a scene is named; a scene as rendered is exact."""
+"""Every way to misread a scene is named, and a scene as rendered is exact."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scene.bundle.frames import LAYERS, Frames, Layer, write_frames
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.checks.conventions import shifted
 from scene.checks.validate import validate
 from scene.errors import InputError
@@ -24,7 +24,7 @@ Depths = Callable[[Frames, NDArray[Any]], NDArray[Any]]
 def rewrite(
     path: Path, change: Callable[[Frames], Frames], depth: Depths = lambda _, image: image
 ) -> None:
-    """Change every session of a scene as somebody of other conventions would have written it."""
+    """Rewrite every session of a scene in other conventions."""
     scene = Scene.open(path)
     for session in scene.sessions:
         frames = scene.frames(session)
@@ -39,8 +39,8 @@ def rewrite(
 
         target = scene.images_root / session / "frames.h5"
         write_frames(target, change(frames), tuple(LAYERS), images())
-    # The digests fit again: only the conventions are wrong.
-    finish(path, scene.manifest)
+    # The digests are made to match again, so that only the conventions are wrong.
+    finish_scene(path, scene.manifest)
 
 
 def faults(path: Path) -> str:

@@ -28,7 +28,7 @@ CAMERA = Camera("OPENCV", 640, 480, (500.0, 505.0, 322.0, 237.5, -0.1, 0.02, 1e-
 
 @dataclass(frozen=True)
 class Matches:
-    """Points seen by a camera that looks down obliquely from about 40 m."""
+    """Make points seen by a camera that looks down obliquely from about 40 m."""
 
     pose: Pose
     xyz: Array
@@ -98,7 +98,7 @@ def test_matches_on_one_point_have_no_pose() -> None:
 
 
 def test_a_pose_without_redundancy_claims_no_covariance() -> None:
-    """Three matches fit some pose exactly, whatever they are."""
+    """Any three matches fit some pose exactly, so there is no covariance."""
     matches = make_matches(3)
     result = estimate_absolute_pose(matches.xy, matches.xyz, CAMERA, 4.0)
     assert result is not None
@@ -108,7 +108,7 @@ def test_a_pose_without_redundancy_claims_no_covariance() -> None:
 def errors_and_covariances(
     runs: int, matches: Matches, noise: float, sigma: Array | None = None
 ) -> tuple[Array, Array]:
-    """Tangents from estimate to truth (runs, 6), and what the estimator claims (runs, 6, 6)."""
+    """Return tangents from estimate to truth (runs, 6) and the covariances (runs, 6, 6)."""
     errors, covariances = [], []
     centre = matches.pose.centre().numpy()
     for seed in range(runs):
@@ -125,7 +125,7 @@ def errors_and_covariances(
 
 
 def nees(errors: Array, covariances: Array) -> float:
-    """Mean squared error in units of the claimed covariance: its dimension when honest."""
+    """Return the mean normalised squared error: the dimension, if the covariance is right."""
     return float(np.einsum("ri,rij,rj->r", errors, np.linalg.inv(covariances), errors).mean())
 
 
@@ -135,7 +135,7 @@ def test_covariance_is_honest() -> None:
     assert 4.5 < nees(errors, covariances) < 7.5
     claimed = np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2).mean())
     assert claimed == pytest.approx(np.sqrt((errors[:, :3] ** 2).sum(1).mean()), rel=0.25)
-    # The centre moves by -R^T v: its spread is that of v.
+    # To first order the centre moves by -R^T v, so its standard deviation is that of v.
     claimed = np.sqrt(np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2).mean())
     rotation = matches.pose.rotation.numpy()
     moved = errors[:, 3:] @ rotation
@@ -172,7 +172,7 @@ def test_a_prior_of_no_known_sigma_changes_nothing() -> None:
 
 @pytest.mark.parametrize("sigma", [2.0, np.inf])
 def test_a_position_that_contradicts_the_matches_takes_no_part(sigma: float) -> None:
-    """A kilometre off and sure of two metres; or far off, and sure of nothing."""
+    """A position that contradicts the matches, or has no weight, does not change the pose."""
     matches = make_matches(20)
     far = matches.pose.centre().numpy() + np.array([1000.0, 0, 0])
     with_prior = matches.solve(1.0, position=far, position_sigma=np.full(3, sigma))
@@ -191,11 +191,11 @@ def test_a_prior_said_to_be_perfect_is_taken_at_its_word() -> None:
     assert np.linalg.norm(result.cam_from_world.centre().numpy() - position) < 0.01
 
 
-# Photographs of a made terrain: exact truth without any file.
+# Rendered photographs of a plane: the truth is exact and no file is needed.
 
 
 def textured(seed: int, size: int) -> NDArray[np.uint8]:
-    """Noise at several scales, which SIFT likes, (size, size, 3)."""
+    """Make noise at several scales, which gives SIFT many keypoints, (size, size, 3)."""
     rng = np.random.default_rng(seed)
     layers = [
         cv2.resize(rng.random((size // step, size // step, 3)), (size, size)) / 4
@@ -209,7 +209,7 @@ PHOTO = Camera("PINHOLE", 320, 240, (260.0, 260.0, 160.0, 120.0))
 
 @pytest.fixture(scope="module")
 def plane_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[PosedImage]]:
-    """Four photographs of a textured plane at z = 0, 60 m wide, from 20 m, with exact poses."""
+    """Render four photographs of a textured plane, 60 m wide, from 20 m, with exact poses."""
     root = tmp_path_factory.mktemp("plane")
     texture = textured(0, 1200)
     world_from_texel = np.array([[0.05, 0, -30], [0, -0.05, 30], [0, 0, 1]])
@@ -223,7 +223,7 @@ def plane_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[P
         cam_from_world[:3, :3] = rotation
         cam_from_world[:3, 3] = -rotation @ [east, north, 20 + k]
         pixel_from_plane = PHOTO.calibration @ cam_from_world[:3][:, [0, 1, 3]]
-        half = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # OpenCV's pixels and ours
+        half = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # from COLMAP's pixels to OpenCV's
         photo = cv2.warpPerspective(
             texture,
             half @ pixel_from_plane @ world_from_texel @ np.linalg.inv(half),

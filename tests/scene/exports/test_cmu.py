@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from benchmark.datasets.cmu import open_cmu
-from benchmark.datasets.dataset import Dataset, open_datasets
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
 from scene.bundle.frames import Frames, read_frames, write_frames
 from scene.bundle.manifest import (
     Manifest,
@@ -22,7 +23,7 @@ from scene.bundle.manifest import (
     read_json,
     write_json,
 )
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.colmap.models import write_posed
 from scene.errors import InputError
 from scene.exports.export import export
@@ -102,7 +103,7 @@ def street(tmp_path: Path) -> Path:
         },
         sha256={},
     )  # fmt: skip
-    finish(path, manifest)
+    finish_scene(path, manifest)
     return path
 
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from benchmark.cli import app
 from scene.bundle.frames import LAYERS, write_frames
-from scene.bundle.scene import Scene, finish
+from scene.bundle.scene import Scene, finish_scene
 from scene.errors import InputError
 from scene.exports.export import export
 from scene.geometry.camera import Camera
@@ -47,7 +47,7 @@ def with_cameras(path: Path, session: str, cameras: list[Camera]) -> Scene:
         tuple(LAYERS),
         iter(layers),
     )
-    return finish(path, scene.manifest)
+    return finish_scene(path, scene.manifest)
 
 
 def test_colmap_holds_all_poses_and_the_map(rendered: Scene, tmp_path: Path) -> None:

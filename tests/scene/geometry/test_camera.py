@@ -94,7 +94,7 @@ def test_resizing_by_two_scales() -> None:
     [
         ((0.0, 0.0), math.inf),
         ((0.2, 0.1), math.inf),
-        ((-0.4, 0.19), math.inf),  # slows down but never turns
+        ((-0.4, 0.19), math.inf),  # the slope decreases but stays positive
         ((-0.4, 0.0), math.sqrt(1 / 1.2)),
         ((0.3, -0.1), math.sqrt((0.9 + math.sqrt(0.81 + 2.0)) / 1.0)),
     ],

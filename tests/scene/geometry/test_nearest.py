@@ -1,4 +1,4 @@
-"""The nearest by strips are the nearest by looking at all."""
+"""The index returns the same neighbours as a search over all points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_as_all_looked_at(count: int, k: int, kind: str) -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform(-500, 500, (count, 2))
     if kind == "grid":
-        xy = xy.round(-2)  # with many equals
+        xy = xy.round(-2)  # many points coincide
     elif kind == "one east":
         xy[:, 0] = 3.0
     elif kind == "one place":

@@ -81,7 +81,7 @@ def test_log_inverts_exp(angle: float) -> None:
 
 @pytest.mark.parametrize("angle", [*ANGLES, *NEAR_PI])
 def test_exp_inverts_log(angle: float) -> None:
-    """Beyond pi the logarithm is another vector, of the same rotation."""
+    """Beyond pi the logarithm is a different vector that gives the same rotation."""
     pose = Pose.exp(torch.cat([axes() * angle, 5 * axes().flip(0)], -1))
     tangent = pose.log()
     assert (tangent[:, :3].norm(dim=-1) <= math.pi + 1e-12).all()

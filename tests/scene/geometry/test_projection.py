@@ -117,7 +117,7 @@ def test_points_behind_the_camera_are_never_valid(camera: Camera) -> None:
     "camera",
     [
         Camera("RADIAL", 640, 480, (500.0, 320.0, 240.0, -0.4, 0.0)),
-        # Turns back at 1.04 and grows again beyond 1.70: what grows again is not valid either.
+        # It turns back at 1.04 and grows again beyond 1.70, where points are not valid either.
         Camera("RADIAL", 640, 480, (500.0, 320.0, 240.0, -0.4, 0.05)),
         Camera("OPENCV", 640, 480, (500.0, 510.0, 320.0, 240.0, -0.4, 0.05, 1e-4, -1e-4)),
         Camera("OPENCV_FISHEYE", 640, 480, (280.0, 280.0, 320.0, 240.0, -0.4, 0.0, 0.0, 0.0)),
@@ -138,12 +138,12 @@ def test_nothing_beyond_the_fold_is_valid(camera: Camera) -> None:
         projected = camera.project(ring(float(radius)))
         assert not projected.valid.any()
         folded_into_the_picture += int(camera.contains(projected.xy).sum())
-    assert folded_into_the_picture > 0  # else the mask would not be needed
+    assert folded_into_the_picture > 0  # otherwise the mask would have no effect
 
 
 @every_camera
 def test_valid_points_keep_their_orientation(camera: Camera) -> None:
-    """Over a very wide field, no valid point lies where the picture is folded over."""
+    """In a very wide field of view, no valid point lies where the distortion folds back."""
     rng = torch.Generator().manual_seed(1)
     wide = torch.randn(20_000, 2, generator=rng, dtype=torch.float64) * 2
     points = torch.cat([wide, torch.ones_like(wide[:, :1])], -1)
@@ -174,7 +174,7 @@ def test_single_precision(camera: Camera) -> None:
 
 @every_camera
 def test_single_precision_stays_finite_beside_the_camera(camera: Camera) -> None:
-    """Buildings beside and behind an aircraft lie near the plane of its camera."""
+    """Points near the camera plane, such as buildings beside an aircraft, stay finite."""
     side = torch.tensor([[1e3, -1e3], [1e-3, 1e4], [0.0, 1e3]])
     depth = torch.tensor([2e-6, -2e-6, 0.0, 1e-3, -5e3])
     points = torch.cat([side.repeat(5, 1), depth.repeat_interleave(3)[:, None]], -1)

@@ -16,13 +16,13 @@ from scene.maps.colmap_files import read_model
 from scene.maps.sparse_map import SparseMap
 
 FILES = ("cameras.bin", "images.bin", "points3D.bin")
-# Where the first image's fields lie in images.bin.
+# The offsets of the first image's fields in images.bin.
 QUATERNION, TRANSLATION, CAMERA, NAME = 12, 44, 68, 72
 
 
 @pytest.fixture(scope="session")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small model made and written by COLMAP; tests must not change it."""
+    """Write a small model by COLMAP; tests must not change it."""
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 2, 3, 25
     pycolmap.set_random_seed(1)
@@ -33,7 +33,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def damaged(model: Path, tmp_path: Path) -> Path:
-    """A copy of the model to damage."""
+    """Copy the model, to damage it."""
     return Path(shutil.copytree(model, tmp_path / "damaged"))
 
 

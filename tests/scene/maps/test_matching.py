@@ -10,7 +10,7 @@ from scene.maps.matching import match
 
 
 def directions(*degrees: float) -> Tensor:
-    """Unit vectors in the plane."""
+    """Return unit vectors in the plane."""
     angles = torch.tensor([math.radians(d) for d in degrees])
     return torch.stack([angles.cos(), angles.sin()], -1)
 
@@ -21,7 +21,7 @@ def test_nearest_pairs_are_found_in_any_order() -> None:
 
 
 def test_only_mutual_neighbours_match() -> None:
-    """Both 0 and 10 degrees are nearest to 6, which is nearer to 10."""
+    """Both 0 and 10 degrees have 6 as nearest neighbour, which is nearer to 10."""
     a, b = directions(0, 10), directions(6, 180)
     assert match(a, b, 1.0).tolist() == [[1, 0]]
 
@@ -33,7 +33,7 @@ def test_ratio_refuses_what_has_a_second_like_it() -> None:
 
 
 def test_ratio_holds_in_both_directions() -> None:
-    """What is distinct seen from b is not seen from a, and the other way round."""
+    """A match that passes the ratio test in one direction only is refused."""
     a, b = directions(0, 90), directions(8, -10)
     assert match(a, b, 0.7).tolist() == []
     assert match(b, a, 0.7).tolist() == []

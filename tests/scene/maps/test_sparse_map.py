@@ -12,7 +12,7 @@ CAMERA = Camera("PINHOLE", 100, 80, (90.0, 90.0, 50.0, 40.0))
 
 
 def small_map() -> SparseMap:
-    """Two photographs looking down from 30 m at three points, seen 3 px right of where they are."""
+    """Make two photographs, 30 m above three points, with keypoints 3 px to the right."""
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     xyz = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])
     images = {}

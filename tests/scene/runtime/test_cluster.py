@@ -1,4 +1,4 @@
-"""Work on a cluster: what is lost with a node is done again, and mistakes are one line."""
+"""Work on a cluster: units lost with a node are repeated, and mistakes give one line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from scene.errors import InputError, WriteError
-from scene.runtime.cluster import shares, worker_pool
+from scene.runtime.cluster import split_work, worker_pool
 from tests.two_nodes import TwoNodes
 
 pytestmark = pytest.mark.thorough
@@ -24,7 +24,7 @@ def slowly(unit: int) -> Iterator[tuple[int, int]]:
 
 
 class Counting:
-    """Counts the units that a worker's copy of it has done."""
+    """Work that counts the units which its copy on a worker has done."""
 
     def __init__(self) -> None:
         self._done = 0
@@ -35,7 +35,7 @@ class Counting:
 
 
 class Failing:
-    """Raises, the first times it is called or always; a file counts across processes."""
+    """Work that raises the first times or always; a file counts the calls of all processes."""
 
     def __init__(self, calls: Path, error: Exception, times: int) -> None:
         self._calls, self._error, self._times = calls, error, times
@@ -70,7 +70,7 @@ def test_workers_keep_their_copy_of_the_work(two_nodes: TwoNodes) -> None:
     with worker_pool(two_nodes.address, Counting()) as workers:
         assert signal.getsignal(signal.SIGTERM) is told_to_end
         counts = list(workers.map(range(6)))
-    # Two workers at most: whatever their shares, each counts on.
+    # At most two workers: each keeps counting over the units it gets.
     assert max(counts) >= 3
 
 
@@ -115,7 +115,7 @@ def test_another_error_is_tried_again(two_nodes: TwoNodes, tmp_path: Path) -> No
     ],
 )
 def test_shares_are_large_first_and_complete(count: int, cores: int, sizes: list[int]) -> None:
-    units = shares(range(count), cores, least=8, most=200)
+    units = split_work(range(count), cores, least=8, most=200)
     assert [len(unit) for unit in units] == sizes
     assert [item for unit in units for item in unit] == list(range(count))
 

@@ -1,4 +1,4 @@
-"""Digests of files: of the bytes that are there, whatever is remembered."""
+"""Digests are those of the bytes on disk, whatever the cache holds."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def sha256(data: bytes) -> str:
 
 @pytest.fixture
 def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of digests of its own; a file is remembered however lately it changed."""
+    """Use an own cache, which also holds files that have just changed."""
     folder = tmp_path / "kept"
     monkeypatch.setenv(FOLDER_VARIABLE, str(folder))
     monkeypatch.setattr(scene.storage.digests, "_TICK_NS", -(10**15))
@@ -41,7 +41,7 @@ def file(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def unreadable(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Nothing can be read from when it is called."""
+    """Make every read fail from now on."""
 
     def refuse(*_: object) -> None:
         raise AssertionError("a file was read")
@@ -68,7 +68,7 @@ def test_a_file_is_read_once(kept: Path, file: Path, unreadable: Any) -> None:
 
 
 def test_another_process_remembers(file: Path, kept: Path) -> None:
-    """Also a name that is no text."""
+    """A name that is not UTF-8 is cached too."""
     odd = file.with_name(os.fsdecode(b"\xff\n.jpg"))
     odd.write_bytes(b"odd")
     digests([file, odd])
@@ -88,7 +88,7 @@ def test_another_process_remembers(file: Path, kept: Path) -> None:
 
 
 def test_other_bytes_of_the_same_size_and_time(kept: Path, file: Path) -> None:
-    """As by a tool that edits a photograph and puts its time back."""
+    """A tool edits a photograph and restores its modification time."""
     assert digest(file) == sha256(b"first")
     times = file.stat()
     file.write_bytes(b"other")
@@ -183,7 +183,7 @@ def test_the_folder_is_the_users(
 
 
 def test_two_processes_at_once(kept: Path, tmp_path: Path) -> None:
-    """Each with half of the files new to it, many times over; in the end all is true."""
+    """Two processes write the cache many times, each with half of the files; all is correct."""
     folder = tmp_path / "many"
     folder.mkdir()
     for k in range(40):
@@ -215,7 +215,7 @@ def test_what_is_gone_is_forgotten(kept: Path, file: Path) -> None:
 
 
 def test_the_folder_has_bounds(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is not ours stays."""
+    """Files of others in the folder of the cache are kept."""
     monkeypatch.setattr(scene.storage.digests, "_MOST_BYTES", 2000)
     kept.mkdir()
     (kept / "notes.txt").write_text("mine")

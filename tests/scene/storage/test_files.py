@@ -9,15 +9,9 @@ from pathlib import Path
 import pytest
 
 from scene.errors import InputError, WriteError
-from scene.storage.files import (
-    folder_written_whole,
-    inside,
-    read_text,
-    sha256_of,
-    sole_writer,
-    write_text,
-    written_whole,
-)
+from scene.storage.atomic import atomic_folder, atomic_write, write_text
+from scene.storage.files import is_safe_path, read_text, sha256_of
+from scene.storage.locks import write_lock
 
 
 def test_digest(tmp_path: Path) -> None:
@@ -27,7 +21,7 @@ def test_digest(tmp_path: Path) -> None:
 
 def test_a_file_appears_whole_in_a_new_folder(tmp_path: Path) -> None:
     path = tmp_path / "new" / "folder" / "result.txt"
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text("half")
         assert not path.exists()
         partial.write_text("whole")
@@ -39,12 +33,12 @@ def test_an_input_missing_meanwhile_is_named(tmp_path: Path) -> None:
     lost = tmp_path / "lost.npz"
     with (
         pytest.raises(WriteError, match=r"result\.txt: .*lost\.npz: No such file"),
-        written_whole(tmp_path / "result.txt"),
+        atomic_write(tmp_path / "result.txt"),
     ):
         lost.read_bytes()
     with (
         pytest.raises(WriteError, match=r"folder: .*lost\.npz: No such file"),
-        folder_written_whole(tmp_path / "folder"),
+        atomic_folder(tmp_path / "folder"),
     ):
         lost.read_bytes()
 
@@ -52,7 +46,7 @@ def test_an_input_missing_meanwhile_is_named(tmp_path: Path) -> None:
 def test_a_failed_file_keeps_the_old_one_and_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "result.txt"
     path.write_text("old")
-    with pytest.raises(KeyboardInterrupt), written_whole(path) as partial:
+    with pytest.raises(KeyboardInterrupt), atomic_write(path) as partial:
         partial.write_text("half")
         raise KeyboardInterrupt
     assert path.read_text() == "old"
@@ -67,7 +61,7 @@ def test_a_file_is_as_readable_as_any_other(tmp_path: Path) -> None:
 
 def test_a_folder_appears_whole(tmp_path: Path) -> None:
     path = tmp_path / "new" / "map"
-    with folder_written_whole(path) as partial:
+    with atomic_folder(path) as partial:
         (partial / "images.bin").write_text("whole")
         assert not path.exists()
     assert (path / "images.bin").read_text() == "whole"
@@ -78,7 +72,7 @@ def test_a_folder_replaces_what_we_wrote_into_the_old_one(tmp_path: Path) -> Non
     path = tmp_path / "map"
     path.mkdir()
     (path / "stale").touch()
-    with folder_written_whole(path, ["stale"]) as partial:
+    with atomic_folder(path, ["stale"]) as partial:
         (partial / "fresh").touch()
         assert (path / "stale").exists()
     assert [file.name for file in path.iterdir()] == ["fresh"]
@@ -89,7 +83,7 @@ def test_a_failed_folder_keeps_the_old_one_and_leaves_nothing(tmp_path: Path) ->
     path = tmp_path / "map"
     path.mkdir()
     (path / "old").touch()
-    with pytest.raises(RuntimeError), folder_written_whole(path) as partial:
+    with pytest.raises(RuntimeError), atomic_folder(path) as partial:
         (partial / "half").touch()
         raise RuntimeError
     assert [file.name for file in path.iterdir()] == ["old"]
@@ -97,17 +91,17 @@ def test_a_failed_folder_keeps_the_old_one_and_leaves_nothing(tmp_path: Path) ->
 
 
 def test_an_unwritable_place_is_one_clear_error(tmp_path: Path) -> None:
-    """A file where a folder should be: nobody can write there, not even root."""
+    """With a file in the place of a folder nobody can write there, not even root."""
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
     with (
         pytest.raises(InputError, match="cannot write .*result.txt: "),
-        written_whole(blocked / "result.txt"),
+        atomic_write(blocked / "result.txt"),
     ):
         pytest.fail("the block must not start")
     with (
         pytest.raises(InputError, match="cannot write .*map: "),
-        folder_written_whole(blocked / "map"),
+        atomic_folder(blocked / "map"),
     ):
         pytest.fail("the block must not start")
     assert blocked.read_text() == "in the way"
@@ -146,12 +140,12 @@ def test_unreadable_text_is_one_clear_error(tmp_path: Path) -> None:
 
 
 def test_one_process_writes_a_folder_at_a_time(tmp_path: Path) -> None:
-    """Another process is told so; one that was killed is in nobody's way."""
+    """A second process gets an error; the lock of a killed process does not remain."""
     folder = tmp_path / "new" / "scene"
     hold = (
         "import pathlib, sys\n"
-        "from scene.storage.files import sole_writer\n"
-        "with sole_writer(pathlib.Path(sys.argv[1])):\n"
+        "from scene.storage.locks import write_lock\n"
+        "with write_lock(pathlib.Path(sys.argv[1])):\n"
         "    print('held', flush=True)\n"
         "    sys.stdin.read()\n"
     )
@@ -162,23 +156,23 @@ def test_one_process_writes_a_folder_at_a_time(tmp_path: Path) -> None:
         assert other.stdout.readline() == b"held\n"
         with (
             pytest.raises(InputError, match="another run is writing .*scene: wait"),
-            sole_writer(folder),
+            write_lock(folder),
         ):
             pass
         assert folder.is_dir()
         other.kill()
         other.wait()
-    with sole_writer(folder):
+    with write_lock(folder):
         (folder / "result").touch()
     assert os.listdir(folder) == ["result"]  # noqa: PTH208 - hidden files too
 
 
 def test_a_folder_nobody_wrote_into_goes_again(tmp_path: Path) -> None:
-    with sole_writer(tmp_path / "new" / "scene"):
+    with write_lock(tmp_path / "new" / "scene"):
         assert (tmp_path / "new" / "scene").is_dir()
     assert not (tmp_path / "new").exists()
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="cannot write .*file"), sole_writer(tmp_path / "file"):
+    with pytest.raises(InputError, match="cannot write .*file"), write_lock(tmp_path / "file"):
         pass
 
 
@@ -196,4 +190,4 @@ def test_a_folder_nobody_wrote_into_goes_again(tmp_path: Path) -> None:
     ],
 )
 def test_names_that_lead_out_of_their_folder(name: str, stays: bool) -> None:
-    assert inside(name) is stays
+    assert is_safe_path(name) is stays

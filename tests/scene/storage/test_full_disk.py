@@ -1,4 +1,4 @@
-"""A disk that is really full: a small file system in memory, mounted for the test."""
+"""Behaviour on a full disk: a small file system in memory is mounted for the tests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmark.datasets.dataset import open_datasets
+from benchmark.datasets.open import open_datasets
 from benchmark.journal import Journal
 from benchmark.results import QueryResult
 from scene.bundle.frames import read_frames, write_frames
@@ -21,14 +21,9 @@ from scene.colmap.sift import SiftOptions
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError, WriteError
 from scene.maps.photographs import PosedImage
-from scene.storage.files import (
-    folder_written_whole,
-    kept_while_working,
-    require_room,
-    sole_writer,
-    write_text,
-    written_whole,
-)
+from scene.storage.atomic import atomic_folder, atomic_write, write_text
+from scene.storage.files import require_disk_space
+from scene.storage.locks import resumable_file, write_lock
 from tests.benchmark.made_data import scored_query
 from tests.scene.bundle.test_frames import ALL, assert_equal, made_frames, made_layers
 
@@ -37,7 +32,7 @@ GATE = Path(__file__).parents[2] / "data" / "gate"
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 2 MB."""
+    """Mount a file system of 2 MB."""
     path = tmp_path / "disk"
     path.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(path)]
@@ -51,7 +46,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def fill(disk: Path, left: int = 0) -> Path:
-    """Leave so many bytes."""
+    """Fill the disk until the given number of bytes is left."""
     path = disk / "filling"
     path.write_bytes(bytes(max(shutil.disk_usage(disk).free - left, 0)))
     return path
@@ -60,20 +55,20 @@ def fill(disk: Path, left: int = 0) -> Path:
 def test_a_file(disk: Path) -> None:
     path = disk / "result"
     path.write_text("old")
-    with pytest.raises(WriteError, match="No space left"), written_whole(path) as partial:
+    with pytest.raises(WriteError, match="No space left"), atomic_write(path) as partial:
         partial.write_bytes(bytes(3_000_000))
     assert path.read_text() == "old"
     assert [p.name for p in disk.iterdir()] == ["result"]
 
 
 def test_a_folder(disk: Path) -> None:
-    with pytest.raises(WriteError, match="No space left"), folder_written_whole(disk / "m") as out:
+    with pytest.raises(WriteError, match="No space left"), atomic_folder(disk / "m") as out:
         (out / "a").write_bytes(bytes(3_000_000))
     assert not list(disk.iterdir())
 
 
 def test_a_session(disk: Path) -> None:
-    """HDF5 says it in its own words, and may say it when the file is closed."""
+    """HDF5 reports a full disk by exceptions of its own, possibly when the file is closed."""
     path = disk / "frames.h5"
     write_frames(path, made_frames(3), ALL, (made_layers(k) for k in range(3)))
     filling = fill(disk, 3000)
@@ -87,22 +82,22 @@ def test_a_session(disk: Path) -> None:
 
 
 def test_a_checkpoint(disk: Path) -> None:
-    """Torch writes by itself."""
+    """Torch writes files without Python, and reports a full disk by a RuntimeError."""
     path = disk / "checkpoint.pt"
     torch.save({"done": 1}, path)
-    with pytest.raises(WriteError, match="cannot write"), written_whole(path) as partial:
+    with pytest.raises(WriteError, match="cannot write"), atomic_write(path) as partial:
         torch.save({"w": torch.zeros(1_000_000)}, partial)
     assert torch.load(path, weights_only=True) == {"done": 1}
     assert [p.name for p in disk.iterdir()] == ["checkpoint.pt"]
 
 
 def test_an_error_that_is_not_the_disk_s_is_not_taken_for_it(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="mine"), written_whole(tmp_path / "a"):
+    with pytest.raises(RuntimeError, match="mine"), atomic_write(tmp_path / "a"):
         raise RuntimeError("mine")
 
 
 def test_a_journal(disk: Path) -> None:
-    """Queries that were noted are there when there is room again."""
+    """Queries written to the journal are kept until there is space again."""
     filling = fill(disk, 4096)
     noted = []
     opened = Journal(disk / "j", "key", QueryResult)
@@ -124,7 +119,7 @@ def test_a_damaged_journal_keeps_what_is_whole(tmp_path: Path) -> None:
             journal.add(scored_query(name, 0.1))
         raise KeyboardInterrupt
     data = path.read_bytes()
-    path.write_bytes(data[:-30] + b"\xb3" + data[-29:])  # no UTF-8
+    path.write_bytes(data[:-30] + b"\xb3" + data[-29:])  # not UTF-8
     with Journal(path, "key", QueryResult) as journal:
         assert list(journal.done) == ["a"]
 
@@ -148,7 +143,7 @@ def matching(disk: Path) -> Callable[[], object]:
 
 
 def test_colmap_is_not_let_near_a_full_disk(disk: Path) -> None:
-    """It would end the process: 'terminate called', signal 6."""
+    """COLMAP would end the process: 'terminate called', signal 6."""
     fill(disk, 900_000)
     with pytest.raises(WriteError, match=r"has 1 MB left and \d+ MB are needed"):
         matching(disk)()
@@ -157,7 +152,7 @@ def test_colmap_is_not_let_near_a_full_disk(disk: Path) -> None:
 def test_what_is_matched_outlives_a_full_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The disk is said to be full after the third pair; the next run does not match them again."""
+    """The disk is reported full after the third pair; the next run does not repeat those pairs."""
     import scene.colmap.database as adapter
 
     run = matching(tmp_path / "disk")
@@ -176,39 +171,39 @@ def test_what_is_matched_outlives_a_full_disk(
 
     monkeypatch.setattr(adapter, "match", counted)
     with monkeypatch.context() as patch:
-        patch.setattr(adapter, "require_room", room)
+        patch.setattr(adapter, "require_disk_space", room)
         with (
             pytest.raises(WriteError),
-            kept_while_working(tmp_path / "disk", "kept.db"),
+            resumable_file(tmp_path / "disk", "kept.db"),
         ):
             run()
     assert (tmp_path / "disk" / "kept.db").is_file()
     run()
     assert compared == 6  # the pairs of four photographs
-    with pytest.raises(InputError), kept_while_working(tmp_path / "disk", "kept.db"):
+    with pytest.raises(InputError), resumable_file(tmp_path / "disk", "kept.db"):
         raise InputError("these photographs make no map")
     assert not (tmp_path / "disk").exists()
 
 
 def test_room(tmp_path: Path) -> None:
-    require_room(tmp_path / "new", 1000)
+    require_disk_space(tmp_path / "new", 1000)
     with pytest.raises(WriteError, match="are needed: free some"):
-        require_room(tmp_path / "new", 10**18)
+        require_disk_space(tmp_path / "new", 10**18)
 
 
 def test_a_disk_that_cannot_be_written(disk: Path) -> None:
-    """Nor by root: no permission stands in the way, the file system does."""
+    """The file system forbids it to root as well; permissions alone would not."""
     (disk / "scene").mkdir()
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-    with pytest.raises(WriteError, match="Read-only"), sole_writer(disk / "scene"):
+    with pytest.raises(WriteError, match="Read-only"), write_lock(disk / "scene"):
         pass
     with pytest.raises(WriteError, match="Read-only"):
         write_text(disk / "scene" / "a", "text")
-    with pytest.raises(InputError, match="Read-only"), sole_writer(disk / "new"):
+    with pytest.raises(InputError, match="Read-only"), write_lock(disk / "new"):
         pass
-    with pytest.raises(WriteError, match="Read-only"), folder_written_whole(disk / "map"):
+    with pytest.raises(WriteError, match="Read-only"), atomic_folder(disk / "map"):
         pass
-    with pytest.raises(WriteError, match="Read-only"), kept_while_working(disk / "kept", "a.db"):
+    with pytest.raises(WriteError, match="Read-only"), resumable_file(disk / "kept", "a.db"):
         pass
     journal = Journal(disk / "out" / "j", "key", QueryResult)
     with pytest.raises(InputError, match="Read-only"), journal:
@@ -216,7 +211,7 @@ def test_a_disk_that_cannot_be_written(disk: Path) -> None:
 
 
 def test_a_killed_evaluation_has_noted_every_query(tmp_path: Path) -> None:
-    """kill -9: nothing waits in a buffer."""
+    """After kill -9 all finished queries are on disk: none waits in a buffer."""
     code = (
         "import os, pathlib, signal, sys\n"
         "from benchmark.journal import Journal\n"

@@ -1,4 +1,4 @@
-"""HDF5 from strangers: nothing of another file, and nothing that is only claimed."""
+"""HDF5 files of unknown origin: neither other files nor false sizes are read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.scene.bundle.test_frames import ALL, made_frames, made_layers
 
 @pytest.fixture
 def secret(tmp_path: Path) -> Path:
-    """A file that no scene has to do with."""
+    """Write a file outside the scene."""
     path = tmp_path / "secret.h5"
     with h5py.File(path, "w") as file:
         file["time"] = np.arange(3.0)
@@ -42,7 +42,7 @@ def virtual(file: h5py.File, name: str, secret: Path) -> None:
 
 
 def of_itself(file: h5py.File, name: str, secret: Path) -> None:
-    """The library follows it without end, until the process dies."""
+    """The HDF5 library would follow such a link until the process dies."""
     layout = h5py.VirtualLayout((3,), "f8")
     layout[...] = h5py.VirtualSource(".", f"{file.name}/{name}", (3,))
     file.create_virtual_dataset(name, layout)
@@ -53,7 +53,7 @@ def soft_link(file: h5py.File, name: str, secret: Path) -> None:
 
 
 def huge(file: h5py.File, name: str, secret: Path) -> None:
-    """2^60 numbers in a few bytes."""
+    """A file of a few bytes claims 2^60 numbers."""
     file.create_dataset(name, (2**60,), "f8", chunks=(1,))
 
 
@@ -152,7 +152,7 @@ def test_frames_lie_in_the_scene(name: str, tmp_path: Path) -> None:
 
 
 def test_what_is_packed_well_is_read(tmp_path: Path) -> None:
-    """Zeros pack a thousand times."""
+    """Zeros are compressed by a factor of a thousand."""
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("a", data=np.zeros((4, 2**20), "u1"), compression=9, chunks=(1, 2**20))
         assert array(file, "a").shape == (4, 2**20)

@@ -96,7 +96,7 @@ def test_absent_fields_are_none(tmp_path: Path) -> None:
     [
         {},
         {ExifTags.GPS.GPSLatitudeRef: "N", ExifTags.GPS.GPSLatitude: (46.0, 48.0, 0.0)},
-        # What receivers without a fix write.
+        # These are the values that receivers without a fix write.
         {
             ExifTags.GPS.GPSLatitudeRef: "N",
             ExifTags.GPS.GPSLatitude: (IFDRational(0, 0),) * 3,
@@ -136,7 +136,7 @@ def test_an_altitude_without_a_fix_reads_as_an_absent_one(tmp_path: Path) -> Non
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_damaged_exif_is_no_crash(jpeg: Path) -> None:
-    """Each byte of the EXIF segment turned over, one at a time."""
+    """Each byte of the EXIF segment is inverted, one at a time."""
     whole = jpeg.read_bytes()
     end = whole.index(b"\xff\xdb")
     for at in range(24, end, 2):
@@ -150,7 +150,7 @@ def test_damaged_exif_is_no_crash(jpeg: Path) -> None:
 
 
 def test_real_photographs_tell_where_they_were_taken(beach: Path) -> None:
-    """As gps.csv tells, which came from the same EXIF by another program."""
+    """Values agree with gps.csv, which another program made from the same EXIF."""
     rows = (beach / "gps.csv").read_text().splitlines()[1:4]
     for row in rows:
         name, _, latitude, longitude, altitude = row.split(",")[:5]

@@ -18,17 +18,17 @@ def test_the_last_used_stay_within_the_bound() -> None:
         read.append(size)
         return np.zeros(size, np.uint8)
 
-    held = LruCache(zeros, 100)
+    cache = LruCache(zeros, 100)
     for size in (40, 50, 40, 30):  # 50 was used longest ago
-        assert len(held(size)) == size
-        assert held.nbytes <= 100
+        assert len(cache(size)) == size
+        assert cache.nbytes <= 100
     assert read == [40, 50, 30]
-    assert held(40) is held(40)
-    held(50)
+    assert cache(40) is cache(40)
+    cache(50)
     assert read == [40, 50, 30, 50]
     # One alone may be larger: it is needed.
-    assert len(held(200)) == 200
-    assert (len(held), held.nbytes) == (1, 200)
+    assert len(cache(200)) == 200
+    assert (len(cache), cache.nbytes) == (1, 200)
 
 
 ROOM = """

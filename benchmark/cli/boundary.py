@@ -1,6 +1,6 @@
-"""Between a command and the shell: every fault becomes one line and an exit code.
+"""The boundary between a command and the shell: every fault becomes one line and an exit code.
 
-The exit codes are a promise: 1 says that recall dropped, and nothing else does.
+Programs rely on the exit codes: 1 means that recall dropped, and no other fault ends with 1.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Final
@@ -20,23 +20,30 @@ from typing import Any, Final
 from typer.core import TyperGroup
 
 from scene.errors import InputError
-from scene.runtime.printed import printed
+from scene.runtime.escaping import for_terminal
 
 REGRESSION: Final = 1
 INPUT_AT_FAULT: Final = 2
 PROGRAM_AT_FAULT: Final = 3
-# What shells call a process that a signal ended.
+# Shells report a process that a signal ended as 128 plus the number of the signal.
 _SIGNALLED: Final = 128
 _CLOSED_PIPE: Final = _SIGNALLED + 13
 
-# What the libraries below raise on input that they cannot take, besides our own errors.
-_FAULTS: Final = (OSError, UnicodeError, OverflowError, MemoryError, csv.Error, RecursionError)
-# Of a message, characters: an argument may be as long as it likes.
+# Exceptions of libraries on input that they cannot process, beside InputError.
+_INPUT_ERRORS: Final = (
+    OSError,
+    UnicodeError,
+    OverflowError,
+    MemoryError,
+    csv.Error,
+    RecursionError,
+)
+# Greatest length of a message, characters. It may quote an argument of any length.
 _LONGEST: Final = 1000
 
 
 class Terminated(KeyboardInterrupt):
-    """A signal that asks the process to end; everything cleans up as after Ctrl-C."""
+    """A signal asked the process to end, which then cleans up as after Ctrl-C."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -44,7 +51,7 @@ class Terminated(KeyboardInterrupt):
 
 
 class _StoppedError(Exception):
-    """Ctrl-C or a signal, past typer, which knows one exit code for both."""
+    """Ctrl-C or a signal, as an exception that typer does not turn into an exit code itself."""
 
     def __init__(self, cause: KeyboardInterrupt) -> None:
         super().__init__()
@@ -52,7 +59,7 @@ class _StoppedError(Exception):
 
 
 class Boundary(TyperGroup):
-    """A group of commands behind the boundary."""
+    """A group of commands whose faults become one line and an exit code."""
 
     def invoke(self, ctx: Any) -> Any:
         """See ``TyperGroup.invoke``."""
@@ -65,17 +72,17 @@ class Boundary(TyperGroup):
         """Run a command and end the process with its exit code; never returns."""
         _open_standard_streams()
         _never_fail_to_print()
-        # Errors come here instead of being printed over several lines.
+        # typer then raises errors instead of printing them on several lines.
         extra["standalone_mode"] = False
         with _ended_like_ctrl_c():
-            sys.exit(_code(lambda: super(Boundary, self).main(*args, **extra)))
+            sys.exit(_exit_code(lambda: super(Boundary, self).main(*args, **extra)))
 
 
-def _code(run: Any) -> int:
-    """Exit code of a command; what is to be said is said."""
+def _exit_code(run: Callable[[], Any]) -> int:
+    """Run a command, print its fault on standard error, and return its exit code."""
     try:
         code = run()
-        # Here, since the interpreter would flush after us, and answer a full disk by itself.
+        # A full disk must be noticed here, not when the interpreter flushes at its end.
         if sys.stdout is not None:
             sys.stdout.flush()
     except InputError as error:
@@ -84,32 +91,32 @@ def _code(run: Any) -> int:
         word = "interrupted" if stopped.number == signal.SIGINT else "terminated"
         return _say(word, _SIGNALLED + stopped.number)
     except (BrokenPipeError, SystemExit):  # typer ends the process when it meets a closed pipe
-        return _quietly(_CLOSED_PIPE)
-    except _FAULTS as error:
-        return _say(_words(error), INPUT_AT_FAULT)
+        return _abandon_output(_CLOSED_PIPE)
+    except _INPUT_ERRORS as error:
+        return _say(_describe(error), INPUT_AT_FAULT)
     except Exception as error:
         if _is_cyclic_link(error):
             return _say(f"{error}: a symbolic link leads to itself", INPUT_AT_FAULT)
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error.format_message(), file=sys.stderr)  # type: ignore[attr-defined]
             return INPUT_AT_FAULT
-        if _is_usage(error):
-            return _say(_usage(error), INPUT_AT_FAULT)
+        if _is_usage_error(error):
+            return _say(_describe_usage(error), INPUT_AT_FAULT)
         traceback.print_exc()
-        return _say(f"{_words(error)}: this is a fault of the program", PROGRAM_AT_FAULT)
+        return _say(f"{_describe(error)}: this is a fault of the program", PROGRAM_AT_FAULT)
     return code if isinstance(code, int) else 0
 
 
 def _say(message: str, code: int) -> int:
-    """One line on standard error."""
-    with suppress(OSError, ValueError):  # nobody listens
+    """Print one line on standard error and return the exit code."""
+    with suppress(OSError, ValueError):  # standard error is closed or full
         print(f"objconnect: {_level(code)}{_one_line(message)}", file=sys.stderr)
-    return _quietly(code)
+    return _abandon_output(code)
 
 
 def _one_line(message: str) -> str:
-    """What a terminal can show; of a long message its beginning and its end."""
-    line = printed(" ".join(message.split()))
+    """Return a message as one printable line; a long one is cut in the middle."""
+    line = for_terminal(" ".join(message.split()))
     half = _LONGEST // 2
     return line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}"
 
@@ -118,11 +125,13 @@ def _level(code: int) -> str:
     return "error: " if code in (INPUT_AT_FAULT, PROGRAM_AT_FAULT) else ""
 
 
-def _quietly(code: int) -> int:
-    """What standard output still holds goes nowhere when it cannot be written: the interpreter
-    would complain about it at its end."""
+def _abandon_output(code: int) -> int:
+    """Flush standard output, or discard what cannot be written, and return the exit code.
+
+    The interpreter would otherwise report a failed flush at its end.
+    """
     try:
-        if sys.stdout is not None:  # closed before we began
+        if sys.stdout is not None:  # None where it was closed before the start
             sys.stdout.flush()
     except (OSError, ValueError):
         with suppress(OSError, ValueError, AttributeError):
@@ -130,8 +139,8 @@ def _quietly(code: int) -> int:
     return code
 
 
-def _words(error: BaseException) -> str:
-    """An exception of a library, as a sentence about the input."""
+def _describe(error: BaseException) -> str:
+    """Describe an exception of a library as a fault of the input."""
     if isinstance(error, OSError) and error.strerror:
         if error.errno == errno.ENOSPC and not error.filename:
             return "cannot write: the disk is full"
@@ -142,25 +151,31 @@ def _words(error: BaseException) -> str:
 
 
 def _is_cyclic_link(error: Exception) -> bool:
-    """What ``Path.resolve`` says of one, until Python 3.13 made it an OSError."""
+    """Return whether ``Path.resolve`` met a cyclic link; from Python 3.13 on it is an OSError."""
     return isinstance(error, RuntimeError) and str(error).startswith("Symlink loop")
 
 
-def _is_usage(error: Exception) -> bool:
-    """Whether the words of the command line are at fault: typer has a click of its own, or uses
-    the installed one."""
+def _is_usage_error(error: Exception) -> bool:
+    """Return whether the command line is at fault.
+
+    The class is compared by name, because typer uses its own copy of click or the installed one.
+    """
     return any(kind.__name__ == "ClickException" for kind in type(error).__mro__)
 
 
-def _usage(error: Any) -> str:
+def _describe_usage(error: Any) -> str:
+    """Return the message of click, with the command whose help to read."""
     message: str = error.format_message()
     context = getattr(error, "ctx", None)
     return message if context is None else f"{message} See '{context.command_path} --help'."
 
 
 def _open_standard_streams() -> None:
-    """A stream that was closed before we began leads nowhere: else the next file to be opened had
-    its number, and what libraries print went there."""
+    """Open the standard streams that were closed before the start as the null device.
+
+    Otherwise the next file to be opened would have the number of the stream, and the output of
+    libraries would be written to it.
+    """
     for number in range(3):
         try:
             os.fstat(number)
@@ -169,7 +184,7 @@ def _open_standard_streams() -> None:
 
 
 def _never_fail_to_print() -> None:
-    """A terminal that knows ASCII alone is shown escapes instead of an error."""
+    """Print characters that the terminal cannot show as escapes instead of raising an error."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
@@ -177,7 +192,7 @@ def _never_fail_to_print() -> None:
 
 @contextmanager
 def _ended_like_ctrl_c() -> Iterator[None]:
-    """SIGTERM and SIGHUP raise ``Terminated`` during the block, unless they are ignored (nohup)."""
+    """Raise ``Terminated`` on SIGTERM and SIGHUP, unless they are ignored as under nohup."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise Terminated(number)
@@ -196,8 +211,8 @@ def _ended_like_ctrl_c() -> Iterator[None]:
 
 
 class PrintedFormatter(logging.Formatter):
-    """Log messages of one line each, whatever names are in them."""
+    """Formats log messages as one printable line each, whatever names they contain."""
 
     def format(self, record: logging.LogRecord) -> str:
         """See ``logging.Formatter``."""
-        return printed(f"{record.levelname}: {record.getMessage()}")
+        return for_terminal(f"{record.levelname}: {record.getMessage()}")

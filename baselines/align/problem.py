@@ -1,0 +1,53 @@
+"""An alignment problem: what the aligner needs to know of a batch of queries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from baselines.align.options import Options
+from baselines.align.residuals import Level
+from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Queries, the points they are aligned to, and the poses they start from.
+
+    Attributes:
+        levels: of B queries, coarse to fine.
+        points: (B, N, 3) in the world, metres.
+        intrinsics: of the queries, batched (B), or one for all.
+        start: ``cam_from_world``, batched (B), or (B, K) for K starts of every query, which share
+            its features.
+        damping: (6,) of every level, rotation then translation: see ``damping.Damping``.
+        options: how each level is minimised.
+        mask: (B, N) points to use, or None for all.
+    """
+
+    levels: Sequence[Level]
+    points: Tensor
+    intrinsics: Intrinsics
+    start: Pose
+    damping: Sequence[Tensor]
+    options: Options
+    mask: Tensor | None = None
+
+    def starting_at(self, start: Pose) -> Problem:
+        """Return the same problem from other starts, ``cam_from_world`` (B) or (B, K)."""
+        return replace(self, start=start)
+
+    def with_options(self, options: Options) -> Problem:
+        """Return the same problem with other options."""
+        return replace(self, options=options)
+
+    def coarsest(self) -> Problem:
+        """Return the problem of the coarsest level alone."""
+        return replace(self, levels=self.levels[:1], damping=self.damping[:1])
+
+    def finer(self) -> Problem:
+        """Return the problem of all levels but the coarsest."""
+        return replace(self, levels=self.levels[1:], damping=self.damping[1:])

@@ -1,0 +1,136 @@
+"""Options of localizers by alignment: which starts are tried, and when a pose is accepted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+
+from baselines.align.options import HypothesisOptions, SolverOptions
+from baselines.featuremetric.corners import CornerOptions
+from baselines.featuremetric.maps import Precision
+from baselines.featuremetric.references import ReferenceOptions
+from baselines.retrieval import RetrievalOptions
+from baselines.starts import StartOptions
+from scene.config import Config
+
+
+class SearchOptions(Config):
+    """Which starts are tried in turn, and when a pose is accepted.
+
+    The fit of a pose is its cost as a share of the cost by chance: images of nothing fit at 0.98
+    and more, or 0.95 where few points are in view; right poses at 0.64 to 0.87.
+    """
+
+    accept_fit: float = Field(
+        0.93, gt=0, description="A pose is accepted when its fit is below this."
+    )
+    stop_fit: float = Field(
+        0.87, gt=0, description="No further place is tried once a fit is below this."
+    )
+    early_stop_fit: float = Field(
+        0.75,
+        gt=0,
+        description="Nothing else is tried once a fit among the promising starts is below this, "
+        "which needs many points in view.",
+    )
+    covariance_inflation: float = Field(
+        3.0,
+        gt=0,
+        description="Factor on the covariance of the alignment, which knows neither errors of the "
+        "map nor shadows and snow that pull all points one way. Chosen on a validation town.",
+    )
+    compared_points: int = Field(
+        512,
+        ge=10,
+        description="Points by which several starts are compared; the best is aligned to all.",
+    )
+    screened_points: int = Field(
+        256, ge=10, description="Points by which places and headings are screened before any start."
+    )
+    radius_m: float = Field(8.0, gt=0, description="Least distance to look around a start, metres.")
+    radius_deg: float = Field(10.0, gt=0, description="Least angle to look around a start.")
+    max_radius_m: float = Field(
+        40.0,
+        gt=0,
+        description="Largest distance to look around a start, metres: a wider grid has gaps.",
+    )
+    max_radius_deg: float = Field(30.0, gt=0, description="Largest angle to look around a start.")
+    prior_sigmas: float = Field(
+        2.0, gt=0, description="Standard deviations of the prior that the search reaches."
+    )
+    headings: int = Field(12, ge=1, description="Headings tried where the heading is unknown.")
+    heading_radius_deg: float = Field(
+        15.0, ge=0, description="Degrees to look to either side of each of these headings."
+    )
+    nearby_photographs: int = Field(
+        6,
+        ge=0,
+        description="Photographs near the prior around which an image of unknown heading is "
+        "looked for too.",
+    )
+    nearby_radius_share: float = Field(
+        0.3,
+        gt=0,
+        description="How far to look around these photographs, in heights above the ground.",
+    )
+    promising_starts: int = Field(
+        4, ge=1, description="Places and headings that are tried first, the most promising ones."
+    )
+    scale_steps: float = Field(
+        10.0,
+        gt=0,
+        description="Steps per natural logarithm of scale; views within one step share features.",
+    )
+    hypotheses: HypothesisOptions = Field(
+        HypothesisOptions(), description="How poses around a start are placed and refined."
+    )
+
+
+class FeaturemetricConfig(Config):
+    """Options of a localizer by alignment."""
+
+    weights: Path | None = Field(
+        None, description="File of the network; None for the one that comes with the project."
+    )
+    references: int = Field(
+        5, ge=1, description="Photographs of the map that the query is aligned to, together."
+    )
+    points: int = Field(2048, ge=10, description="Most points, shared by the references.")
+    corners: int = Field(
+        2500,
+        ge=0,
+        description="Corners of each photograph that become points beside the map's own; 0 for "
+        "none.",
+    )
+    longest: int = Field(1024, ge=64, description="Larger images are resized to this side (px).")
+    iterations: int = Field(100, ge=1, description="Most steps per level.")
+    multistart: bool = Field(
+        False,
+        description="Look around the start too, for priors beyond the reach of the features.",
+    )
+    precision: Precision = Field("float32", description="Precision of the convolutions.")
+    memory_mb: int = Field(
+        2048,
+        ge=1,
+        description="Memory of the whole process; features of the map stay in memory as far as "
+        "there is room below it.",
+    )
+    search: SearchOptions = Field(
+        SearchOptions(), description="Which starts are tried, and when a pose is accepted."
+    )
+    starts: StartOptions = Field(
+        StartOptions(), description="Which starting poses an incomplete prior gives."
+    )
+    solver: SolverOptions = Field(
+        SolverOptions(), description="How the cost of a level is minimised."
+    )
+    reference: ReferenceOptions = Field(
+        ReferenceOptions(), description="Which points are kept of each photograph of the map."
+    )
+    corner: CornerOptions = Field(
+        CornerOptions(), description="How corners of the map's photographs are found and placed."
+    )
+    retrieval: RetrievalOptions = Field(
+        RetrievalOptions(), description="How photographs are chosen where there is no prior."
+    )

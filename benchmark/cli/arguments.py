@@ -1,0 +1,84 @@
+"""Reading and checking of the arguments of commands before their work begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from scene.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmark.datasets.dataset import Dataset
+    from scene.geometry.camera import Camera
+
+
+def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
+    """Read the values of ``--set`` as a dictionary.
+
+    Values are read as YAML, so that 0.7 is a number.
+
+    Raises:
+        InputError: a word that is not ``KEY=VALUE``, or a value that is not YAML or is empty.
+    """
+    settings: dict[str, Any] = {}
+    for word in overrides or ():
+        key, equals, value = word.partition("=")
+        if not key or not equals:
+            raise InputError(f"--set takes KEY=VALUE, got {word!r}")
+        try:
+            settings[key] = yaml.safe_load(value)
+        except (yaml.YAMLError, ValueError, RecursionError):
+            raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
+        if settings[key] is None:
+            raise InputError(f"--set {key}: {value!r} is no value; leave it out for the default")
+    return settings
+
+
+def parse_camera(words: str | None) -> Camera | None:
+    """Read the value of ``--camera``, "MODEL W H PARAMS".
+
+    Raises:
+        InputError: the words describe no camera.
+    """
+    from scene.geometry.camera import Camera
+
+    try:
+        return None if words is None else Camera.parse(words.split())
+    except InputError as error:
+        raise InputError(f"--camera: {error}") from None
+
+
+def open_distinct_datasets(paths: Iterable[Path]) -> list[Dataset]:
+    """Open the data sets at these paths.
+
+    Raises:
+        InputError: a path is no data set, or two data sets share a name and would overwrite each
+            other's results.
+    """
+    from benchmark.datasets.open import open_datasets
+
+    datasets = [dataset for path in paths for dataset in open_datasets(path)]
+    names = set()
+    for dataset in datasets:
+        if dataset.name in names:
+            raise InputError(f"two data sets are called {dataset.name!r}: evaluate them apart")
+        names.add(dataset.name)
+    return datasets
+
+
+def claim_folders(inputs: Iterable[Path], *folders: Path | None) -> None:
+    """Refuse folders to write to that lie inside an input of the command.
+
+    Files written there would change the input: the next run would read another data set.
+
+    Raises:
+        InputError: a folder lies inside an input, or cannot be written.
+    """
+    from scene.storage.outputs import check_output_folder
+
+    for folder in folders:
+        if folder is not None:
+            check_output_folder(folder, inputs)

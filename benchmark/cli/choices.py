@@ -1,0 +1,41 @@
+"""Options of the command line that take a name from a registry.
+
+The built-in names stand in the help. Names of installed packages are looked up when the option is
+used, so that building the help reads no installed package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import typer
+
+from scene.registry import Registry
+
+
+def listed(registry: Registry[Any]) -> str:
+    """Return the built-in names as the placeholder of an option: "<colmap|tum>"."""
+    return f"<{'|'.join(registry.built_in)}>"
+
+
+def described(registry: Registry[Any]) -> str:
+    """Return help that explains every built-in name by its summary."""
+    return " ".join(f"{name}: {summary}." for name, summary in registry.summaries().items())
+
+
+def one_of(registry: Registry[Any]) -> Callable[[str | None], str | None]:
+    """Return the callback of an option that takes the names of a registry alone.
+
+    Raises:
+        typer.BadParameter: by the callback, for a name that the registry does not have; the message
+            lists all names, those of installed packages too.
+    """
+
+    def check(name: str | None) -> str | None:
+        if name is not None and name not in registry:
+            names = ", ".join(repr(known) for known in registry)
+            raise typer.BadParameter(f"{name!r} is not one of {names}.")
+        return name
+
+    return check

@@ -1,0 +1,256 @@
+"""Commands that localize: on data sets, on new photographs, from wrong priors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmark.cli.arguments import (
+    claim_folders,
+    open_distinct_datasets,
+    parse_camera,
+    parse_settings,
+)
+from benchmark.cli.options import (
+    Cache,
+    CameraWords,
+    ClusterAddress,
+    Datasets,
+    Json,
+    Method,
+    Methods,
+    Settings,
+    Start,
+)
+from benchmark.cli.output import Summary, emit
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+@app.command()
+def localize(
+    place: Annotated[
+        Path, typer.Option("--map", metavar="PLACE", help="Scene with its map, or a flight.")
+    ],
+    images: Annotated[Path, typer.Option(metavar="DIR", help="Folder of new photographs.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="POSES", help="Text file of the poses; a CSV file is written beside it."
+        ),
+    ],
+    method: Method = "sift",
+    camera: CameraWords = None,
+    priors: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="Table of positions and attitudes. Left out, they are read from EXIF and XMP.",
+        ),
+    ] = None,
+    gps_sigma: Annotated[
+        float,
+        typer.Option(help="Standard deviation of EXIF positions, metres.", min=0.01, max=1e6),
+    ] = 10.0,
+    gimbal_sigma: Annotated[
+        float,
+        typer.Option(
+            help="Standard deviation of the gimbal attitudes in XMP, degrees.", min=0.01, max=180
+        ),
+    ] = 5.0,
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Find the poses of new photographs in a map.
+
+    Writes POSES (name qw qx qy qz tx ty tz, world to camera) and beside it a CSV file with
+    latitude, longitude, altitude, sigma and, for photographs that were not found or cannot be read,
+    the reason. Without --camera, photographs have the map's camera of their size. An interrupted
+    run goes on where it stopped.
+    """
+    from benchmark.localize import localize as run
+    from benchmark.localize import open_place
+    from benchmark.registry import create
+
+    calibration = parse_camera(camera)
+    claim_folders([place, images], cache)
+    located = run(
+        open_place(place),
+        images,
+        create(method, parse_settings(overrides)),
+        out,
+        camera=calibration,
+        priors=priors,
+        gps_sigma_m=gps_sigma,
+        gimbal_sigma_deg=gimbal_sigma,
+        cache=cache,
+    )
+    found = sum(item.found for item in located)
+    text = f"{out}: {found} of {len(located)} photographs found"
+    emit(Summary(text, {"poses": str(out), "photographs": len(located), "found": found}), as_json)
+
+
+@app.command()
+def evaluate(
+    datasets: Datasets,
+    method: Methods,
+    out: Annotated[
+        Path, typer.Option(metavar="RESULTS", help="Folder for <dataset>/<method>.json.")
+    ],
+    overrides: Settings = None,
+    start: Start = "prior",
+    cache: Cache = None,
+    jobs: Annotated[int, typer.Option(help="Number of queries at a time.", min=1)] = 1,
+    cluster: ClusterAddress = None,
+    as_json: Json = False,
+) -> None:
+    """Localize the queries of data sets and score the poses.
+
+    Writes RESULTS/<dataset>/<method>.json and a picture of the query of median error, each when its
+    last query is done, and once per data set album.h5, which the leaderboard's page shows. An
+    interrupted run goes on where it stopped. Older results of the same name are replaced unless
+    score wrote them; no other file is.
+    """
+    from benchmark.evaluate import claim_evaluation, results_path
+    from benchmark.evaluate import evaluate as run
+    from benchmark.registry import create
+    from benchmark.starts import parse_start
+
+    # Everything that can be wrong is checked before the first minute is spent.
+    settings = parse_settings(overrides)
+    localizers = {name: create(name, settings) for name in method}
+    started_from = parse_start(start)
+    opened = open_distinct_datasets(datasets)
+    claim_folders(datasets, out, cache)
+    for dataset in opened:
+        for localizer in localizers.values():
+            claim_evaluation(dataset, localizer, out)
+    written = []
+    for dataset in opened:
+        for localizer in localizers.values():
+            run(dataset, localizer, out, started_from, cache, jobs, cluster)
+            written.append(results_path(out, dataset, localizer))
+    emit(_written(written), as_json)
+
+
+@app.command()
+def basin(
+    datasets: Datasets,
+    method: Methods,
+    out: Annotated[
+        Path, typer.Option(metavar="RESULTS", help="Folder for <dataset>/<method>.basin.json.")
+    ],
+    errors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST",
+            help="Sizes of the error, written 1m/2deg,3m/5deg. Left out, they go from 0m/0deg to "
+            "30m/30deg.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Random seed of the error directions.", min=0)] = 0,
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Measure how recall falls with the error of the prior pose.
+
+    Each query is localized once for each size, from its reference pose shifted and rotated by
+    exactly that much, in the same direction for every method. Refiners start from this pose; sift
+    looks at the map photographs nearest to it.
+    """
+    from benchmark.basin import DEFAULT_SIZES, basin_path, parse_sizes
+    from benchmark.basin import basin as run
+    from benchmark.registry import create
+
+    sizes = DEFAULT_SIZES if errors is None else parse_sizes(errors)
+    settings = parse_settings(overrides)
+    localizers = [create(name, settings) for name in method]
+    opened = open_distinct_datasets(datasets)
+    claim_folders(datasets, out, cache)
+    basins = {}
+    for dataset in opened:
+        for localizer in localizers:
+            measured = run(dataset, localizer, out, sizes, seed, cache)
+            basins[str(basin_path(out, dataset, localizer))] = measured
+    text = "\n".join(f"{path}\n{measured.text()}" for path, measured in basins.items())
+    emit(Summary(text, {"basins": basins}), as_json)
+
+
+@app.command()
+def score(
+    poses: Annotated[
+        Path,
+        typer.Argument(
+            metavar="POSES", help="Text file in hloc's format: lines of name qw qx qy qz tx ty tz."
+        ),
+    ],
+    reference: Annotated[
+        list[Path],
+        typer.Option(
+            metavar="DATASET",
+            help="Data set of the photographs, as for evaluate; repeat the option for several.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="RESULTS", help="Folder for <dataset>/<method>.json.")
+    ],
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Name of the method; left out, it is the name of the file."
+        ),
+    ] = None,
+    start: Start = "none",
+    as_json: Json = False,
+) -> None:
+    """Score poses that another program found.
+
+    A query without a line counts as failed. Older results of the same name are replaced if score
+    wrote them; those of evaluate never are.
+    """
+    from benchmark.external_poses import score as run
+
+    opened = open_distinct_datasets(reference)
+    claim_folders(reference, out)
+    name = poses.stem if method is None else method
+    emit(_written(run(poses, opened, name, out, start)), as_json)
+
+
+@app.command()
+def submit(
+    path: Annotated[
+        Path, typer.Argument(metavar="CMU", help="Extended CMU Seasons, or one slice of it.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for submission.txt.")],
+    method: Method = "sift",
+    overrides: Settings = None,
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Write the poses of all query images in the format of visuallocalization.net.
+
+    An interrupted run goes on after the last finished slice.
+    """
+    from benchmark.registry import create
+    from benchmark.submission import SUBMISSION
+    from benchmark.submission import submit as run
+
+    claim_folders([path], out, cache)
+    found, images = run(path, create(method, parse_settings(overrides)), out, cache)
+    text = f"{out / SUBMISSION}: {found} of {images} images found"
+    values = {"submission": str(out / SUBMISSION), "images": images, "found": found}
+    emit(Summary(text, values), as_json)
+
+
+def _written(results: list[Path]) -> Summary:
+    """Return the report of a command that wrote results files: their names and their tables."""
+    from benchmark.report.markdown import markdown
+    from benchmark.report.tables import tables
+
+    boards = tables(results)
+    values = {"results": [str(path) for path in results], "tables": boards}
+    return Summary(markdown(boards), values)

@@ -1,0 +1,157 @@
+"""Commands that build maps, measure them and add to them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmark.cli.options import ClusterAddress, Json, MappedScene
+from benchmark.cli.output import Summary, emit
+from scene.errors import InputError
+
+app = typer.Typer(rich_markup_mode=None)
+
+Masks = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="MASKS",
+        help="Object masks of the map's photographs, for a scene without its own: a folder of "
+        "label pictures, NAME.png for NAME.jpg, or a JSON file of COCO annotations with run-length "
+        "masks. Left out, diagnose takes the objects that the scene knows, and supplement searches "
+        "the whole photographs.",
+    ),
+]
+
+
+class MapMethod(StrEnum):
+    """The ways to build a map."""
+
+    TRIANGULATE = "triangulate"
+    SFM = "sfm"
+
+
+class Stereo(StrEnum):
+    """The implementations of PatchMatch stereo."""
+
+    OWN = "own"
+    COLMAP = "colmap"
+
+
+@app.command(name="map")
+def build_map(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to map.")],
+    method: Annotated[
+        MapMethod,
+        typer.Option(
+            help="Triangulate points with the exact poses, or run structure from motion and align "
+            "it to them."
+        ),
+    ] = MapMethod.TRIANGULATE,
+    cluster: ClusterAddress = None,
+    as_json: Json = False,
+) -> None:
+    """Build the sparse map of a scene and measure it against the true poses.
+
+    The map is built from the sessions of role map. Localization needs it; run this command after
+    simulate.
+    """
+    from mapping.build import build_map as run
+
+    emit(run(scene, method.value, cluster), as_json)
+
+
+@app.command()
+def dense(
+    scene: MappedScene,
+    size: Annotated[
+        int,
+        typer.Option(
+            help="Longest side of a depth map, pixels; photographs are never enlarged.", min=64
+        ),
+    ] = 1024,
+    sources: Annotated[
+        int,
+        typer.Option(help="Greatest number of photographs to match each photograph with.", min=2),
+    ] = 6,
+    stereo: Annotated[
+        Stereo,
+        typer.Option(help="PatchMatch of this project, or of COLMAP where pycolmap has CUDA."),
+    ] = Stereo.OWN,
+    seed: Annotated[
+        int, typer.Option(help="Random seed; the same seed gives the same depth maps.", min=0)
+    ] = 0,
+    cluster: ClusterAddress = None,
+    as_json: Json = False,
+) -> None:
+    """Estimate depth maps of a map's photographs and fuse them to a point cloud.
+
+    Writes SCENE/dense as a COLMAP workspace and measures it against the true depths where the scene
+    has them. An interrupted run goes on where it stopped.
+    """
+    from dense.command import dense as run
+
+    report = run(scene, size=size, sources=sources, stereo=stereo.value, seed=seed, cluster=cluster)
+    emit(report, as_json)
+
+
+@app.command()
+def diagnose(
+    scene: MappedScene,
+    masks: Masks = None,
+    cell: Annotated[
+        float,
+        typer.Option(
+            help="Side of the ground cells in which points are counted, metres.",
+            min=0.1,
+            max=10_000,
+        ),
+    ] = 5.0,
+    as_json: Json = False,
+) -> None:
+    """Report which objects in a map's photographs have points in the map.
+
+    Also reports how many points they have, how far these lie from the true surface, and how evenly
+    they cover the ground. Draws SCENE/pictures/diagnosis.png. Where supplement added points, also
+    reports and shows the map without them.
+    """
+    from mapping.diagnosis.command import diagnose as run
+
+    emit(run(scene, masks, cell), as_json)
+
+
+@app.command()
+def supplement(
+    scene: MappedScene,
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Weights of an object-connect network, whose object centres are searched too. "
+            "Left out, the search uses the photographs alone.",
+        ),
+    ] = None,
+    masks: Masks = None,
+    remove: Annotated[
+        bool,
+        typer.Option("--remove", help="Remove the added points, which restores the earlier map."),
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Add points on small standing objects that have none in the map.
+
+    The new points are marked in SCENE/map/supplement.json; nothing else of the map changes. Another
+    run replaces them. Draws SCENE/pictures/diagnosis.png and reports the map before and after.
+    """
+    from mapping.supplement.command import supplement as run
+    from mapping.supplement.map import remove_from_map
+
+    if remove:
+        if weights is not None or masks is not None:
+            raise InputError("--remove takes no other option: it takes out all that was added")
+        removed = remove_from_map(scene)
+        emit(Summary(f"{removed} points taken out of the map", {"removed": removed}), as_json)
+        return
+    emit(run(scene, weights, masks), as_json)

@@ -1,0 +1,123 @@
+"""Commands that compare and show results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from benchmark.cli.boundary import REGRESSION
+from benchmark.cli.options import Json, MappedScene
+from benchmark.cli.output import Summary, emit
+from scene.errors import InputError
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+@dataclass(frozen=True)
+class _Leaderboard:
+    """The leaderboard as Markdown; its tables are read again only where JSON is asked for."""
+
+    results: Sequence[Path]
+    markdown: str
+
+    def text(self) -> str:
+        return self.markdown
+
+    def as_dict(self) -> dict[str, Any]:
+        from benchmark.report.tables import tables
+
+        return {"tables": tables(self.results)}
+
+
+@app.command()
+def leaderboard(
+    results: Annotated[
+        list[Path],
+        typer.Argument(metavar="RESULTS", help="Results files, or folders that evaluate wrote."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for leaderboard.md, .tex and .html.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare results in one table per data set and starting information.
+
+    Prints Markdown. With --out, also writes it as LaTeX tables and as one HTML page that opens as a
+    file, with charts, paired comparisons, and every query with its pictures. The page shows albums
+    and basins that lie beside the results.
+    """
+    from benchmark.report.leaderboard import leaderboard as run
+
+    emit(_Leaderboard(results, run(results, out)), as_json)
+
+
+@app.command()
+def regress(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that evaluate wrote.")],
+    against: Annotated[
+        Path, typer.Option(metavar="BASELINE", help="Folder of the recorded results.")
+    ],
+    update: Annotated[
+        bool, typer.Option("--update", help="Make RESULTS the baseline instead of comparing.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Compare recall with recorded results and exit with 1 if it dropped.
+
+    A drop is one that chance does not explain: McNemar's exact test on the same queries, at 5 % for
+    each method and data set together. Use it in continuous integration.
+    """
+    from benchmark.regress import regress as run
+    from benchmark.regress import update as record
+
+    if update:
+        written = [str(path) for path in record(results, against)]
+        emit(Summary("\n".join(written), {"written": written}), as_json)
+        return
+    comparisons = run(results, against)
+    lines = [comparison.text() for comparison in comparisons]
+    values = [comparison.as_dict() for comparison in comparisons]
+    emit(Summary("\n".join(lines), {"comparisons": values}), as_json)
+    if any(comparison.dropped for comparison in comparisons):
+        raise typer.Exit(REGRESSION)
+
+
+@app.command()
+def view(
+    scene: MappedScene,
+    results: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RESULTS",
+            help="Results file, or folder that evaluate wrote, with poses of the scene's queries "
+            "to show; repeat the option for several.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="HTML", help="File for the page; left out, it is SCENE/pictures/view.html."
+        ),
+    ] = None,
+    show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a scene as an interactive page and as a picture.
+
+    The page shows the cameras with their photographs, the points of the map and those added to it,
+    the dense cloud, objects with and without a point, and the poses that methods gave the queries.
+    It opens as a file, without a server or a network.
+    """
+    import webbrowser
+
+    from benchmark.report.view import view as run
+
+    written = run(scene, results or (), out)
+    if show and not webbrowser.open(written.page.resolve().as_uri()):
+        raise InputError(f"no browser was found: open {written.page} in one")
+    page, picture = str(written.page), str(written.picture)
+    emit(Summary(page, {"page": page, "picture": picture, "points": written.points}), as_json)

@@ -1,0 +1,143 @@
+"""Commands that make scenes of photographs, check scenes and export them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmark.cli.arguments import claim_folders, parse_camera
+from benchmark.cli.boundary import INPUT_AT_FAULT
+from benchmark.cli.choices import described, listed, one_of
+from benchmark.cli.options import Cache, CameraWords, Json
+from benchmark.cli.output import Summary, emit
+from scene.exports.formats import FORMATS
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+class MapperName(StrEnum):
+    """The mappers of structure from motion."""
+
+    INCREMENTAL = "incremental"
+    GLOBAL = "global"
+
+
+class SplitBy(StrEnum):
+    """The units that photographs are divided by into map and queries."""
+
+    PHOTO = "photo"
+    LINE = "line"
+    NONE = "none"
+
+
+@app.command()
+def ingest(
+    photographs: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PHOTOS",
+            help="Folder of JPEG files with GPS positions in their EXIF or in a table.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
+    gps: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="Table of positions with the columns name,lat,lon,alt. Left out, positions are "
+            "read from EXIF.",
+        ),
+    ] = None,
+    camera: CameraWords = None,
+    size: Annotated[
+        int, typer.Option(help="Longest side of photographs in the scene, pixels.", min=64)
+    ] = 1600,
+    mapper: Annotated[
+        MapperName,
+        typer.Option(help="Structure from motion: one photograph after the other, or all at once."),
+    ] = MapperName.INCREMENTAL,
+    split: Annotated[
+        SplitBy, typer.Option(help="What queries are: single photographs, flight lines or none.")
+    ] = SplitBy.PHOTO,
+    every: Annotated[
+        int,
+        typer.Option(help="One of this many photographs or flight lines becomes a query.", min=2),
+    ] = 4,
+    as_json: Json = False,
+) -> None:
+    """Turn a folder of photographs with GPS positions into a scene.
+
+    Writes SCENE with its map, the report ingest.json and a picture of the flight. The reference
+    poses come from structure from motion over all photographs, aligned to GPS. Without --camera,
+    focal lengths are read from EXIF. An interrupted run goes on where it stopped.
+    """
+    from ingest.command import ingest as run
+
+    report = run(
+        photographs,
+        out,
+        gps=gps,
+        camera=parse_camera(camera),
+        size=size,
+        mapper=mapper.value,
+        split=split.value,
+        every=every,
+    )
+    emit(Summary(report.text(), report.model_dump()), as_json)
+
+
+@app.command()
+def export(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to export.")],
+    file_format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar=listed(FORMATS),
+            callback=one_of(FORMATS),
+            help=described(FORMATS),
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="New or empty folder.")],
+    session: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Session to export; repeat the option for several. Left out, all are exported.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write the poses and cameras of a scene in the format of another program.
+
+    Photographs stay in the scene, except with --format cmu. Image names in the files are relative
+    to SCENE/sessions; in transforms.json they are relative to the file itself.
+    """
+    from scene.exports.export import export as run
+
+    summary = run(scene, file_format, out, session or ())
+    text = "{out}: {frames} frames for {format}".format_map(summary)
+    emit(Summary(text, summary), as_json)
+
+
+@app.command()
+def validate(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene or flight to check.")],
+    cache: Cache = None,
+    as_json: Json = False,
+) -> None:
+    """Check the conventions and the exactness of a scene or a flight.
+
+    Names every check with its figures, and exits with 2 if one fails. Use it on data that you made
+    or changed, before you trust results on it.
+    """
+    from benchmark.validate import validate as run
+
+    claim_folders([scene], cache)
+    report = run(scene, cache)
+    emit(report, as_json)
+    if not report.ok:
+        raise typer.Exit(INPUT_AT_FAULT)

@@ -1,0 +1,154 @@
+"""Commands that render: scenes, pictures of all kinds of places, chessboards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from benchmark.cli.choices import listed, one_of
+from benchmark.cli.options import ClusterAddress, Json, options_of
+from benchmark.cli.output import Summary, emit
+from scene.exports.formats import FORMATS
+from simulate.config import SimulateConfig
+from simulate.place.presets import PRESETS
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+@app.command()
+@options_of(
+    SimulateConfig,
+    "preset",
+    "seed",
+    "area",
+    "frames",
+    "size",
+    "spp",
+    metavars={"preset": listed(PRESETS)},
+)
+def simulate(
+    out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
+    settings: dict[str, Any],
+    session: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
+            help="A flight under a condition, such as winter-dusk:oblique; repeat the option for "
+            "several. FLIGHT is nadir, grid, oblique, corridor, free, street or plan=FILE (a plan "
+            "of QGroundControl). ROLE is map or query; left out, the first flight builds the map "
+            "and the others are queries. CHANGE says what has changed since the place was built, "
+            "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YAML",
+            help="Configuration: a file, or the name of one that comes with objconnect, such as "
+            "demo or uav-sim. The options of this command win over it.",
+        ),
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="Number of rendering processes.", min=1)] = 1,
+    cluster: ClusterAddress = None,
+    file_format: Annotated[
+        str | None,
+        typer.Option(
+            "--export",
+            metavar=listed(FORMATS),
+            callback=one_of(FORMATS),
+            help="Also build the map and export the scene to the folder SCENE-FORMAT beside it.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Render a scene with exact camera poses.
+
+    An option that is left out takes its value from the configuration file, else its default. An
+    interrupted run goes on where it stopped. Run map on the scene next.
+    """
+    from mapping.build import build_map as build
+    from scene.exports.export import export as write
+    from scene.exports.export import require_empty
+    from simulate.command import simulate as run
+
+    wanted = SimulateConfig.load(config, settings | {"sessions": session})
+    target = None if file_format is None else out.with_name(f"{out.name}-{file_format}")
+    if target is not None and file_format is not None:
+        FORMATS.load(file_format)
+        require_empty(target)
+    scene = run(wanted, out, jobs, cluster)
+    text = f"{scene.path}: {', '.join(scene.sessions)}"
+    values: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
+    if target is not None and file_format is not None:
+        if not scene.map_path.is_dir():
+            build(out)
+        values["export"] = write(out, file_format, target)["out"]
+        text += f"\nexported to {target}"
+    emit(Summary(text, values), as_json)
+
+
+@app.command()
+@options_of(
+    SimulateConfig,
+    "preset",
+    "seed",
+    "area",
+    "size",
+    "spp",
+    defaults={"size": 240},
+    metavars={"preset": listed(PRESETS)},
+)
+def gallery(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for gallery.md and gallery/, its pictures.")
+    ],
+    settings: dict[str, Any],
+    condition: Annotated[
+        str,
+        typer.Option(
+            metavar="SEASON-LIGHT[-WEATHER]", help="Condition to show every kind of place in."
+        ),
+    ] = "summer-noon",
+    as_json: Json = False,
+) -> None:
+    """Render a page of pictures of every kind of place, season, light and weather.
+
+    Every kind of place is shown in one condition, and the place of --preset in every condition. An
+    interrupted run goes on where it stopped.
+    """
+    from simulate.gallery import gallery as run
+
+    page = str(run(SimulateConfig.load(None, settings), out, condition))
+    emit(Summary(page, {"page": page}), as_json)
+
+
+@app.command()
+def calibrate(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the views and pictures.")],
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YAML",
+            help="File of the camera: model, width, height and params, or preset and size. Left "
+            "out, it is the default camera of simulate.",
+        ),
+    ] = None,
+    views: Annotated[int, typer.Option(help="Number of chessboard views.", min=4, max=1000)] = 20,
+    seed: Annotated[int, typer.Option(help="Random seed of the board's poses.", min=0)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Calibrate the simulated camera from rendered chessboards.
+
+    Prints the calibration beside the true camera. Use it to see that a camera model is rendered as
+    OpenCV understands it.
+    """
+    from scene.config import load_config
+    from simulate.calibrate import calibrate as run
+    from simulate.camera.lens import CameraConfig
+
+    scene = SimulateConfig()
+    chosen = None if camera is None else load_config(CameraConfig, camera, {})
+    truth = chosen.build(scene.size) if chosen else scene.photo_camera()
+    emit(run(truth, out, views, seed), as_json)

@@ -1,0 +1,79 @@
+"""The readers of data sets by name, and the opening of any data set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, Protocol, runtime_checkable
+
+from benchmark.datasets.dataset import Dataset
+from scene.errors import InputError
+from scene.registry import Lazy, Registry
+
+
+@runtime_checkable
+class Reader(Protocol):
+    """Reads one kind of data set."""
+
+    @property
+    def name(self) -> str:
+        """Name of the kind, as in the registry."""
+        ...
+
+    @property
+    def holds(self) -> str:
+        """Phrase for error messages: the files of the folder, then the kind in parentheses."""
+        ...
+
+    def is_one(self, path: Path) -> bool:
+        """Return whether a path is a data set of this kind, whether or not it is complete."""
+        ...
+
+    def open(self, path: Path) -> list[Dataset]:
+        """Open a path of which ``is_one`` is true.
+
+        Raises:
+            InputError: a file is missing or wrong.
+        """
+        ...
+
+
+# Readers are asked in this order. A slice of Extended CMU Seasons has a folder "sparse", as a
+# flight has, so that flights come after it.
+READERS: Final[Registry[Reader]] = Registry(
+    "reader",
+    "objconnect.datasets",
+    {
+        "scene": Lazy("benchmark.datasets.simulated:READER"),
+        "cmu": Lazy("benchmark.datasets.cmu:READER"),
+        "flight": Lazy("benchmark.datasets.flight:READER"),
+    },
+    accepts=lambda found: isinstance(found, Reader),
+)
+
+
+def open_datasets(path: Path) -> list[Dataset]:
+    """Open the data sets of a path with the first reader that knows it.
+
+    A scene is one data set. A flight is one, or two with its hard split, whose name ends in
+    ``-sparse``; a path with that ending opens the hard split alone. Extended CMU Seasons is one
+    data set for each slice with public query poses; the folder of a slice opens it alone.
+
+    A package adds a reader by an entry point of the group ``objconnect.datasets``: an object with
+    the attributes of ``Reader``.
+
+    Raises:
+        InputError: the path does not exist, no reader knows it, or anything inside it is wrong.
+    """
+    is_folder = path.is_dir()
+    readers = []
+    for name in READERS:
+        reader = READERS.load(name)
+        with READERS.blame(name, f"cannot read {path}"):
+            if reader.is_one(path):
+                return reader.open(path)
+        readers.append(reader)
+    if not is_folder:
+        raise InputError(f"data set {path} does not exist")
+    raise InputError(
+        f"{path} is not a data set: it has neither {', nor '.join(r.holds for r in readers)}"
+    )

@@ -1,0 +1,75 @@
+"""The content of a scene's page and picture: points, objects, and queries with estimates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.bundle.manifest import SceneObject
+from scene.geometry.rectangle import rectangle
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """The points of one kind.
+
+    Attributes:
+        layer: "sparse", "added" or "dense".
+        xyz: (M, 3) world coordinates, metres.
+        rgb: (M, 3) colours.
+    """
+
+    layer: str
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class MapObject:
+    """An object in the map's photographs, and whether the map has a point on it.
+
+    Attributes:
+        item: entry of ``objects.json``.
+        before: whether it has a point that was not added by ``supplement``.
+        after: whether it has any point.
+    """
+
+    item: SceneObject
+    before: bool
+    after: bool
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """The (4, 2) corners of the object's box seen from above, metres."""
+        return rectangle(self.item.centre[:2], self.item.size[:2], np.radians(self.item.yaw_deg))
+
+
+@dataclass(frozen=True)
+class QueryEstimate:
+    """The estimate of a method for one query.
+
+    Attributes:
+        name: name of the photograph.
+        truth: (3,) true camera centre, metres.
+        centre: (3,) estimated camera centre, metres; None without a pose.
+        error: distance between the two, metres; None without a pose.
+        angle: rotation error, degrees; None without a pose.
+        status: value of ``scene.localizer.Status``.
+    """
+
+    name: str
+    truth: NDArray[np.float64]
+    centre: NDArray[np.float64] | None
+    error: float | None
+    angle: float | None
+    status: str
+
+
+@dataclass(frozen=True)
+class Method:
+    """The estimates of one results file."""
+
+    name: str
+    queries: tuple[QueryEstimate, ...]

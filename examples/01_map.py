@@ -1,0 +1,26 @@
+"""Build the map of a scene and read it.
+
+python examples/01_map.py [SCENE]    (after 00_simulate.py)
+"""
+
+import sys
+from pathlib import Path
+
+from benchmark.api import build_map, open_scene
+
+
+def main(path: Path = Path("runs/examples/scene")) -> None:
+    # COLMAP triangulates SIFT matches with the exact poses of the map frames.
+    report = build_map(path)
+    print(report.text())
+
+    # The map is a set of arrays, in world metres.
+    sparse_map = open_scene(path).sparse_map()
+    print(
+        f"{len(sparse_map.xyz)} points between {sparse_map.xyz.min(0)} and {sparse_map.xyz.max(0)}"
+    )
+    print(f"{len(sparse_map.images)} photographs, the first is {sparse_map.names[0]}")
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))

@@ -1,0 +1,36 @@
+"""Find the pose of one photograph in a map, and hold it against the truth.
+
+python examples/02_localize_one_image.py [SCENE]    (after 01_map.py)
+"""
+
+import sys
+from pathlib import Path
+
+from benchmark.api import Pose, Prior, Query, create_localizer, open_scene
+from scene.localizer import Status
+from scene.storage.images import read_rgb
+
+
+def main(path: Path = Path("runs/examples/scene")) -> float:
+    scene = open_scene(path)
+    localizer = create_localizer("sift", {"references": 4})
+    localizer.prepare(scene.sparse_map(), scene.images_root)
+
+    # One frame of a query session, with the noisy position that its GPS gave.
+    frames = scene.frames("summer-noon-nadir-query")
+    camera, truth = frames.cameras[0], Pose.from_matrix(frames.cam_from_world[0])
+    image = read_rgb(scene.images_root / frames.names[0], camera)
+    prior = Prior(position=frames.gps_prior[0], position_sigma=frames.gps_sigma[0])
+
+    estimate = localizer.localize(Query("first", image, camera, prior))
+    # Localizers never raise an error on a bad query: they say why they have no pose.
+    if estimate.status is not Status.OK or estimate.cam_from_world is None:
+        raise SystemExit(f"no pose: {estimate.reason}")
+    metres, degrees = estimate.cam_from_world.error_to(truth)
+    print(f"camera at {estimate.cam_from_world.centre().tolist()}")
+    print(f"off by {metres:.3f} m and {degrees:.3f} degrees, {estimate.inliers} inliers")
+    return float(metres)
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))

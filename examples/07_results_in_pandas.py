@@ -1,0 +1,36 @@
+"""Read results files into a table with pandas (pip install pandas).
+
+python examples/07_results_in_pandas.py [RESULTS]    (after 05_compare_two_methods.py)
+"""
+
+import sys
+from pathlib import Path
+
+import pandas as pd
+
+from benchmark.api import read_results
+from benchmark.results import BASIN
+
+
+def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:
+    # One row for each query of each method. `read_results` checks that the figures in a file
+    # follow from its queries.
+    rows = []
+    for path in sorted(folder.rglob("*.json")):
+        if path.name.endswith(BASIN):
+            continue
+        results = read_results(path)
+        for query in results.queries:
+            row = query.model_dump(include={"name", "condition", "t_err_m", "r_err_deg"})
+            rows.append({"method": results.method.name, "start": results.start, **row})
+    table = pd.DataFrame(rows)
+
+    # A query without a pose has no error: the comparison is false, so it counts as wrong.
+    table["found"] = (table.t_err_m < 0.5) & (table.r_err_deg < 5)
+    print(table.groupby(["start", "method", "condition"]).found.agg(["mean", "size"]))
+    print(table.groupby("method").t_err_m.describe())
+    return table
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))

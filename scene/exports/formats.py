@@ -1,0 +1,40 @@
+"""The export formats by name; the modules that write them are imported when they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from scene.registry import Lazy, Registry
+
+if TYPE_CHECKING:
+    from scene.bundle.frames import Frames
+    from scene.bundle.scene import Scene
+
+    Writer = Callable[[Scene, Mapping[str, Frames], Path, Path], None]
+    """Writes sessions of a scene into an empty folder.
+
+    The arguments are the scene, the frames of the chosen sessions by name, the folder to write to,
+    and the path that this folder gets when everything is written (relative paths inside the files
+    start there). It raises InputError for what the format cannot hold.
+    """
+
+FORMATS: Final[Registry[Writer]] = Registry(
+    "format",
+    "objconnect.exports",
+    {
+        "colmap": Lazy("scene.exports.colmap:write", "a model of all poses, with the map's points"),
+        "nerfstudio": Lazy("scene.exports.nerfstudio:write", "transforms.json"),
+        "tum": Lazy("scene.exports.tum:write", "a trajectory per session"),
+        "hloc": Lazy(
+            "scene.exports.hloc:write",
+            "query list with intrinsics, and pair lists from the covisibility",
+        ),
+        "cmu": Lazy(
+            "scene.exports.cmu:write",
+            "the tree of Extended CMU Seasons, with the photographs; a slice each for the urban, "
+            "suburban and park part of --preset street",
+        ),
+    },
+)

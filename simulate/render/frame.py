@@ -1,0 +1,68 @@
+"""What becomes of a rendered frame outside Blender: rays, the rolling shutter, labels, the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.camera.pinhole import PinholeCamera
+from simulate.place.world import World, class_lookup
+
+
+def late_by(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
+    """Return how far (3,) metres Cycles has the camera ahead: it takes the time of a row's end."""
+    return 0.5 * travel / height
+
+
+def row_shift(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
+    """Return where the camera is at every row, (height, 3) metres from where it is at the middle.
+
+    The camera moves by ``travel`` (3,) metres while a picture is read out.
+    """
+    return ((np.arange(height) + 0.5) / height - 0.5)[:, None] * travel
+
+
+def pinhole_rays(camera: PinholeCamera) -> NDArray[np.float64]:
+    """Return the rays x/z and y/z through every pixel centre, (H, W, 2)."""
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    return np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f], -1)
+
+
+def semantic_labels(
+    world: World,
+    rays: NDArray[np.float64],
+    cam_from_world: NDArray[np.float64],
+    shift: NDArray[np.float64],
+    arrays: dict[str, NDArray[Any]],
+) -> NDArray[np.uint8]:
+    """Return the class of the object, or of the ground, that each pixel's ray meets.
+
+    Args:
+        world: The place.
+        rays: Rays x/z and y/z (H, W, 2) of the pixels, in camera coordinates.
+        cam_from_world: Pose (4, 4) of the frame.
+        shift: How far (H, 3) in world metres the camera is from its pose at each row.
+        arrays: The layers "depth" (H, W) in metres and "instance" (H, W).
+
+    Returns:
+        Labels (H, W).
+    """
+    depth, instance = arrays["depth"], arrays["instance"]
+    ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], -1)
+    rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
+    points = (ahead * depth[..., None] - translation) @ rotation + shift[:, None]
+    labels = class_lookup(world.objects)[instance]
+    on_ground = (instance == 0) & (depth > 0)
+    labels[on_ground] = world.ground.label(points[on_ground, 0], points[on_ground, 1])
+    return np.asarray(labels)
+
+
+def save_layers(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write the layers of a frame, first under another name: a file ``path`` is always complete."""
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as file:
+        np.savez(file, **arrays)
+    partial.replace(path)
