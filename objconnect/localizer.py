@@ -10,6 +10,7 @@ from pydantic import Field
 from baselines.checkpoint import shipped
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.options import FeaturemetricConfig
+from baselines.place.finder import PlaceOptions
 from objconnect.network import read_network
 
 SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
@@ -22,6 +23,7 @@ class ObjConnectConfig(FeaturemetricConfig):
 
     references: int = Field(8, ge=1)
     multistart: bool = True
+    place: PlaceOptions | None = Field(PlaceOptions())
 
 
 class ObjConnectLocalizer(FeaturemetricLocalizer):

@@ -27,6 +27,7 @@ from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network
 from baselines.featuremetric.options import FeaturemetricConfig, SearchOptions
 from baselines.featuremetric.problem import LEAST_SIDE, ProblemBuilder, fit
 from baselines.featuremetric.references import ReferenceSource, references
+from baselines.place.finder import PlaceFinder
 from baselines.retrieval import OnDemand, References
 from baselines.starts import starts, with_all_headings
 from baselines.views import WarpedImage, with_heading
@@ -105,6 +106,9 @@ class FeaturemetricLocalizer:
         # photographs.
         described = OnDemand(self._observations.coarse, len(self._observations))
         self._retrieval = References.build(sparse_map, described, config.retrieval)
+        if config.place is not None:
+            self._places = PlaceFinder(self._extract, config.place)
+            self._places.prepare(sparse_map, images, source.extractor_key, cache)
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
@@ -122,14 +126,16 @@ class FeaturemetricLocalizer:
             begin = starts(query.prior, self._map, chosen, self.config.starts)
             if self.config.multistart and _heading_unknown(query.prior):
                 begin = with_all_headings(begin, self.config.starts)
-        attempts = self._attempts(query, chosen, begin, clock)
+        with clock.stage("place"):
+            places = self._found_places(query)
+        attempts = self._attempts(query, chosen, begin, places, clock)
         best = min(attempts, key=lambda attempt: (bool(attempt.reason), attempt.fit))
         seen = int(best.alignment.seen)
         iterations = sum(int(each.alignment.iterations) for each in attempts)
         if best.reason:
             return Estimate(
                 Status.FALLBACK,
-                begin[0],
+                [*places, *begin][0],
                 inliers=seen,
                 iterations=iterations,
                 seconds=clock.seconds,
@@ -146,21 +152,40 @@ class FeaturemetricLocalizer:
             seconds=clock.seconds,
         )
 
+    def _found_places(self, query: Query) -> list[Pose]:
+        """Return the starts of the place search, where nothing else says where to begin."""
+        config = self.config
+        if config.place is None or not config.multistart:
+            return []
+        if query.prior is not None or query.references is not None:
+            return []
+        return [candidate.pose for candidate in self._places.find(query)]
+
     def _attempts(
-        self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
+        self,
+        query: Query,
+        chosen: NDArray[np.int64],
+        begin: Sequence[Pose],
+        places: Sequence[Pose],
+        clock: Stopwatch,
     ) -> list[_Attempt]:
-        """Try starts until the fit of one is good enough to stop.
+        """Try starts until the fit of one is good enough to stop, those of the place search first.
 
         Where there were several starts, the image is then aligned once more from the best pose:
         seen from there it is turned and scaled better.
         """
         attempts: list[_Attempt] = []
+        radius = _default_radius(self.config.search)
+        for place in places:
+            attempt = self._attempt_near(query, place, clock, radius)
+            attempts.append(attempt)
+            if attempt.fit < self.config.search.stop_fit:
+                return [*attempts, self._attempt_near(query, attempt.pose, clock, radius)]
         for batch, enough in self._in_turn(query, chosen, begin, clock):
             attempts += batch
             best = min(attempts, key=lambda attempt: attempt.fit)
             if best.fit < enough:
                 if len(begin) > 1:
-                    radius = _default_radius(self.config.search)
                     attempts.append(self._attempt_near(query, best.pose, clock, radius))
                 break
         return attempts

@@ -10,6 +10,7 @@ from baselines.align.options import HypothesisOptions, SolverOptions
 from baselines.featuremetric.corners import CornerOptions
 from baselines.featuremetric.maps import Precision
 from baselines.featuremetric.references import ReferenceOptions
+from baselines.place.finder import PlaceOptions
 from baselines.retrieval import RetrievalOptions
 from baselines.starts import StartOptions
 from scene.config import Config
@@ -115,6 +116,11 @@ class FeaturemetricConfig(Config):
         ge=1,
         description="Memory of the whole process; features of the map stay in memory as far as "
         "there is room below it.",
+    )
+    place: PlaceOptions | None = Field(
+        None,
+        description="Search of the whole map for images without a prior pose; None for no search. "
+        "It needs ``multistart``.",
     )
     search: SearchOptions = Field(
         SearchOptions(), description="Which starts are tried, and when a pose is accepted."
