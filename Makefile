@@ -48,8 +48,8 @@ browser: install
 test: libraries browser lint
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-# Kills at random moments, clusters, wheels, fuzz: tens of minutes.
-test-rest: libraries browser
+# The site, kills at random moments, clusters, wheels, fuzz: tens of minutes.
+test-rest: libraries browser docs
 	$(BIN)/python -m pytest -n $(WORKERS) -m 'slow or thorough'
 	$(BIN)/python -m tests.fuzz --inputs 4000
 

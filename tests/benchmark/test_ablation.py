@@ -64,5 +64,5 @@ def test_names_and_switches_are_looked_at_before_anything_is_trained() -> None:
         plan({"name": "alone"})
     with pytest.raises(InputError, match="there are no objects: switch attention"):
         plan({"name": "a"}, {"name": "b", "network": {"segmentation": "none"}})
-    with pytest.raises(InputError, match=r"unknown key 'variants\.1\.method\.starts'"):
-        plan({"name": "a"}, {"name": "b", "method": {"starts": 3}})
+    with pytest.raises(InputError, match=r"unknown key 'variants\.1\.method\.start_at'"):
+        plan({"name": "a"}, {"name": "b", "method": {"start_at": 3}})

@@ -38,7 +38,7 @@ def test_pose_between_two_pictures(network: PixlocNet) -> None:
         for ours, theirs in zip(query, reference, strict=True):
             xy = projected.xy.float()
             features, confidence = theirs.sample(xy)
-            _, inside = sample(theirs.confidence, xy[None], theirs.stride, border_cells=3)
+            _, inside = sample(theirs.confidence, xy[None], theirs.stride, border=3)
             unit = torch.nn.functional.normalize(ours.features, dim=1)
             level = Level(unit, ours.stride, features[None], ours.confidence, confidence[None])
             levels.append((level, inside[0]))
