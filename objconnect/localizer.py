@@ -23,7 +23,7 @@ class ObjConnectConfig(FeaturemetricConfig):
 
     references: int = Field(8, ge=1)
     multistart: bool = True
-    place: PlaceOptions | None = Field(PlaceOptions())
+    place: PlaceOptions = Field(PlaceOptions())
 
 
 class ObjConnectLocalizer(FeaturemetricLocalizer):

@@ -106,7 +106,7 @@ class FeaturemetricLocalizer:
         # photographs.
         described = OnDemand(self._observations.coarse, len(self._observations))
         self._retrieval = References.build(sparse_map, described, config.retrieval)
-        if config.place is not None:
+        if config.multistart and config.place.candidates:
             self._places = PlaceFinder(self._extract, config.place)
             self._places.prepare(sparse_map, images, source.extractor_key, cache)
 
@@ -126,8 +126,7 @@ class FeaturemetricLocalizer:
             begin = starts(query.prior, self._map, chosen, self.config.starts)
             if self.config.multistart and _heading_unknown(query.prior):
                 begin = with_all_headings(begin, self.config.starts)
-        with clock.stage("place"):
-            places = self._found_places(query)
+        places = self._found_places(query, clock)
         attempts = self._attempts(query, chosen, begin, places, clock)
         best = min(attempts, key=lambda attempt: (bool(attempt.reason), attempt.fit))
         seen = int(best.alignment.seen)
@@ -152,14 +151,24 @@ class FeaturemetricLocalizer:
             seconds=clock.seconds,
         )
 
-    def _found_places(self, query: Query) -> list[Pose]:
+    def _found_places(self, query: Query, clock: Stopwatch) -> list[Pose]:
         """Return the starts of the place search, where nothing else says where to begin."""
         config = self.config
-        if config.place is None or not config.multistart:
+        if not config.multistart or not config.place.candidates:
             return []
         if query.prior is not None or query.references is not None:
             return []
-        return [candidate.pose for candidate in self._places.find(query)]
+        with clock.stage("place"):
+            return [candidate.pose for candidate in self._places.find(query)]
+
+    def _attempt_at_place(self, query: Query, start: Pose, clock: Stopwatch) -> _Attempt:
+        """Align the image from a start of the place search, and accept no pose that fits poorly:
+        among many places one fits better than by chance."""
+        options = self.config.search
+        attempt = self._attempt_near(query, start, clock, _default_radius(options))
+        if attempt.reason or attempt.fit < options.place_accept_fit:
+            return attempt
+        return replace(attempt, reason="no place of the map fits the image clearly")
 
     def _attempts(
         self,
@@ -175,17 +184,16 @@ class FeaturemetricLocalizer:
         seen from there it is turned and scaled better.
         """
         attempts: list[_Attempt] = []
-        radius = _default_radius(self.config.search)
         for place in places:
-            attempt = self._attempt_near(query, place, clock, radius)
-            attempts.append(attempt)
-            if attempt.fit < self.config.search.stop_fit:
-                return [*attempts, self._attempt_near(query, attempt.pose, clock, radius)]
+            attempts.append(self._attempt_at_place(query, place, clock))
+            if attempts[-1].fit < self.config.search.stop_fit:
+                return [*attempts, self._attempt_at_place(query, attempts[-1].pose, clock)]
         for batch, enough in self._in_turn(query, chosen, begin, clock):
             attempts += batch
             best = min(attempts, key=lambda attempt: attempt.fit)
             if best.fit < enough:
                 if len(begin) > 1:
+                    radius = _default_radius(self.config.search)
                     attempts.append(self._attempt_near(query, best.pose, clock, radius))
                 break
         return attempts

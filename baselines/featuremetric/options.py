@@ -35,6 +35,12 @@ class SearchOptions(Config):
         description="Nothing else is tried once a fit among the promising starts is below this, "
         "which needs many points in view.",
     )
+    place_accept_fit: float = Field(
+        0.87,
+        gt=0,
+        description="A pose from the place search is accepted when its fit is below this: wrong "
+        "poses were seen to fit at 0.91 and more.",
+    )
     covariance_inflation: float = Field(
         3.0,
         gt=0,
@@ -117,10 +123,10 @@ class FeaturemetricConfig(Config):
         description="Memory of the whole process; features of the map stay in memory as far as "
         "there is room below it.",
     )
-    place: PlaceOptions | None = Field(
-        None,
-        description="Search of the whole map for images without a prior pose; None for no search. "
-        "It needs ``multistart``.",
+    place: PlaceOptions = Field(
+        PlaceOptions(candidates=0),
+        description="Search of the whole map for images without a prior pose; it needs "
+        "``multistart``, and no candidates mean no search.",
     )
     search: SearchOptions = Field(
         SearchOptions(), description="Which starts are tried, and when a pose is accepted."

@@ -39,7 +39,7 @@ class PlaceOptions(Config):
     """Options of the search for a place.
 
     Attributes:
-        candidates: places to return at most.
+        candidates: places to return at most; 0 for no search.
         headings: at which the network looks at the query, spread over the full turn.
         turns: headings tried with each look of the network, between one look and the next.
         altitudes: heights above ground tried where none is known, in parts of the height from
@@ -51,7 +51,7 @@ class PlaceOptions(Config):
         farthest: ground farther away than so many heights above it is left out.
     """
 
-    candidates: int = Field(5, ge=1)
+    candidates: int = Field(5, ge=0)
     headings: int = Field(24, ge=1)
     turns: int = Field(1, ge=1)
     altitudes: tuple[float, ...] = (0.8, 1.0, 1.2)
