@@ -34,7 +34,7 @@ demo: libraries
 	test -d $(DEMO)/scene/map || $(BIN)/objconnect map $(DEMO)/scene
 	$(BIN)/objconnect validate $(DEMO)/scene
 	$(BIN)/objconnect evaluate $(DEMO)/scene --method sift --method pixloc --method objconnect \
-	  --start error=3m,5deg --out $(DEMO)/results --cache $(DEMO)/cache >/dev/null
+	  --out $(DEMO)/results --cache $(DEMO)/cache >/dev/null
 	$(BIN)/objconnect leaderboard $(DEMO)/results --out $(DEMO)/leaderboard
 	$(BIN)/objconnect view $(DEMO)/scene --results $(DEMO)/results --out $(DEMO)/view.html
 	@echo "Look at: $(DEMO)/leaderboard/leaderboard.html, $(DEMO)/view.html, $(DEMO)/scene/pictures"
