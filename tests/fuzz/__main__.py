@@ -32,6 +32,7 @@ from typing import Any
 import torch
 
 from scene.errors import InputError
+from scene.storage.digests import FOLDER_VARIABLE
 from tests.fuzz.mutations import spoil
 from tests.fuzz.readers import READERS, ROOT, Reader
 
@@ -58,6 +59,7 @@ def fuzz(names: list[str], inputs: int, seed: int, keep: Path, only: int | None)
     counts = {name: max(1, round(inputs * READERS[name].share / total)) for name in names}
     # A forked process has none of torch's threads and would wait for them.
     torch.set_num_threads(1)
+    os.environ[FOLDER_VARIABLE] = ""  # digests of inputs are remembered nowhere
     findings: Counter[str] = Counter()
     done, began = 0, time.monotonic()
     memory = "/dev/shm" if Path("/dev/shm").is_dir() else None  # a disk waits at every file

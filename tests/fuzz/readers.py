@@ -254,8 +254,8 @@ def _weights(folder: Path) -> None:
         "optimizer": optimizer.state_dict(),
         "done": 3,
     }
-    torch.save(state, folder / "checkpoint.pt")
     _claim(folder, {"config": CONFIG}, 0)
+    torch.save(state, folder / "checkpoint.pt")
     (folder / "log.jsonl").write_text('{"step": 0, "loss": 1.5}\n{"step": 1, "loss": 1.25}\n')
 
 
