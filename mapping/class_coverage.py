@@ -19,7 +19,7 @@ from scene.maps.features import Features
 from scene.maps.sparse_map import SparseMap
 
 KINDS = ("ground", "buildings", "vegetation", "other things")
-"""Of surfaces; the sky is none."""
+"""Kinds of surfaces; the sky is none of them."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
 
 
 Channels = Annotated[int, Field(ge=1, le=2048)]
-"""Of a layer; VGG16's widest has 512."""
+"""Number of channels of a layer; the widest of VGG16 has 512."""
 
 
 class PixlocNetConfig(Config):

@@ -188,8 +188,10 @@ def _flat(
 def _normals(
     layers: dict[str, NDArray[Any]], xy: Array, depth: Array, instance: NDArray[np.uint16]
 ) -> NDArray[np.int8]:
-    """Of the neighbouring pixels on the same object, the normal of the one closest in depth; where
-    there is none, as on a post thinner than a pixel, that of another object."""
+    """Return the normal of the neighbouring pixel on the same object that is closest in depth.
+
+    Where there is none, as on a post thinner than a pixel, it is that of another object.
+    """
     corners, _ = _corners(xy)
     far = np.inf
     gaps = np.stack(

@@ -369,7 +369,7 @@ class _Caster:
         return {self._numbers[k]: boxes[k] for k in chosen}
 
     def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
-        """Of the camera at a pose."""
+        """Return the function that casts rays of the camera at a pose."""
         world_from_cam = np.linalg.inv(cam_from_world)
 
         def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
