@@ -169,4 +169,4 @@ class PlaceFinder:
 
 def _most(spread: float, step: float) -> int:
     """Return how many headings to either side cover a spread, at most half a turn."""
-    return min(math.ceil(spread / step), math.floor(math.pi / step))
+    return math.ceil(min(spread / step, math.floor(math.pi / step)))

@@ -20,6 +20,8 @@ from scene.geometry.pose import Pose, so3_exp
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Places kept of each hypothesis.
 _PEAKS: Final = 3
+# Numerical guard: a query of less confidence, summed over cells, shows nothing.
+_LEAST_WEIGHT: Final = 1e-3
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,8 @@ class PlaceSearch:
         weight = torch.zeros(rows * columns)
         patch[seen] = self._mosaic.reduced(features)
         weight[seen] = confidence
+        if not float(confidence.sum()) > _LEAST_WEIGHT:
+            return None
         return _LaidOut(patch.T.reshape(-1, rows, columns), weight.reshape(rows, columns), first)
 
     def _footprint(
