@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -95,9 +96,15 @@ def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionCo
     )
 
 
-# What is usual in a kind of place where it is not what is usual elsewhere.
-_USUAL: dict[str, dict[str, Any]] = {
-    "street": {
+@cache
+def _usual(preset: str) -> dict[str, Any]:
+    """Return the defaults of a kind of place where they differ from those of the others.
+
+    Made at first use, because checking a camera with a lens loads torch.
+    """
+    if preset != "street":
+        return {}
+    return {
         "area": 300.0,
         "frames": 120,  # of a map session: one every 4 m, both ways
         "sessions": (
@@ -105,8 +112,7 @@ _USUAL: dict[str, dict[str, Any]] = {
             *_drive("summer-noon", "query", -0.5),
             *_drive("winter-dusk", "query", 0.4),
         ),
-    },
-}
+    }
 
 
 class SimulateConfig(Config):
@@ -177,7 +183,7 @@ class SimulateConfig(Config):
     def _usual_values(cls, values: object) -> object:
         if not isinstance(values, dict) or not isinstance(values.get("preset"), str):
             return values
-        return _USUAL.get(values["preset"], {}) | values
+        return _usual(values["preset"]) | values
 
     @field_validator("preset")
     @classmethod

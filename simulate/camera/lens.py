@@ -2,13 +2,15 @@
 
 Blender renders pinholes. Every other camera is seen through a pinhole that covers its view, and
 `simulate.camera.resample` takes each of its pixels from there.
+
+Torch is imported only where a lens is looked at, so that the configuration of a scene, and the help
+of the command line with it, loads without it.
 """
 
 from __future__ import annotations
 
 import math
 
-import torch
 from pydantic import Field, model_validator
 
 from scene.config import Config
@@ -109,6 +111,8 @@ def rendered_through(camera: Camera) -> tuple[PinholeCamera, str | None]:
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     if fx == fy and not camera.is_fisheye and not any(camera.distortion):
         return PinholeCamera(width=camera.width, height=camera.height, f=fx, cx=cx, cy=cy), None
+    import torch
+
     grid = camera.pixel_grid()
     edge = torch.cat([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
     inside = grid[::_COARSE, ::_COARSE].reshape(-1, 2)
