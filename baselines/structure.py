@@ -219,14 +219,12 @@ class StructureLocalizer:
             reason = f"{len(xyz)} matches to the map, {_MIN_MATCHES} are needed"
             return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
         with clock.stage("pose"):
-            gnss = query.prior if self.config.use_gnss else None
             result = estimate_absolute_pose(
                 features.xy[keypoints].astype(np.float64),
                 xyz,
                 query.camera,
                 self.config.max_error_px,
-                gnss.position if gnss else None,
-                gnss.position_sigma if gnss else None,
+                query.prior if self.config.use_gnss else None,
                 self.config.seed,
             )
         inliers = int(result.inliers.sum()) if result else 0

@@ -5,24 +5,35 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from baselines.training.config import TrainConfig
+from baselines.training.loop import LOG, WEIGHTS
 from scene.bundle.scene import Scene
 from scene.storage.atomic import write_text
 from scene.storage.files import read_text, sha256_of
 
+CARD: Final = "card.md"
+
 
 def write_card(
-    path: Path,
+    run: Path,
     method: str,
     config: TrainConfig,
     scenes: Sequence[Scene],
     validation: Sequence[Scene],
-    weights: Path,
-    log: Path,
 ) -> None:
-    """Write the card as Markdown. Recall is for those to add who measured it."""
-    rows = [json.loads(line) for line in read_text(log, "training log").splitlines()]
+    """Write the card as Markdown. Recall is for those to add who measured it.
+
+    Args:
+        run: folder of a finished run, which holds the weights and the log; the card is added to it.
+        method: name of the method.
+        config: configuration of the run.
+        scenes: scenes that were trained on.
+        validation: scenes that were only looked at.
+    """
+    weights = run / WEIGHTS
+    rows = [json.loads(line) for line in read_text(run / LOG, "training log").splitlines()]
     hours = sum(row.get("seconds", 0.0) for row in rows) / 3600
     changed = config.model_dump(mode="json", exclude_defaults=True)
     megabytes = weights.stat().st_size / 1e6
@@ -40,7 +51,7 @@ def write_card(
         seen = {k.removeprefix("val/"): v for k, v in row.items() if k.startswith("val/")}
         figures = ", ".join(f"{name} {value:.3g}" for name, value in seen.items())
         lines.append(f"- at the end, on what was looked at: {figures}")
-    write_text(path, "\n".join(lines) + "\n")
+    write_text(run / CARD, "\n".join(lines) + "\n")
 
 
 def _places(scenes: Sequence[Scene]) -> str:

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Final
 
 from baselines.training.card import write_card
 from baselines.training.config import TrainConfig
-from baselines.training.loop import LOG, Trainable, join, train_loop
+from baselines.training.loop import PairSources, Trainable, join, train_loop
 from baselines.training.planes import PlanePairs
 from baselines.training.rendered import RenderedPairs
 from scene.bundle.scene import Scene
 from scene.storage.locks import write_lock
 from scene.storage.outputs import check_output_folder
-
-CARD: Final = "card.md"
 
 
 def train(
@@ -53,10 +50,11 @@ def train(
     if config.photographs and config.photograph_share > 0:
         planes = PlanePairs(config.photographs, size, points, config.strength)
     chosen = RenderedPairs(looked_at, size, points, 0.0) if looked_at else None
+    sources = PairSources(rendered, planes, chosen)
     described = {"method": method, "scenes": [scene.manifest.seed for scene in scenes]}
     first = join().rank == 0
     with write_lock(out) if first else nullcontext():
-        weights = train_loop(make(config), config, rendered, planes, chosen, out, described)
+        weights = train_loop(make(config), config, sources, out, described)
         if first:
-            write_card(out / CARD, method, config, scenes, looked_at, weights, out / LOG)
+            write_card(out, method, config, scenes, looked_at)
     return weights

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
@@ -91,12 +92,32 @@ class _Stretch:
         return len(self._steps)
 
 
+@dataclass(frozen=True)
+class PairSources:
+    """Where the pairs of a run come from.
+
+    Attributes:
+        rendered: pairs of training scenes.
+        photographs: pairs of plain photographs, or None.
+        validation: pairs of scenes kept for choosing, or None to look at none.
+    """
+
+    rendered: PairSource
+    photographs: PairSource | None = None
+    validation: PairSource | None = None
+
+    def drawn(self, photograph_share: float, seed: int) -> _Drawn:
+        """Return the training pairs, of which a share is made of photographs if there are any."""
+        if self.photographs is None:
+            return _Drawn([self.rendered], [1.0], seed)
+        shares = [1 - photograph_share, photograph_share]
+        return _Drawn([self.rendered, self.photographs], shares, seed)
+
+
 def train_loop(
     method: Trainable,
     config: TrainConfig,
-    rendered: PairSource,
-    photographs: PairSource | None,
-    validation: PairSource | None,
+    sources: PairSources,
     out: Path,
     described: Mapping[str, Any],
 ) -> Path:
@@ -108,9 +129,7 @@ def train_loop(
     Args:
         method: what learns.
         config: how.
-        rendered: of training scenes.
-        photographs: pairs of plain photographs, or None.
-        validation: of scenes kept for choosing, or None to look at none.
+        sources: pairs to learn from and to look at.
         out: folder of the run: checkpoint, log, curves, weights.
         described: what else the run depends on; a folder that holds another run is refused.
 
@@ -135,9 +154,7 @@ def train_loop(
     with _naming_the_dead(), _log(out / LOG, first, rank) as log, bar as advance:
         for begin, end in pairwise(borders):
             share = config.photograph_share * (1 if begin == 0 else 0.5)
-            sources = [rendered, photographs] if photographs else [rendered]
-            shares = [1 - share, share] if photographs else [1.0]
-            drawn = _Drawn(sources, shares, config.seed)
+            drawn = sources.drawn(share, config.seed)
             start = max(first, begin)
             stretch = _Stretch(start, max(start, end), config.batch, rank, world)
             loader = _loader(drawn, stretch, config.workers)
@@ -155,8 +172,10 @@ def train_loop(
                 seconds = time.perf_counter() - began
                 log(step, figures | {"norm": float(norm), "seconds": seconds})
                 done = step + 1
-                if validation and (done % config.validate_every == 0 or done == config.steps):
-                    log(step, _validate(method, validation, config, device, done / config.steps))
+                looks = done % config.validate_every == 0 or done == config.steps
+                if sources.validation is not None and looks:
+                    progress = done / config.steps
+                    log(step, _validate(method, sources.validation, config, device, progress))
                 if rank == 0 and (done % config.save_every == 0 or done == config.steps):
                     _save(out / _CHECKPOINT, network, optimizer, done)
                     draw_curves(out / LOG, out / _CURVES)

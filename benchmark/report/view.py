@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from benchmark.report.album import webp
 from benchmark.report.self_contained import fill
-from benchmark.report.view_content import Cloud, MapObject, Method, QueryEstimate
+from benchmark.report.view_content import Cloud, MapObject, Method, QueryEstimate, ViewContent
 from benchmark.report.view_picture import draw
 from benchmark.results import Results, load, results_files
 from dense.command import DENSE
@@ -104,17 +104,20 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
         if not methods:
             raise InputError(f"the results are of {named}, none of the scene {scene.name}")
         log.warning("not shown are %d results of %s", len(others), named)
-    clouds = _clouds(scene, sparse_map, added)
-    objects = _map_objects(scene, sparse_map, added)
     query_paths = [
         np.array([poses[name].centre().numpy() for name in names])
         for names in scene.splits.queries.values()
         if names
     ]
-    data = _data(scene, sparse_map, poses, clouds, objects, query_paths, methods)
-    write_text(page, fill("view", data))
-    draw(scene.name, sparse_map.centres, clouds, objects, query_paths, methods, picture)
-    return SceneView(page, picture, {cloud.layer: len(cloud.xyz) for cloud in clouds})
+    content = ViewContent(
+        _clouds(scene, sparse_map, added),
+        _map_objects(scene, sparse_map, added),
+        query_paths,
+        methods,
+    )
+    write_text(page, fill("view", _data(scene, sparse_map, poses, content)))
+    draw(scene.name, sparse_map.centres, content, picture)
+    return SceneView(page, picture, {cloud.layer: len(cloud.xyz) for cloud in content.clouds})
 
 
 def _outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Path, Path]:
@@ -183,13 +186,7 @@ def _map_objects(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) 
 
 
 def _data(
-    scene: Scene,
-    sparse_map: SparseMap,
-    poses: Mapping[str, Pose],
-    clouds: Sequence[Cloud],
-    objects: Sequence[MapObject],
-    query_paths: Sequence[NDArray[np.float64]],
-    methods: Sequence[Method],
+    scene: Scene, sparse_map: SparseMap, poses: Mapping[str, Pose], content: ViewContent
 ) -> dict[str, Any]:
     """Return the data of the page, which ``templates/view.js`` reads."""
     # The extreme points are left out, because a few far ones would make everything else small.
@@ -199,7 +196,7 @@ def _data(
         "name": scene.name,
         "target": (0.5 * (low + high)).tolist(),
         "distance": 1.3 * float(np.linalg.norm(high - low)),
-        "clouds": [_packed(cloud) for cloud in clouds],
+        "clouds": [_packed(cloud) for cloud in content.clouds],
         "objects": [
             {
                 "size": shown.item.size_class,
@@ -209,11 +206,11 @@ def _data(
                 "before": shown.before,
                 "after": shown.after,
             }
-            for shown in objects
+            for shown in content.objects
         ],
         "cameras": _cameras(scene, sparse_map, poses),
         "photographs": _photographs(scene, sparse_map),
-        "ways": [path.tolist() for path in query_paths],
+        "ways": [path.tolist() for path in content.query_paths],
         "methods": [
             {
                 "name": method.name,
@@ -229,7 +226,7 @@ def _data(
                     for query in method.queries
                 ],
             }
-            for method in methods
+            for method in content.methods
         ],
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,3 +74,20 @@ class Method:
 
     name: str
     queries: tuple[QueryEstimate, ...]
+
+
+@dataclass(frozen=True)
+class ViewContent:
+    """Everything that is shown of a scene besides its cameras.
+
+    Attributes:
+        clouds: clouds of points; the picture leaves the dense one out.
+        objects: objects; the picture shows only small ones.
+        query_paths: (K, 3) true camera centres of the queries of each session, metres.
+        methods: methods with their estimates.
+    """
+
+    clouds: Sequence[Cloud]
+    objects: Sequence[MapObject]
+    query_paths: Sequence[NDArray[np.float64]]
+    methods: Sequence[Method]

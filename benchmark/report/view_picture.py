@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from benchmark.report.view_content import Cloud, MapObject, Method
+from benchmark.report.view_content import Method, ViewContent
 from scene.runtime.escaping import for_figure
 from scene.storage.atomic import atomic_write
 from scene.storage.provenance import PNG_METADATA
@@ -21,37 +20,26 @@ _SIDE = 8.0
 _HAS, _NONE, _ADDED = "#189a3c", "#e02a1f", "#d61ec0"
 
 
-def draw(
-    name: str,
-    centres: NDArray[np.float64],
-    clouds: Sequence[Cloud],
-    objects: Sequence[MapObject],
-    query_paths: Sequence[NDArray[np.float64]],
-    methods: Sequence[Method],
-    path: Path,
-) -> None:
+def draw(name: str, centres: NDArray[np.float64], content: ViewContent, path: Path) -> None:
     """Draw points, objects, cameras and queries in one panel, or in two where points were added.
 
     Args:
         name: name of the scene.
         centres: (N, 3) centres of the map's cameras, metres.
-        clouds: clouds of points; the dense one is not drawn.
-        objects: objects; the small ones are drawn.
-        query_paths: (K, 3) true camera centres of the queries of each session, metres.
-        methods: methods with their estimates.
+        content: what else is drawn.
         path: path of the PNG file.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    added = any(cloud.layer == "added" for cloud in clouds)
+    added = any(cloud.layer == "added" for cloud in content.clouds)
     states = [("before", False), ("after", True)] if added else [("", True)]
     figure = Figure(figsize=(_SIDE * len(states), _SIDE), layout="constrained")
     axes = figure.subplots(1, len(states), squeeze=False, sharex=True, sharey=True)[0]
     for ax, (state, after) in zip(axes, states, strict=True):
-        small = [shown for shown in objects if shown.item.size_class == "small"]
+        small = [shown for shown in content.objects if shown.item.size_class == "small"]
         having = sum(shown.after if after else shown.before for shown in small)
-        for cloud in clouds:
+        for cloud in content.clouds:
             if cloud.layer == "sparse":
                 size = float(np.clip(2e4 / max(len(cloud.xyz), 1), 0.5, 8))
                 ax.scatter(*cloud.xyz[:, :2].T, s=size, c=cloud.rgb / 255, linewidths=0)
@@ -62,9 +50,9 @@ def draw(
             colour = _HAS if (shown.after if after else shown.before) else _NONE
             ax.add_patch(Polygon(shown.corners, fill=False, edgecolor=colour, linewidth=1.5))
         ax.plot(*centres[:, :2].T, "o", color="C0", markersize=3, label="photographs of the map")
-        for centres_of_queries in query_paths:
+        for centres_of_queries in content.query_paths:
             ax.plot(*centres_of_queries[:, :2].T, "-", color="0.3", linewidth=0.8)
-        for number, method in enumerate(methods):
+        for number, method in enumerate(content.methods):
             _draw_method(ax, method, f"C{number + 1}")
         words = [for_figure(name), *([state] if state else [])]
         words += [f"{having} of {len(small)} small objects have a point"] if small else []

@@ -59,6 +59,23 @@ class Tracks:
         )
 
 
+@dataclass(frozen=True)
+class _Compared:
+    """The photographs that are compared, with what is known of each.
+
+    Attributes:
+        images: photographs.
+        blobs: of each photograph.
+        tables: of ``_nearest_blobs``, of each photograph.
+        ground: under them.
+    """
+
+    images: Sequence[MapImage]
+    blobs: Sequence[Blobs]
+    tables: Sequence[NDArray[np.int32]]
+    ground: Ground
+
+
 def follow(
     images: Sequence[MapImage],
     blobs: Sequence[Blobs],
@@ -80,10 +97,11 @@ def follow(
         _nearest_blobs(each, shape, options.max_offset_px)
         for each, shape in zip(blobs, shapes, strict=True)
     ]
+    compared = _Compared(images, blobs, tables, ground)
     parts = []
     with progress_bar("compare", len(images)) as advance:
         for view in range(len(images)):
-            parts.append(_followed(view, images, blobs, tables, ground, views, options))
+            parts.append(_followed(view, compared, views, options))
             advance(view + 1)
     first = np.cumsum([0] + [len(part.xyz) for part in parts])
     return Tracks(
@@ -123,21 +141,9 @@ def project(
     return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, border_px)).numpy()
 
 
-def _followed(
-    view: int,
-    images: Sequence[MapImage],
-    blobs: Sequence[Blobs],
-    tables: Sequence[NDArray[np.int32]],
-    ground: Ground,
-    views: int,
-    options: TrackOptions,
-) -> Tracks:
-    """Follow the blobs of one photograph into the others; arguments as of ``follow``.
-
-    Args:
-        view: row of the photograph.
-        tables: of ``_nearest_blobs``, by photograph.
-    """
+def _followed(view: int, compared: _Compared, views: int, options: TrackOptions) -> Tracks:
+    """Follow the blobs of one photograph, by its row, into the others; see ``follow``."""
+    images, blobs, ground = compared.images, compared.blobs, compared.ground
     own = blobs[view]
     heights = np.arange(options.lowest_m, options.highest_m, options.height_step_m)
     low = ground.under(images[view], own.xy, 0.0)
@@ -153,7 +159,7 @@ def _followed(
         visible += inside
         at = np.flatnonzero(inside)
         at, blob, match_score = _matched(
-            own, owner[at], blobs[other], tables[other], (at, xy[at]), options
+            own, owner[at], blobs[other], compared.tables[other], (at, xy[at]), options
         )
         score[at] += match_score
         members[k, at] = blob

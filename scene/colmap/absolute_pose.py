@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scene.colmap.native import CAUCHY, LEAST_VARIANCE, native_camera, pose_from_native
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, transform_jacobian
+from scene.localizer import Prior
 
 # Three matches determine a pose exactly, so their residuals say nothing about its accuracy.
 _MINIMAL = 3
@@ -51,8 +52,7 @@ def estimate_absolute_pose(
     xyz: NDArray[np.float64],
     camera: Camera,
     max_error: float,
-    position: NDArray[np.float64] | None = None,
-    position_sigma: NDArray[np.float64] | None = None,
+    prior: Prior | None = None,
     seed: int = 0,
 ) -> PnpResult | None:
     """Estimate a pose by LO-RANSAC P3P and non-linear refinement; None if no pose has support.
@@ -62,10 +62,9 @@ def estimate_absolute_pose(
         xyz: (N, 3) world metres.
         camera: camera of the query.
         max_error: inlier threshold, pixels.
-        position: camera centre measured by GNSS, (3,) world metres.
-        position_sigma: standard deviation of ``position`` per axis, (3,) metres, infinite where not
-            measured. The position then takes part in the refinement, weighted against the residuals
-            of the inliers, unless it contradicts them.
+        prior: measured position and its standard deviation per axis, infinite where not measured.
+            If both are known, the position takes part in the refinement, weighted against the
+            residuals of the inliers, unless it contradicts them. The attitude is not used.
         seed: random seed of the sampling; the same seed gives the same pose.
     """
     estimation = pycolmap.AbsolutePoseEstimationOptions()
@@ -82,14 +81,14 @@ def estimate_absolute_pose(
     # Refine again, with a robust loss and the position, both scaled by the measured pixel noise.
     refinement.loss_function_scale = CAUCHY * np.sqrt(variance)
     sigma = None
-    if position is not None and position_sigma is not None:
-        sigma = np.clip(position_sigma, _LEAST_SIGMA, _LARGEST_SIGMA)
+    if prior is not None and prior.position_sigma is not None:
+        sigma = np.clip(prior.position_sigma, _LEAST_SIGMA, _LARGEST_SIGMA)
         alone = _pose_covariance(xyz[inliers], camera, pose, variance, None)
-        if alone is not None and _contradicts(pose, alone, position, sigma):
+        if alone is not None and _contradicts(pose, alone, prior.position, sigma):
             sigma = None
-    if sigma is not None:
+    if prior is not None and sigma is not None:
         refinement.use_position_prior = True
-        refinement.position_prior_in_world = position
+        refinement.position_prior_in_world = prior.position
         # COLMAP assumes residuals of one pixel, so the covariance is given in units of them.
         refinement.position_prior_covariance = np.diag(sigma**2) / variance
     refined = pycolmap.refine_absolute_pose(

@@ -15,7 +15,8 @@ from torch import Tensor, nn
 
 from baselines.checkpoint import read_weights
 from baselines.pixloc.training import PixlocTraining
-from baselines.training.command import CARD, train
+from baselines.training.card import CARD
+from baselines.training.command import train
 from baselines.training.config import TrainConfig
 from baselines.training.loop import LOG, WEIGHTS, _claim, _log
 from baselines.training.pairs import PairBatch

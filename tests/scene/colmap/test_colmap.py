@@ -18,6 +18,7 @@ from scene.colmap.triangulation import triangulate
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
+from scene.localizer import Prior
 from scene.maps.colmap_files import read_model
 from scene.maps.photographs import PosedImage
 from scene.maps.sparse_map import SparseMap
@@ -34,9 +35,9 @@ class Matches:
     xyz: Array
     xy: Array
 
-    def solve(self, noise: float, seed: int = 0, **prior: Array) -> PnpResult | None:
+    def solve(self, noise: float, seed: int = 0, prior: Prior | None = None) -> PnpResult | None:
         noisy = self.xy + np.random.default_rng(seed).normal(0, noise, self.xy.shape)
-        return estimate_absolute_pose(noisy, self.xyz, CAMERA, 6.0, **prior)
+        return estimate_absolute_pose(noisy, self.xyz, CAMERA, 6.0, prior)
 
 
 def make_matches(n: int, seed: int = 0) -> Matches:
@@ -112,11 +113,11 @@ def errors_and_covariances(
     errors, covariances = [], []
     centre = matches.pose.centre().numpy()
     for seed in range(runs):
-        prior = {}
+        prior = None
         if sigma is not None:
             measured = centre + np.random.default_rng(9000 + seed).normal(0, sigma)
-            prior = {"position": measured, "position_sigma": sigma}
-        result = matches.solve(noise, seed, **prior)
+            prior = Prior(measured, sigma)
+        result = matches.solve(noise, seed, prior)
         assert result is not None
         assert result.covariance is not None
         errors.append((matches.pose @ result.cam_from_world.inverse()).log().numpy())
@@ -163,7 +164,7 @@ def test_a_position_prior_steadies_few_noisy_matches() -> None:
 
 def test_a_prior_of_no_known_sigma_changes_nothing() -> None:
     matches = make_matches(20)
-    with_prior = matches.solve(1.0, position=np.array([1e3, 1e3, 1e3]))
+    with_prior = matches.solve(1.0, prior=Prior(np.array([1e3, 1e3, 1e3])))
     without = matches.solve(1.0)
     assert with_prior is not None
     assert without is not None
@@ -175,7 +176,7 @@ def test_a_position_that_contradicts_the_matches_takes_no_part(sigma: float) -> 
     """A position that contradicts the matches, or has no weight, does not change the pose."""
     matches = make_matches(20)
     far = matches.pose.centre().numpy() + np.array([1000.0, 0, 0])
-    with_prior = matches.solve(1.0, position=far, position_sigma=np.full(3, sigma))
+    with_prior = matches.solve(1.0, prior=Prior(far, np.full(3, sigma)))
     without = matches.solve(1.0)
     assert with_prior is not None
     assert without is not None
@@ -186,7 +187,7 @@ def test_a_position_that_contradicts_the_matches_takes_no_part(sigma: float) -> 
 def test_a_prior_said_to_be_perfect_is_taken_at_its_word() -> None:
     matches = make_matches(20)
     position = matches.pose.centre().numpy()
-    result = matches.solve(1.0, position=position, position_sigma=np.zeros(3))
+    result = matches.solve(1.0, prior=Prior(position, np.zeros(3)))
     assert result is not None
     assert np.linalg.norm(result.cam_from_world.centre().numpy() - position) < 0.01
 
