@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 
 from ingest.georegister import Georegistration, georegister
 from ingest.gps_delay import find_delay, motions, undo_delay
-from scene.colmap.structure_from_motion import adjust_to_positions
+from ingest.options import IngestOptions
+from scene.colmap.structure_from_motion import (
+    MeasuredPositions,
+    RefinedLenses,
+    adjust_to_positions,
+)
 from scene.maps.colmap_files import read_model
 from scene.maps.photographs import Photograph
 from scene.maps.sparse_map import SparseMap
@@ -19,19 +24,8 @@ from scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
-# Focal length and height trade against each other over flat ground: where depths within a picture
-# differ by less than this share of them, EXIF knows the focal length better than the pixels do.
-_RELIEF = 0.25
-# A principal point off the middle looks like a shift of all cameras. Only cameras that face several
-# directions tell the two apart: the mean of their unit vectors to the right is shorter than this.
-_ONE_WAY = 0.8
-# The principal point leaves the middle only where this lowers the reprojection error below this
-# share; otherwise errors of GPS would move it.
-_BETTER = 0.998
 # Standard deviation of an altitude that counts for nothing (m).
 _NO_ALTITUDE = 1e4
-# The delay moves the centres, and these the velocities, by a few per cent; so it is found anew.
-_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -59,6 +53,7 @@ def adjust(
     fixes: Mapping[str, Array],
     times: Mapping[str, float],
     work: Path,
+    options: IngestOptions,
 ) -> Adjusted:
     """Place a model by GPS and adjust it to pixels and GPS.
 
@@ -68,25 +63,14 @@ def adjust(
         fixes: Measured positions (3,) by name, world metres.
         times: Seconds since any one moment, by name.
         work: Folder for the adjusted model.
+        options: When GPS is believed, and which lenses are adjusted.
 
     Raises:
         InputError: As ``georegister``.
     """
     raw = read_model(model_path)
-    placed = georegister(raw, fixes)
     order = [photograph.name for photograph in taken if photograph.name in raw.images]
-    delay, used = 0.0, fixes
-    for _ in range(_ROUNDS):
-        centres = dict(zip(raw.names, placed.apply(raw.centres), strict=True))
-        moving = motions(order, centres, times)
-        trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
-        delay = find_delay(moving, centres, trusted)
-        if delay == 0:
-            break
-        used = undo_delay(fixes, moving, delay)
-        placed = georegister(raw, used)
-    if delay == 0 and used is not fixes:
-        placed, used = georegister(raw, fixes), fixes
+    placed, delay, used = _place(raw, order, fixes, times, options)
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
     sigma = placed.sigma.copy()
     if placed.level == "ground":
@@ -94,7 +78,8 @@ def adjust(
             height = placed.apply(raw.images[name].centre[None])[0, 2]
             positions[name] = np.array([*positions[name][:2], height])
         sigma[2] = _NO_ALTITUDE
-    tell = _relief(raw) > _RELIEF
+    limits = options.adjustment
+    tell = _relief(raw) > limits.min_relief
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
 
     def adjusted(principal_point: bool) -> SparseMap:
@@ -103,19 +88,52 @@ def adjust(
                 model_path,
                 taken,
                 placed.world_from_model,
-                positions,
-                sigma,
-                focal,
+                MeasuredPositions(positions, sigma),
+                RefinedLenses(focal, principal_point),
                 folder,
-                principal_point=principal_point,
             )
 
     model = adjusted(principal_point=False)
-    if _turn_about(raw, taken):
+    if _common_direction(raw, taken) < limits.max_common_direction:
         off_middle = adjusted(principal_point=True)
-        if off_middle.reprojection_error() < _BETTER * model.reprojection_error():
+        if off_middle.reprojection_error() < (1 - limits.min_gain) * model.reprojection_error():
             model = off_middle
     return Adjusted(model, placed, focal, delay, {} if used is fixes else used)
+
+
+def _place(
+    raw: SparseMap,
+    order: Sequence[str],
+    fixes: Mapping[str, Array],
+    times: Mapping[str, float],
+    options: IngestOptions,
+) -> tuple[Georegistration, float, Mapping[str, Array]]:
+    """Place a model by its fixes, without their delay if they have one.
+
+    Args:
+        raw: The model, in a frame of its own.
+        order: Names of its photographs in the order they were taken.
+        fixes: Measured positions (3,) by name, world metres.
+        times: Seconds since any one moment, by name.
+        options: When positions are wrong, and when they are late.
+
+    Returns:
+        Where the model is, the delay in seconds (0 if unknown), and the fixes without the delay;
+        without a delay these are ``fixes`` itself.
+    """
+    placed, used, delay = georegister(raw, fixes, options.placement), fixes, 0.0
+    for _ in range(options.delay.rounds):
+        centres = dict(zip(raw.names, placed.apply(raw.centres), strict=True))
+        moving = motions(order, centres, times, options.line_turn_deg)
+        trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
+        delay = find_delay(moving, centres, trusted, options.delay)
+        if delay == 0:
+            break
+        used = undo_delay(fixes, moving, delay)
+        placed = georegister(raw, used, options.placement)
+    if delay == 0 and used is not fixes:
+        placed, used = georegister(raw, fixes, options.placement), fixes
+    return placed, delay, used
 
 
 def _relief(model: SparseMap) -> float:
@@ -130,13 +148,16 @@ def _relief(model: SparseMap) -> float:
     return float(np.median(spread))
 
 
-def _turn_about(model: SparseMap, taken: Sequence[Photograph]) -> bool:
-    """Return whether the cameras of every uncalibrated lens face several directions."""
+def _common_direction(model: SparseMap, taken: Sequence[Photograph]) -> float:
+    """Return how much the cameras of any uncalibrated lens face one way.
+
+    It is the largest length, over the lenses, of the mean of the cameras' unit vectors to the
+    right: 1 where all cameras of a lens face one way. Without an uncalibrated lens it is infinite.
+    """
     right: dict[str, list[Array]] = {}
     for photograph in taken:
         if photograph.name in model.images and not photograph.calibrated:
             axis = model.images[photograph.name].cam_from_world[0, :3]
             right.setdefault(photograph.lens, []).append(axis)
-    return bool(right) and all(
-        np.linalg.norm(np.mean(axes, axis=0)) < _ONE_WAY for axes in right.values()
-    )
+    lengths = [float(np.linalg.norm(np.mean(axes, axis=0))) for axes in right.values()]
+    return max(lengths, default=np.inf)

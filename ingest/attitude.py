@@ -9,14 +9,11 @@ import torch
 from numpy.typing import NDArray
 
 from ingest.georegister import Georegistration
+from ingest.options import IngestOptions
 from ingest.photographs import FlightImage
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import SparseMap
 
-# A gimbal is off by a few degrees, and its compass by more; a photograph that is further off than
-# this contradicts its gimbal.
-_WRONG_DEG = 30.0
-_LEAST_SIGMA_DEG = 0.1
 _OVER = np.diag([-1.0, -1.0, 1.0])
 
 
@@ -41,7 +38,10 @@ def gimbal_pose(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Pose:
 
 
 def turned_over(
-    model: SparseMap, placed: Georegistration, images: Sequence[FlightImage]
+    model: SparseMap,
+    placed: Georegistration,
+    images: Sequence[FlightImage],
+    max_error_deg: float,
 ) -> set[str]:
     """Return the names of photographs that someone has rotated by 180 degrees.
 
@@ -53,6 +53,7 @@ def turned_over(
         model: The model, in a frame of its own.
         placed: Where the model is in the world.
         images: Photographs of the model; there may be others.
+        max_error_deg: A photograph that is further off contradicts its gimbal.
     """
     linear = placed.world_from_model[:, :3]
     turn = linear / np.cbrt(np.linalg.det(linear))
@@ -61,8 +62,8 @@ def turned_over(
         if image.exif.gimbal is None or image.name not in model.images:
             continue
         seen = model.images[image.name].cam_from_world[:3, :3] @ turn.T
-        upright += _degrees(image, seen) < _WRONG_DEG
-        if _degrees(image, _OVER @ seen) < _WRONG_DEG:
+        upright += _degrees(image, seen) < max_error_deg
+        if _degrees(image, _OVER @ seen) < max_error_deg:
             over.add(image.name)
     return over if len(over) < upright else set()
 
@@ -75,7 +76,10 @@ def _degrees(image: FlightImage, cam_from_world: NDArray[np.float64]) -> float:
 
 
 def attitudes(
-    images: Sequence[FlightImage], poses: NDArray[np.float64], queries: set[str]
+    images: Sequence[FlightImage],
+    poses: NDArray[np.float64],
+    queries: set[str],
+    options: IngestOptions,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, float]]:
     """Return the attitudes of the gimbal, how exact they are, and those that are wrong.
 
@@ -83,6 +87,7 @@ def attitudes(
         images: The photographs.
         poses: Poses ``cam_from_world`` (N, 4, 4) of the photographs.
         queries: Names of the queries. The sigma is measured on the other photographs.
+        options: Which attitudes are wrong, and the least sigma.
 
     Returns:
         Quaternions (N, 4), w x y z, and their sigma (N,) in degrees per axis, both NaN for a
@@ -95,7 +100,7 @@ def attitudes(
         if image.exif.gimbal is not None:
             quaternions[k] = gimbal_pose(*image.exif.gimbal).quaternion().numpy()
             errors[k] = _degrees(image, poses[k, :3, :3])
-    wrong = errors > _WRONG_DEG
+    wrong = errors > options.max_attitude_error_deg
     blunders = {images[k].file: float(errors[k]) for k in np.flatnonzero(wrong)}
     quaternions[wrong] = errors[wrong] = np.nan
     known = np.isfinite(errors)
@@ -103,4 +108,5 @@ def attitudes(
     if not mapped.any():
         mapped = known
     sigma = np.sqrt((errors[mapped] ** 2).mean() / 3) if known.any() else np.nan
-    return quaternions, np.where(known, np.maximum(sigma, _LEAST_SIGMA_DEG), np.nan), blunders
+    sigma = np.maximum(sigma, options.min_attitude_sigma_deg)
+    return quaternions, np.where(known, sigma, np.nan), blunders

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ingest.adjustment import adjust
 from ingest.attitude import turned_over
 from ingest.georegister import georegister
 from ingest.neighbours import choose_pairs
+from ingest.options import IngestOptions, PairOptions
 from ingest.outputs import write_lists, write_measurements
 from ingest.photographs import SESSION, Flight, photographs_of, read_flight
 from ingest.picture import draw
 from ingest.positions import FEWEST, local, with_positions
-from ingest.report import REPORT, IngestReport, make_report
+from ingest.report import REPORT, AttitudeFindings, IngestReport, make_report
 from ingest.split import Split, queries_of
 from scene.bundle.manifest import Manifest, Session, read_json, write_json
 from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish_scene
@@ -46,6 +49,7 @@ _WORK = f"{TEMPORARY_PREFIX}ingest"
 _PLAN = "plan.json"
 _TURNED = "turned.json"
 _DATABASE = Path("database.db")
+_DEFAULTS: Final = IngestOptions()
 
 
 class _Plan(BaseModel):
@@ -60,6 +64,28 @@ class _Plan(BaseModel):
     camera: str | None
     gps: str | None
     photographs: dict[str, str]
+    options: IngestOptions = IngestOptions()
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What a scene is made of.
+
+    Attributes:
+        folder: folder of the photographs.
+        flight: its photographs, and the files that are left out.
+        taken: the photographs as structure from motion takes them.
+        fixes: measured positions (3,) by name, world metres.
+        queries: names of the queries.
+        plan: what was asked for.
+    """
+
+    folder: Path
+    flight: Flight
+    taken: Sequence[Photograph]
+    fixes: Mapping[str, NDArray[np.float64]]
+    queries: set[str]
+    plan: _Plan
 
 
 class _Turned(BaseModel):
@@ -68,6 +94,7 @@ class _Turned(BaseModel):
     names: tuple[str, ...]
 
 
+# Wide: these are the options of the command ``ingest``.
 def ingest(
     photographs: Path,
     out: Path,
@@ -78,6 +105,7 @@ def ingest(
     mapper: Mapper = "incremental",
     split: Split = "photo",
     every: int = 4,
+    options: IngestOptions = _DEFAULTS,
 ) -> IngestReport:
     """Turn a folder of geotagged JPEGs into a scene, or go on where an interrupted run stopped.
 
@@ -93,6 +121,7 @@ def ingest(
         mapper: "incremental" or "global" structure from motion.
         split: queries are every ``every``-th "photo" or flight "line", or "none".
         every: see ``split``.
+        options: which photographs are matched, and when GPS and gimbals are believed.
 
     Raises:
         InputError: fewer than three photographs, or positions, or photographs that hang together;
@@ -112,6 +141,7 @@ def ingest(
         camera=None if camera is None else str(camera),
         gps=None if gps is None else sha256_of(gps),
         photographs={image.file: image.sha256 for image in flight.images},
+        options=options,
     )
     with write_lock(out):
         return _ingest(photographs, out, flight, camera, plan)
@@ -121,14 +151,15 @@ def _ingest(
     photographs: Path, out: Path, flight: Flight, camera: Camera | None, plan: _Plan
 ) -> IngestReport:
     origin, fixes = local(flight.images)
-    queries = queries_of([image.name for image in flight.images], fixes, plan.split, plan.every)
-    taken = photographs_of(flight.images, plan.size, camera)
+    names, options = [image.name for image in flight.images], plan.options
+    queries = queries_of(names, fixes, plan.split, plan.every, options.line_turn_deg)
+    taken = photographs_of(flight.images, plan.size, camera, options.guessed_focal)
     if _finished(out, plan):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
     unfinished = _resumable(out, plan)
     unfinished.begin()
     try:
-        report = _build(out, photographs, flight, taken, fixes, queries, plan)
+        report = _build(out, _Source(photographs, flight, taken, fixes, queries, plan))
     except WriteError:
         raise  # the same command goes on when there is room
     except InputError:
@@ -148,70 +179,50 @@ def _owned(flight: Flight) -> set[str]:
     return {*copies, frames, *lists, *(f"map/{file}" for file in MAP_FILES)}
 
 
-def _build(
-    out: Path,
-    folder: Path,
-    flight: Flight,
-    taken: Sequence[Photograph],
-    fixes: Mapping[str, NDArray[np.float64]],
-    queries: set[str],
-    plan: _Plan,
-) -> IngestReport:
+def _build(out: Path, source: _Source) -> IngestReport:
     """Write everything of the scene but its manifest."""
-    files = {image.name: image.file for image in flight.images}
-    flight, model_path, turned = _structure(out, folder, flight, taken, fixes, plan)
+    taken, fixes, queries = source.taken, source.fixes, source.queries
+    options = source.plan.options
+    flight, model_path, turned = _structure(out, source)
     times = {image.name: image.exif.time.timestamp() for image in flight.images if image.exif.time}
-    adjusted = adjust(model_path, taken, fixes, times, out / _WORK)
+    adjusted = adjust(model_path, taken, fixes, times, out / _WORK, options)
     model, images = adjusted.model, flight.images
-    wrong_attitudes = write_measurements(out, adjusted, images, fixes, queries)
+    wrong_attitudes = write_measurements(out, adjusted, images, fixes, queries, options)
     sparse_map = _triangulate(out, model, queries)
-    write_lists(out, model, images, queries)
-    report = make_report(
-        taken,
-        files,
-        flight.left_out,
-        adjusted,
-        fixes,
-        sparse_map,
-        wrong_attitudes,
-        [image.file for image in images if image.name in turned],
-    )
+    write_lists(out, model, images, queries, options.covisibility_points)
+    over = [image.file for image in images if image.name in turned]
+    findings = AttitudeFindings(wrong_attitudes, over)
+    report = make_report(taken, flight, adjusted, fixes, sparse_map, findings)
     write_json(out / REPORT, report)
     draw(
         out / "pictures" / "ingest.png",
         f"{for_terminal(out.resolve().name)}: {report.registered} photographs, "
         f"{report.points} points",
-        model,
+        adjusted,
         [image.name for image in images],
         queries,
         fixes,
-        adjusted.placed.blunders,
     )
-    for name in files.keys() - model.images.keys():
+    for name in {image.name for image in source.flight.images} - model.images.keys():
         (out / "sessions" / name).unlink(missing_ok=True)
     return report
 
 
-def _structure(
-    out: Path,
-    folder: Path,
-    flight: Flight,
-    taken: Sequence[Photograph],
-    fixes: Mapping[str, NDArray[np.float64]],
-    plan: _Plan,
-) -> tuple[Flight, Path, set[str]]:
+def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     """Return the photographs of one model, the folder of the model, and the rotated photographs."""
+    fixes, options = source.fixes, source.plan.options
     known = out / _WORK / _TURNED
     turned = set(read_json(known, _Turned, "turned photographs").names) if known.exists() else set()
-    placed = _place(flight, folder, out, plan.size, turned)
-    _require(placed, folder)
+    placed = _place(source.flight, source.folder, out, source.plan.size, turned)
+    _require(placed, source.folder)
     files = {image.name: image.file for image in placed.images}
-    there = [photograph for photograph in taken if photograph.name in files]
-    _match(there, fixes, out)
-    model_path, elsewhere = _map(there, out, plan.mapper)
+    there = [photograph for photograph in source.taken if photograph.name in files]
+    _match(there, fixes, options.pairs, out)
+    model_path, elsewhere = _map(there, out, source.plan.mapper)
     if not turned:
         raw = read_model(model_path)
-        turned = turned_over(raw, georegister(raw, fixes), placed.images)
+        where = georegister(raw, fixes, options.placement)
+        turned = turned_over(raw, where, placed.images, options.max_attitude_error_deg)
         if turned:
             # Their features are of the pictures as they were: all begins anew.
             for name in turned:
@@ -220,7 +231,7 @@ def _structure(
                 path.unlink()
             shutil.rmtree(model_path.parent)
             write_json(known, _Turned(names=tuple(sorted(turned))))
-            return _structure(out, folder, flight, taken, fixes, plan)
+            return _structure(out, source)
     return (
         placed.without({files[name]: reason for name, reason in elsewhere.items()}),
         model_path,
@@ -253,7 +264,7 @@ def _finished(out: Path, plan: _Plan) -> bool:
     """Return whether the folder holds this very flight already; refuse any other content."""
     unfinished = _resumable(out, plan)
     if (out / MANIFEST).is_file():
-        if Scene.open(out).manifest.config != plan.model_dump(mode="json"):
+        if _recorded_plan(Scene.open(out).manifest) != plan:
             raise InputError(
                 f"{out} holds a scene of other photographs or options: choose another folder or "
                 "remove it"
@@ -268,6 +279,17 @@ def _finished(out: Path, plan: _Plan) -> bool:
     ):
         unfinished.require_empty("scene")
     return False
+
+
+def _recorded_plan(manifest: Manifest) -> _Plan | None:
+    """Return the plan that a scene was made by; None if it was not made of photographs.
+
+    Options that came later than the scene had the effect of their defaults.
+    """
+    try:
+        return _Plan.model_validate(manifest.config)
+    except ValidationError:
+        return None
 
 
 def _place(flight: Flight, folder: Path, out: Path, size: int, turned: set[str]) -> Flight:
@@ -288,9 +310,12 @@ def _place(flight: Flight, folder: Path, out: Path, size: int, turned: set[str])
 
 
 def _match(
-    taken: Sequence[Photograph], fixes: Mapping[str, NDArray[np.float64]], out: Path
+    taken: Sequence[Photograph],
+    fixes: Mapping[str, NDArray[np.float64]],
+    options: PairOptions,
+    out: Path,
 ) -> None:
-    pairs = choose_pairs([photograph.name for photograph in taken], fixes)
+    pairs = choose_pairs([photograph.name for photograph in taken], fixes, options)
     with progress_bar("extract and match", len(taken) + len(pairs)) as advance:
         match_photographs(
             out / "sessions", taken, pairs, out / _WORK / _DATABASE, SiftOptions(), advance

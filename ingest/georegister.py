@@ -7,33 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ingest.options import PlacementOptions
 from scene.errors import InputError
 from scene.maps.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
 _Fit = Callable[[Array, Array], Array]
 
-_SAMPLES = 500
-# A fix further from its camera than this many standard deviations of the others is a blunder ...
-_BLUNDER = 5.0
-# ... unless it is within so many metres, by which receivers without corrections are always off.
-_USUAL_M = 5.0
+_DEFAULTS: Final = PlacementOptions()
 # Squared standard deviations per axis from the median of squared distances, in 2 and 3 axes.
 _CHI2_MEDIAN = {2: 1.386, 3: 2.366}
-# No receiver of a drone is better than this, metres.
-_LEAST_SIGMA = 0.02
-# Cameras on a line do not tell how the model is rotated about it. This is the least width of a
-# flight, as a share of its length, at which they do.
-_LINE = 0.05
-# Ground and cameras that agree with each other, but differ by more than this from the vertical of
-# GPS, contradict it.
-_TILT_DEG = 8.0
-# Points further from the plane of the ground than this many standard deviations are not ground.
-_OFF_GROUND = 2.5
 
 
 @dataclass(frozen=True)
@@ -58,7 +46,9 @@ class Georegistration:
         return _apply(self.world_from_model, points)
 
 
-def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:
+def georegister(
+    model: SparseMap, fixes: Mapping[str, Array], options: PlacementOptions = _DEFAULTS
+) -> Georegistration:
     """Find the similarity from camera centres to GPS by least median of squares.
 
     The estimate holds with up to half of the fixes wrong, and needs no threshold that depends on
@@ -70,6 +60,7 @@ def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration
     Args:
         model: The model, in a frame of its own.
         fixes: Measured camera centres (3,) by name, east, north, up in metres.
+        options: Which fixes are wrong, and when their altitudes are.
 
     Raises:
         InputError: Fewer than three photographs of the model have a fix, or all fixes are one.
@@ -82,21 +73,22 @@ def georegister(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration
         )
     centres = np.array([model.images[name].centre for name in names])
     measured = np.array([fixes[name] for name in names])
-    if np.linalg.norm(measured - np.median(measured, 0), axis=1).max() < _LEAST_SIGMA:
+    if np.linalg.norm(measured - np.median(measured, 0), axis=1).max() < options.min_sigma_m:
         raise InputError("all GPS positions are one: they do not tell scale and direction")
 
-    upright = _upright(model)
-    similarity, good = _robust(_similarity, centres, measured, 3)
+    upright = _upright(model, options.ground_sigmas)
+    similarity, good = _robust(_similarity, centres, measured, 3, options)
     level = "gps"
-    if _width_over_length(centres) < _LINE or _tilts(similarity, model, upright[2]):
-        similarity, good = _fit_level(upright, centres, measured)
+    on_a_line = _width_over_length(centres) < options.min_width
+    if on_a_line or _tilt_deg(similarity, model, upright[2]) > options.max_tilt_deg:
+        similarity, good = _fit_level(upright, centres, measured, options)
         level = "ground"
     off = (_apply(similarity, centres) - measured)[good]
     return Georegistration(
         world_from_model=similarity,
         level=level,
         blunders=tuple(name for name, ok in zip(names, good, strict=True) if not ok),
-        sigma=np.maximum(np.sqrt((off**2).mean(0)), _LEAST_SIGMA),
+        sigma=np.maximum(np.sqrt((off**2).mean(0)), options.min_sigma_m),
     )
 
 
@@ -104,8 +96,10 @@ def _apply(similarity: Array, points: Array) -> Array:
     return np.asarray(points @ similarity[:, :3].T + similarity[:, 3])
 
 
-def _tilts(similarity: Array, model: SparseMap, ground: Array) -> bool:
-    """Return whether ground and cameras together contradict the vertical of a similarity.
+def _tilt_deg(similarity: Array, model: SparseMap, ground: Array) -> float:
+    """Return by how much ground and cameras together contradict the vertical of a similarity.
+
+    It is 0 where they differ more from each other than from that vertical.
 
     Args:
         similarity: Similarity from GPS with its altitudes.
@@ -116,7 +110,7 @@ def _tilts(similarity: Array, model: SparseMap, ground: Array) -> bool:
     backwards = -np.sum([model.images[name].cam_from_world[2, :3] for name in model.names], axis=0)
     apart = _degrees(ground, backwards)
     off = min(_degrees(vertical, ground), _degrees(vertical, backwards))
-    return off > max(_TILT_DEG, apart)
+    return off if off > apart else 0.0
 
 
 def _degrees(a: Array, b: Array) -> float:
@@ -129,20 +123,24 @@ def _width_over_length(centres: Array) -> float:
     return float(singular[1] / max(singular[0], 1e-12))
 
 
-def _fit_level(upright: Array, centres: Array, measured: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _fit_level(
+    upright: Array, centres: Array, measured: Array, options: PlacementOptions
+) -> tuple[Array, NDArray[np.bool_]]:
     """Fit with the ground level, and with heights at the scale of the model."""
     turned = centres @ upright.T
-    horizontal, good = _robust(_level_similarity, turned, measured, 2)
+    horizontal, good = _robust(_level_similarity, turned, measured, 2, options)
     similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
     similarity[2, 3] += np.median((measured - _apply(similarity, centres))[good, 2])
     return similarity, good
 
 
-def _robust(fit: _Fit, source: Array, target: Array, axes: int) -> tuple[Array, NDArray[np.bool_]]:
+def _robust(
+    fit: _Fit, source: Array, target: Array, axes: int, options: PlacementOptions
+) -> tuple[Array, NDArray[np.bool_]]:
     """Fit by least median of squares over random samples, then by least squares over inliers."""
     rng = np.random.default_rng(0)
     best, least = fit(source, target), np.inf
-    for _ in range(_SAMPLES):
+    for _ in range(options.samples):
         rows = rng.choice(len(source), axes, replace=False)
         candidate = fit(source[rows], target[rows])
         median = _median_square(candidate, source, target, axes)
@@ -151,7 +149,7 @@ def _robust(fit: _Fit, source: Array, target: Array, axes: int) -> tuple[Array, 
     for _ in range(5):
         sigma = np.sqrt(_median_square(best, source, target, axes) / _CHI2_MEDIAN[axes])
         off = np.linalg.norm((_apply(best, source) - target)[:, :axes], axis=1)
-        good = off <= max(_BLUNDER * float(sigma), _USUAL_M)
+        good = off <= max(options.blunder_sigmas * float(sigma), options.usual_error_m)
         best = fit(source[good], target[good])
     return best, good
 
@@ -179,7 +177,7 @@ def _level_similarity(source: Array, target: Array) -> Array:
     return np.column_stack([linear, target.mean(0) - linear @ source.mean(0)])
 
 
-def _upright(model: SparseMap) -> Array:
+def _upright(model: SparseMap, ground_sigmas: float) -> Array:
     """Return the rotation (3, 3) that makes the ground level and puts the cameras above it."""
     points = model.xyz
     near = np.ones(len(points), bool)
@@ -187,7 +185,7 @@ def _upright(model: SparseMap) -> Array:
         middle = points[near].mean(0)
         normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
         off = np.abs((points - middle) @ normal)
-        near = off <= _OFF_GROUND * 1.4826 * np.median(off)
+        near = off <= ground_sigmas * 1.4826 * np.median(off)
     if ((model.centres - middle) @ normal).mean() < 0:
         normal = -normal
     east = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [1.0, 0.0, 0.0], normal)

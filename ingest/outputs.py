@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ingest.adjustment import Adjusted
 from ingest.attitude import attitudes
+from ingest.options import IngestOptions
 from ingest.photographs import SESSION, FlightImage
 from ingest.report import residuals
 from scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
@@ -18,11 +19,6 @@ from scene.bundle.manifest import Objects, Splits, write_json
 from scene.bundle.scene import COVISIBILITY
 from scene.maps.sparse_map import SparseMap
 
-# Points of each photograph on which covisibility is measured.
-_SAMPLED = 200
-# No receiver of a drone is better than this (m).
-_LEAST_SIGMA = 0.02
-
 
 def write_measurements(
     out: Path,
@@ -30,6 +26,7 @@ def write_measurements(
     images: Sequence[FlightImage],
     fixes: Mapping[str, NDArray[np.float64]],
     queries: set[str],
+    options: IngestOptions,
 ) -> dict[str, float]:
     """Write the poses of the model and the measurements of its photographs.
 
@@ -44,9 +41,9 @@ def write_measurements(
     measured = [name for name in names if name in fixes and name not in placed.blunders]
     mapped = [name for name in measured if name not in queries] or measured
     off = residuals(model, fixes, mapped)
-    sigma = np.maximum(np.sqrt((off**2).mean(0)), _LEAST_SIGMA)
+    sigma = np.maximum(np.sqrt((off**2).mean(0)), options.placement.min_sigma_m)
     nothing = np.full(3, np.nan)
-    attitude, attitude_sigma, wrong = attitudes(images, poses, queries)
+    attitude, attitude_sigma, wrong = attitudes(images, poses, queries, options)
     times = [image.exif.time.timestamp() if image.exif.time else np.nan for image in images]
     frames = Frames(
         names=names,
@@ -63,9 +60,16 @@ def write_measurements(
 
 
 def write_lists(
-    out: Path, model: SparseMap, images: Sequence[FlightImage], queries: set[str]
+    out: Path,
+    model: SparseMap,
+    images: Sequence[FlightImage],
+    queries: set[str],
+    covisibility_points: int,
 ) -> None:
-    """Write the split, an empty list of objects and the covisibility of the photographs."""
+    """Write the split, an empty list of objects and the covisibility of the photographs.
+
+    Covisibility is measured on at most ``covisibility_points`` points of each photograph.
+    """
     names = tuple(image.name for image in images)
     asked = tuple(name for name in names if name in queries)
     splits = Splits(
@@ -74,16 +78,16 @@ def write_lists(
     )
     write_json(out / "splits.json", splits)
     write_json(out / "objects.json", Objects(classes={}, objects=()))
-    write_covisibility(out / COVISIBILITY, _covisibility(model, names))
+    write_covisibility(out / COVISIBILITY, _covisibility(model, names, covisibility_points))
 
 
-def _covisibility(model: SparseMap, names: tuple[str, ...]) -> Covisibility:
+def _covisibility(model: SparseMap, names: tuple[str, ...], sampled: int) -> Covisibility:
     """Measure covisibility on points in view; without depth, hidden points count as seen."""
-    points = np.full((len(names), _SAMPLED, 3), np.nan)
+    points = np.full((len(names), sampled, 3), np.nan)
     for k, name in enumerate(names):
         rows = model.images[name].point_rows
         seen = model.xyz[rows[rows >= 0]]
-        chosen = seen[np.linspace(0, len(seen) - 1, min(_SAMPLED, len(seen))).astype(int)]
+        chosen = seen[np.linspace(0, len(seen) - 1, min(sampled, len(seen))).astype(int)]
         points[k, : len(chosen)] = chosen
     images = [model.images[name] for name in names]
     poses = np.stack([image.cam_from_world for image in images])

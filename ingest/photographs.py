@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
+from ingest.options import IngestOptions
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.maps.photographs import Photograph
@@ -17,8 +19,7 @@ from scene.storage.listing import list_files
 
 SESSION = "flight"
 _ENDINGS = (".jpg", ".jpeg")
-# Focal length in widths of the image where EXIF has none; COLMAP guesses the same.
-_GUESS = 1.2
+_DEFAULTS: Final = IngestOptions()
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,10 @@ def _in_order(images: Iterable[FlightImage]) -> list[FlightImage]:
 
 
 def photographs_of(
-    images: Sequence[FlightImage], longest: int, calibration: Camera | None
+    images: Sequence[FlightImage],
+    longest: int,
+    calibration: Camera | None,
+    guessed_focal: float = _DEFAULTS.guessed_focal,
 ) -> list[Photograph]:
     """Return photographs as structure from motion takes them, with a camera for each lens.
 
@@ -137,6 +141,7 @@ def photographs_of(
         images: The photographs of a flight.
         longest: Longest side of the photographs in the scene, pixels.
         calibration: Camera of all photographs; None takes focal lengths from EXIF, or guesses.
+        guessed_focal: First guess of a focal length that EXIF lacks, in widths of the image.
 
     Raises:
         InputError: ``calibration`` is for images of another shape.
@@ -147,7 +152,7 @@ def photographs_of(
         width, height = (round(scale * side) for side in image.size)
         focal = image.exif.focal_35mm
         if calibration is None:
-            pixels = (focal / 36 if focal else _GUESS) * max(width, height)
+            pixels = (focal / 36 if focal else guessed_focal) * max(width, height)
             # One coefficient: more of them bend flat ground into a dome.
             camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
         else:

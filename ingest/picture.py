@@ -9,19 +9,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ingest.adjustment import Adjusted
 from ingest.report import residuals
-from scene.maps.sparse_map import SparseMap
 from scene.storage.atomic import atomic_write
 
 
 def draw(
     path: Path,
     title: str,
-    model: SparseMap,
+    adjusted: Adjusted,
     order: Sequence[str],
     queries: Collection[str],
     fixes: Mapping[str, NDArray[np.float64]],
-    blunders: Collection[str],
 ) -> None:
     """Write a PNG: points and cameras from above with an arrow to each fix, and the residuals in
     the order the photographs were taken.
@@ -29,15 +28,15 @@ def draw(
     Args:
         path: of the picture.
         title: above it.
-        model: in world metres.
+        adjusted: the model in the world; fixes that it did not use are not drawn.
         order: names of its photographs as taken.
         queries: those that are queries.
         fixes: measured positions by name, world metres.
-        blunders: photographs whose fix was not used, and is not drawn.
 
     Raises:
         InputError: the folder cannot be written.
     """
+    model, blunders = adjusted.model, adjusted.placed.blunders
     figure = Figure(figsize=(9, 11), layout="constrained")
     above, along = figure.subplots(2, 1, height_ratios=[4, 1])
     size = float(np.clip(2e4 / len(model.xyz), 0.5, 8))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from ingest.adjustment import Adjusted
+from ingest.photographs import Flight
 from scene.geometry.camera import Camera
 from scene.maps.photographs import Photograph
 from scene.maps.sparse_map import SparseMap
@@ -180,34 +182,44 @@ def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
     return f"focal length {focal:.1f} px of EXIF {kept}{middle}"
 
 
+@dataclass(frozen=True)
+class AttitudeFindings:
+    """What the gimbals of a flight show.
+
+    Attributes:
+        wrong: degrees by which attitudes that were not used are off, by file.
+        turned: files that someone had turned by 180 degrees.
+    """
+
+    wrong: Mapping[str, float]
+    turned: Sequence[str]
+
+
 def make_report(
     photographs: Sequence[Photograph],
-    files: Mapping[str, str],
-    left_out: Mapping[str, str],
+    flight: Flight,
     adjusted: Adjusted,
     fixes: Mapping[str, NDArray[np.float64]],
     sparse_map: SparseMap,
-    wrong_attitudes: Mapping[str, float],
-    turned: Sequence[str],
+    findings: AttitudeFindings,
 ) -> IngestReport:
     """Figures of a finished flight.
 
     Args:
         photographs: given to structure from motion.
-        files: of the folder, by name in the scene.
-        left_out: files with reasons.
+        flight: photographs of the model, and the files that were left out with reasons.
         adjusted: the model of all photographs in the world.
         fixes: measured positions by name, world metres.
         sparse_map: of the map's photographs.
-        wrong_attitudes: by file, degrees.
-        turned: files.
+        findings: what the gimbals show.
     """
     model, placed = adjusted.model, adjusted.placed
+    files = {image.name: image.file for image in flight.images}
     used = [n for n in model.names if n in fixes and n not in placed.blunders]
     wrong = residuals(model, fixes, placed.blunders)
     return IngestReport(
-        photographs=len(files) + len(left_out.keys() - set(files.values())),
-        left_out=dict(left_out),
+        photographs=len(flight.images) + len(flight.left_out),
+        left_out=dict(flight.left_out),
         registered=len(model.images),
         points=len(model.xyz),
         track_length=float(model.track_length.mean()),
@@ -219,8 +231,8 @@ def make_report(
             files[name]: float(np.linalg.norm(off))
             for name, off in zip(placed.blunders, wrong, strict=True)
         },
-        wrong_attitudes=dict(wrong_attitudes),
-        turned=tuple(turned),
+        wrong_attitudes=dict(findings.wrong),
+        turned=tuple(findings.turned),
         gps=summary(residuals(model, fixes, used)),
         lag_s=adjusted.delay,
         gps_without_lag=(

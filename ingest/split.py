@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ingest.options import IngestOptions
 from scene.errors import InputError
 
 Split = Literal["photo", "line", "none"]
-
-# A flight line ends where the course turns by more than this.
-_TURN_DEG = 40.0
+_DEFAULTS: Final = IngestOptions()
 
 
 def queries_of(
@@ -22,6 +21,7 @@ def queries_of(
     fixes: Mapping[str, NDArray[np.float64]],
     split: Split,
     every: int,
+    turn_deg: float = _DEFAULTS.line_turn_deg,
 ) -> set[str]:
     """Return the photographs that are queries.
 
@@ -31,6 +31,7 @@ def queries_of(
         split: "photo" takes every ``every``-th photograph, "line" all photographs of every
             ``every``-th flight line, "none" no photographs.
         every: See ``split``; 2 or more.
+        turn_deg: A flight line ends where the course turns by more.
 
     Raises:
         InputError: The flight has fewer lines than ``every``.
@@ -40,7 +41,7 @@ def queries_of(
     first = every // 2
     if split == "photo":
         return set(names[first::every])
-    lines = flight_lines(names, fixes)
+    lines = flight_lines(names, fixes, turn_deg)
     if max(lines) < first:
         raise InputError(
             f"the flight has {max(lines) + 1} lines, too few for a query line among every {every}: "
@@ -49,10 +50,15 @@ def queries_of(
     return {name for name, line in zip(names, lines, strict=True) if line % every == first}
 
 
-def flight_lines(names: Sequence[str], fixes: Mapping[str, NDArray[np.float64]]) -> list[int]:
+def flight_lines(
+    names: Sequence[str],
+    fixes: Mapping[str, NDArray[np.float64]],
+    turn_deg: float = _DEFAULTS.line_turn_deg,
+) -> list[int]:
     """Return the number of the flight line of each photograph.
 
-    A photograph without a fix belongs to the line of the one before it.
+    A line ends where the course turns by more than ``turn_deg``. A photograph without a fix belongs
+    to the line of the one before it.
     """
     known = [name for name in names if name in fixes]
     course: NDArray[np.float64] | None = None
@@ -62,7 +68,7 @@ def flight_lines(names: Sequence[str], fixes: Mapping[str, NDArray[np.float64]])
         length = float(np.linalg.norm(step))
         if length > 0:
             direction = step / length
-            if course is not None and course @ direction < np.cos(np.radians(_TURN_DEG)):
+            if course is not None and course @ direction < np.cos(np.radians(turn_deg)):
                 line += 1
                 course = None  # the step from line to line is the course of neither
             else:

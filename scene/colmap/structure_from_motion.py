@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -230,16 +231,40 @@ def _global_options() -> pycolmap.GlobalPipelineOptions:
     return pipeline
 
 
+@dataclass(frozen=True)
+class MeasuredPositions:
+    """Camera centres that were measured, for example by GPS.
+
+    Attributes:
+        centres: measured camera centres by name of the photograph, (3,) world metres.
+        sigma: standard deviation of all of them per axis, (3,) metres.
+    """
+
+    centres: Mapping[str, NDArray[np.float64]]
+    sigma: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RefinedLenses:
+    """What of the lenses ``adjust_to_positions`` adjusts.
+
+    Attributes:
+        focal: lenses with a focal length to adjust; if empty, only the distortion of lenses that
+            are not calibrated is adjusted.
+        principal_point: adjust the principal points of all lenses that are adjusted.
+    """
+
+    focal: Collection[str]
+    principal_point: bool = False
+
+
 def adjust_to_positions(
     model: Path,
     photographs: Sequence[Photograph],
     world_from_model: NDArray[np.float64],
-    positions: Mapping[str, NDArray[np.float64]],
-    sigma: NDArray[np.float64],
-    refined: Collection[str],
+    measured: MeasuredPositions,
+    refined: RefinedLenses,
     out: Path,
-    *,
-    principal_point: bool = False,
 ) -> SparseMap:
     """Move a model into the world and adjust it to pixels and measured positions together.
 
@@ -249,12 +274,9 @@ def adjust_to_positions(
         model: folder of a model of ``map_photographs``.
         photographs: photographs of the model; further ones are ignored.
         world_from_model: similarity transform, (3, 4): scale times rotation, and translation.
-        positions: measured camera centres by name, (3,) world metres.
-        sigma: standard deviation of ``positions`` per axis, (3,) metres.
-        refined: lenses with a focal length to adjust; if empty, only the distortion of lenses that
-            are not calibrated is adjusted.
+        measured: camera centres of some of the photographs.
+        refined: what of the lenses is adjusted.
         out: existing folder for the adjusted model.
-        principal_point: adjust the principal points of all lenses that are adjusted.
     """
     native = pycolmap.Reconstruction(model)
     native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
@@ -263,11 +285,11 @@ def adjust_to_positions(
         config.add_image(image_id)
     numbers = lens_ids(photographs)
     for photograph in photographs:
-        if photograph.calibrated or (refined and photograph.lens not in refined):
+        if photograph.calibrated or (refined.focal and photograph.lens not in refined.focal):
             config.set_constant_cam_intrinsics(numbers[photograph.lens])
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-    options.refine_focal_length = bool(refined)
-    options.refine_principal_point = principal_point
+    options.refine_focal_length = bool(refined.focal)
+    options.refine_principal_point = refined.principal_point
     options.ceres.solver_options.num_threads = 1
     with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
     with_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
@@ -275,12 +297,12 @@ def adjust_to_positions(
     priors = [
         pycolmap.PosePrior(
             corr_data_id=image.data_id,
-            position=positions[image.name],
-            position_covariance=np.diag(sigma**2),
+            position=measured.centres[image.name],
+            position_covariance=np.diag(measured.sigma**2),
             coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
         )
         for image in native.images.values()
-        if image.name in positions
+        if image.name in measured.centres
     ]
     pycolmap.create_pose_prior_bundle_adjuster(options, with_priors, config, priors, native).solve()
     native.update_point_3d_errors()

@@ -23,6 +23,7 @@ from benchmark.datasets.textfiles import read_poses
 from benchmark.registry import create
 from ingest.attitude import gimbal_pose
 from ingest.command import ingest as run
+from ingest.options import IngestOptions
 from ingest.report import IngestReport
 from mapping.build import build_map
 from scene.bundle.scene import Scene
@@ -55,6 +56,21 @@ def test_a_real_flight(ingested: Ingested) -> None:
     assert scene.changed_files() == []
     assert not list(scene.path.glob(".*"))
     assert (scene.path / "pictures" / "ingest.png").stat().st_size > 20_000
+
+
+def test_the_manifest_records_the_options(ingested: Ingested) -> None:
+    """A scene made before the options were recorded counts as made with the defaults."""
+    manifest = ingested[0].manifest
+    assert manifest.config["options"] == IngestOptions().model_dump(mode="json")
+    before = {key: value for key, value in manifest.config.items() if key != "options"}
+    plan = ingest.command._recorded_plan(manifest)
+    assert plan is not None
+    assert ingest.command._recorded_plan(manifest.model_copy(update={"config": before})) == plan
+    other = {**manifest.config, "options": {"line_turn_deg": 30.0}}
+    assert ingest.command._recorded_plan(manifest.model_copy(update={"config": other})) != plan
+    rendered = {"preset": "town", "seed": 1}
+    changed = manifest.model_copy(update={"config": rendered})
+    assert ingest.command._recorded_plan(changed) is None
 
 
 def test_poses_are_those_of_the_flight(ingested: Ingested, beach: Path) -> None:
