@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simulate.look.mesh import Mesh, MeshBuilder
 from simulate.look.textures import BAY_M, BAYS, FLOOR_M, FLOORS, ROOF_TILE_M, facade_material
-from simulate.place.world import Facade, Rgb, WorldObject
+from simulate.place.world import BuildingStyle, Facade, Rgb, WorldObject
 
 _FOUNDATION_M = 1.5  # walls go this far below the base, for ground that falls away beneath
 _CHIMNEY_M = 0.5  # the part of `roof_height_m` above the ridge of a pitched house roof
@@ -41,18 +41,14 @@ def building_mesh(building: WorldObject) -> Mesh:
         bodies.append((wing, min(wing_ridge, ridge - 0.15)))
     for k, (rect, top) in enumerate(bodies):
         turned = k == 1
-        inset = _inset(rect, style.eaves_m)
-        _walls(out, inset, eaves, style.facade, style.wall_rgb, rng)
+        _walls(out, _inset(rect, style.eaves_m), eaves, style.facade, style.wall_rgb, rng)
         if style.roof == "flat":
             parapet = min(height, eaves + 0.45) if k == 0 else eaves + 0.2
             _flat_roof(out, rect, parapet, style.roof_rgb, style.wall_rgb, rng)
         elif style.roof == "hip" and not turned:
-            _hip_roof(out, rect, eaves, top, style.roofing, style.roof_rgb, rng)
+            _hip_roof(out, rect, (eaves, top), style, rng)
         else:
-            _gable_roof(
-                out, rect, inset, eaves, top, style.roofing, style.roof_rgb,
-                style.wall_rgb, rng, turned=turned,
-            )  # fmt: skip
+            _gable_roof(out, rect, (eaves, top), style, rng, turned=turned)
     if style.roof == "flat":
         _roof_plant(out, main, eaves + 0.4, height, building.shape, rng)
     elif house:
@@ -116,17 +112,18 @@ def _slope(
 def _gable_roof(
     out: MeshBuilder,
     rect: Rect,
-    walls: Rect,
-    eaves: float,
-    ridge: float,
-    roofing: str,
-    tint: Rgb,
-    wall_rgb: Rgb,
+    heights: tuple[float, float],
+    style: BuildingStyle,
     rng: np.random.Generator,
     *,
     turned: bool,
 ) -> None:
-    """Two slopes and two gables; the ridge runs along x, or along y when `turned`."""
+    """Two slopes and two gables; the ridge runs along x, or along y when `turned`.
+
+    `heights` are those of eaves and ridge.
+    """
+    walls = _inset(rect, style.eaves_m)
+    eaves, ridge = heights
 
     def place(a: float, b: float, z: float) -> tuple[float, float, float]:
         return (-b, a, z) if turned else (a, b, z)
@@ -138,31 +135,32 @@ def _gable_roof(
     low = eaves - drop
     for a, b, y in ((x0, x1, y0), (x1, x0, y1)):
         corners = [place(a, y, low), place(b, y, low), place(b, m, ridge), place(a, m, ridge)]
-        _slope(out, np.array(corners), roofing, tint, rng)
+        _slope(out, np.array(corners), style.roofing, style.roof_rgb, rng)
         under = [(p[0], p[1], p[2] - 0.12) for p in reversed(corners)]
         out.polygon(under, "plain", (0.30, 0.27, 0.24))
     for x, order in ((w0, -1), (w1, 1)):
         gable = [place(x, d0, eaves), place(x, d1, eaves), place(x, m, ridge - 0.05)]
-        out.polygon(gable[::order], "plain", tuple(0.8 * c for c in wall_rgb))  # type: ignore[arg-type]
+        shade: Rgb = tuple(0.8 * c for c in style.wall_rgb)  # type: ignore[assignment]
+        out.polygon(gable[::order], "plain", shade)
 
 
 def _hip_roof(
     out: MeshBuilder,
     rect: Rect,
-    eaves: float,
-    ridge: float,
-    roofing: str,
-    tint: Rgb,
+    heights: tuple[float, float],
+    style: BuildingStyle,
     rng: np.random.Generator,
 ) -> None:
+    """Four slopes; `heights` are those of eaves and ridge."""
     x0, x1, y0, y1 = rect
+    eaves, ridge = heights
     m = 0.5 * (y0 + y1)
     run = min(0.5 * (y1 - y0), 0.48 * (x1 - x0))
     low = eaves
     a, b = (x0 + run, m, ridge), (x1 - run, m, ridge)
     sw, se, ne, nw = (x0, y0, low), (x1, y0, low), (x1, y1, low), (x0, y1, low)
     for plane in ([sw, se, b, a], [se, ne, b], [ne, nw, a, b], [nw, sw, a]):
-        _slope(out, np.array(plane), roofing, tint, rng)
+        _slope(out, np.array(plane), style.roofing, style.roof_rgb, rng)
     out.polygon([nw, ne, se, sw], "plain", (0.30, 0.27, 0.24))
 
 

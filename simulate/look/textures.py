@@ -91,17 +91,17 @@ def _dwellings(canvas: _Canvas, style: Facade, rng: np.random.Generator) -> None
             if floor == 0 and bay % (4 if slab else 6) == 1:
                 _door(canvas, x, rng)
             elif floor == 0 and not slab and bay % 6 == 4:
-                _window(canvas, x + 0.4, z + 0.15, 2.2, 2.1, frame, rng)  # onto the terrace
+                _window(canvas, (x + 0.4, z + 0.15), (2.2, 2.1), frame, rng)  # onto the terrace
             elif slab and (bay % 3 == 1 or kind < 0.1):
                 _balcony(canvas, x, z, frame, rng)
             elif kind < 0.13:
                 continue  # blank wall
             elif kind < 0.28:
-                _window(canvas, x + 1.1, z + 1.2, 0.8, 1.0, frame, rng)
+                _window(canvas, (x + 1.1, z + 1.2), (0.8, 1.0), frame, rng)
             else:
                 width = 1.8 if kind > 0.72 else 1.3
                 left = x + 0.5 * (BAY_M - width) + rng.normal(0, 0.08)
-                _window(canvas, left, z + 0.95, width, 1.35, frame, rng)
+                _window(canvas, (left, z + 0.95), (width, 1.35), frame, rng)
                 if shutters is not None and kind < 0.6:
                     for side in (left - 0.42, left + width + 0.04):
                         canvas.rect(side, z + 0.92, side + 0.38, z + 2.33, shutters)
@@ -196,13 +196,13 @@ def _glass(shade: float) -> Rgb:
 
 def _window(
     canvas: _Canvas,
-    x: float,
-    z: float,
-    width: float,
-    height: float,
+    corner: tuple[float, float],
+    size: tuple[float, float],
     frame: Rgb,
     rng: np.random.Generator,
 ) -> None:
+    """Draw a window by its lower left corner and its width and height, metres."""
+    (x, z), (width, height) = corner, size
     canvas.rect(x - 0.06, z - 0.12, x + width + 0.06, z, (0.5, 0.5, 0.48), tinted=0.3)  # sill
     canvas.rect(x, z, x + width, z + height, frame)
     panes = 2 if width > 1.0 else 1
@@ -233,7 +233,7 @@ def _balcony(
     rng: np.random.Generator,
 ) -> None:
     canvas.rect(x + 0.1, z + 0.1, x + BAY_M - 0.1, z + 2.55, (0.16, 0.16, 0.16), tinted=0.3)
-    _window(canvas, x + 0.6, z + 0.3, 1.8, 2.0, frame, rng)
+    _window(canvas, (x + 0.6, z + 0.3), (1.8, 2.0), frame, rng)
     panel = [(0.5, 0.5, 0.5), (0.30, 0.33, 0.36), (0.45, 0.30, 0.2)][int(rng.integers(3))]
     canvas.rect(x + 0.1, z + 0.1, x + BAY_M - 0.1, z + 1.05, panel)
     canvas.rect(x + 0.1, z + 0.98, x + BAY_M - 0.1, z + 1.05, (0.75, 0.75, 0.75))
@@ -270,7 +270,7 @@ def _fronts(canvas: _Canvas, shops: _Shops, rng: np.random.Generator) -> None:
             wide = window_m if bay % 3 else 1.1
             left = bay * BAY_M + 0.5 * (BAY_M - wide)
             canvas.rect(left - 0.16, z + 0.5, left + wide + 0.16, z + 2.6, stone, tinted=0.6)
-            _window(canvas, left, z + 0.62, wide, 1.8, frame, rng)
+            _window(canvas, (left, z + 0.62), (wide, 1.8), frame, rng)
             if rng.random() < 0.12:  # flowers on the sill
                 canvas.rect(left, z + 0.5, left + wide, z + 0.8, (0.10, 0.16, 0.05))
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from simulate.place.parking import AISLE_M, BAY_M, car_park
-from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.site import PAVEMENT_M, Site, Thing
 from simulate.place.streets import Block, Frame
 from simulate.place.styles import house_style, shed_style, slab_style
-from simulate.place.things import STEEL, Size, barrier, bench, building, car, tree
+from simulate.place.things import STEEL, Local, Size, barrier, bench, building, car, tree
 
 
 def housing(site: Site, block: Block) -> None:
@@ -44,7 +44,7 @@ def _parcel(
     b = setback + 0.5 * back
     style = house_style(site, front, back)
     height = 2.8 * style.floors + 0.4 + style.roof_height_m
-    building(site, "house", at, middle, b, (front, back, height), style)
+    building(site, "house", at, (middle, b), (front, back, height), style)
     patio = rng.uniform(2.5, 4.5)
     a0 = middle + rng.uniform(-0.4, 0.0) * front
     terrace = at.quad(a0, a0 + 4.0, setback + back - 0.5, setback + back + patio)
@@ -52,29 +52,21 @@ def _parcel(
 
     if site.chance(0.45):
         b = drive_end + 3.2
-        outbuilding(site, at, drive, b, (3.0, 6.0, 2.7))
+        outbuilding(site, at, (drive, b), (3.0, 6.0, 2.7))
     site.reserve(at.quad(drive - 1.4, drive + 1.4, -0.5, drive_end - 0.2))
     if site.chance(0.6):
         car(site, at.point(drive, 2.8), at.yaw(drive, 2.8) + np.pi / 2 * site.choose((1, -1)))
     if site.chance(0.4):
         a = 2.2 if site.chance(0.5) else width - 2.2
-        outbuilding(site, at, a, depth - 2.4, (2.6, 2.2, 2.3))
+        outbuilding(site, at, (a, depth - 2.4), (2.6, 2.2, 2.3))
 
-    kind, hedge = ("hedge", True) if site.chance(0.55) else ("fence", False)
-    thick, high = (0.8, rng.uniform(1.1, 1.9)) if hedge else (0.10, rng.uniform(1.0, 1.8))
     runs = [((0.0, 0.6), (0.0, depth - 0.6))]
     if last:
         runs.append(((width, 0.6), (width, depth - 0.6)))
     if back_line:
         runs.append(((0.7, depth), (width - 0.7, depth)))
-    if site.chance(0.45):  # along the street, open where the drive and the walk pass
-        open_at = sorted([(drive - 1.7, drive + 1.7), (door - 0.8, door + 0.8)])
-        start = 0.7
-        for gap in [*open_at, (width - 0.7, width)]:
-            runs.append(((start, 0.1), (gap[0], 0.1)))
-            start = gap[1]
-    for (a0, b0), (a1, b1) in runs:
-        barrier(site, kind, at, (a0, b0), (a1, b1), thick, high)
+    gaps = [(drive - 1.7, drive + 1.7), (door - 0.8, door + 0.8)]
+    edge = _enclose(site, at, width, runs, gaps)
 
     for _ in range(int(rng.integers(6, 22))):
         a, b = rng.uniform(1.5, width - 1.5), rng.uniform(setback + back + 1.5, depth - 1.2)
@@ -82,13 +74,42 @@ def _parcel(
     if site.chance(0.6):
         tree(site, at.point(rng.uniform(1, width - 1), 2.0), rng.uniform(0.9, 1.8), conifers=0.2)
     if site.chance(0.15):
-        bench(site, at.point(a0 + 2.0, setback + back + 1.2), at.yaw(a0, setback + back))
+        bench(site, at.point(edge + 2.0, setback + back + 1.2), at.yaw(edge, setback + back))
 
 
-def outbuilding(site: Site, at: Frame, a: float, b: float, size: Size) -> None:
+def _enclose(
+    site: Site, at: Frame, width: float, runs: list[tuple[Local, Local]], gaps: list[Local]
+) -> float:
+    """Hedges or fences along some sides of a parcel, and perhaps along its street.
+
+    Args:
+        site: place that they stand in.
+        at: frame of the parcel.
+        width: of the parcel along the street, metres.
+        runs: first and last local point of each side.
+        gaps: first and last metre along the street that stay open for the drive and the walk.
+
+    Returns:
+        Where the last hedge or fence begins, metres along the street.
+    """
+    rng = site.rng
+    kind, hedge = ("hedge", True) if site.chance(0.55) else ("fence", False)
+    section = (0.8, rng.uniform(1.1, 1.9)) if hedge else (0.10, rng.uniform(1.0, 1.8))
+    street: list[tuple[Local, Local]] = []
+    if site.chance(0.45):
+        start = 0.7
+        for first, last in [*sorted(gaps), (width - 0.7, width)]:
+            street.append(((start, 0.1), (first, 0.1)))
+            start = last
+    for start_at, end_at in [*runs, *street]:
+        barrier(site, kind, at, start_at, end_at, section)
+    return start_at[0]
+
+
+def outbuilding(site: Site, at: Frame, spot: Local, size: Size) -> None:
     """A garage or a shed: a small plain building."""
     style = shed_style(site)
-    building(site, "shed", at, a, b, size, style)
+    building(site, "shed", at, spot, size, style)
 
 
 def flats(site: Site, block: Block) -> None:
@@ -111,7 +132,7 @@ def flats(site: Site, block: Block) -> None:
             a, b = (i + 0.5) * share, setback + 0.5 * depth
             style = slab_style(site, floors)
             size = (share - rng.uniform(5, 9), depth, 2.9 * floors + 0.4 + style.roof_height_m)
-            building(site, "slab", at, a, b, size, style)
+            building(site, "slab", at, (a, b), size, style)
             walk = at.quad(a - 0.9, a + 0.9, -0.6, setback + 1.0)
             site.paint("pavement", walk, float(rng.random()))
             site.reserve(walk)
@@ -124,10 +145,8 @@ def flats(site: Site, block: Block) -> None:
     car_park(site, at.shifted(lot_start, middle - 0.5 * strip), length, rows=1)
     for a in (1.2, block.length - 2.0):
         b = middle + rng.uniform(3.5, 6.0)
-        site.place(
-            "container", "skip", at.point(a, b), (3.2, 1.7, 1.35), at.yaw(a, b) + np.pi / 2,
-            site.choose(STEEL),
-        )  # fmt: skip
+        skip = Thing("container", "skip", (3.2, 1.7, 1.35), site.choose(STEEL))
+        site.place(skip, at.point(a, b), at.yaw(a, b) + np.pi / 2)
     for _ in range(45):
         a, b = rng.uniform(2, block.length - 2), rng.uniform(1, block.depth - 1)
         tree(site, block.front(1).point(a, b), rng.uniform(1.4, 3.6))

@@ -26,10 +26,10 @@ def farm(site: Site, block: Block) -> None:
 
     style = house_style(site, 12.0, 9.0)
     height = 2.8 * style.floors + 0.4 + style.roof_height_m
-    building(site, "house", yard, 0.24 * wide, 8.0, (12.0, 9.0, height), style)
+    building(site, "house", yard, (0.24 * wide, 8.0), (12.0, 9.0, height), style)
     style = hall_style(site)
     barn = (min(26.0, 0.42 * wide), 11.0, 5.5 + style.roof_height_m)
-    building(site, "hall", yard, 0.36 * wide, far + 4.5, barn, style)
+    building(site, "hall", yard, (0.36 * wide, far + 4.5), barn, style)
     small(site, "tank", yard.point(0.78 * wide, far + 1.5), rng.uniform(-np.pi, np.pi))
     for kind in ("tractor", "tractor", "bale", "bale", "bale", "pallet", "pallet"):
         for _ in range(4):
@@ -79,4 +79,4 @@ def _hedge(site: Site, at: Frame, length: float, b: float) -> None:
     """A hedge along the whole block at `b`, in pieces that follow its bend."""
     high = site.rng.uniform(1.4, 2.2)
     for a in np.arange(0.5, length - 12.0, 11.0):
-        barrier(site, "hedge", at, (a, b), (a + 10.0, b), 1.2, high)
+        barrier(site, "hedge", at, (a, b), (a + 10.0, b), (1.2, high))

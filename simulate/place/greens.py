@@ -58,7 +58,7 @@ def field(site: Site, block: Block) -> None:
     site.paint("field", at.quad(1, split, 1, depth - 1), float(rng.random()))
     site.paint("field", at.quad(split, length - 1, 1, depth - 1), float(rng.random()))
     for a0 in np.arange(0.5, length - 12.0, 11.0):
-        barrier(site, "hedge", at, (a0, 0.5), (a0 + 10.0, 0.5), 1.2, rng.uniform(1.4, 2.2))
+        barrier(site, "hedge", at, (a0, 0.5), (a0 + 10.0, 0.5), (1.2, rng.uniform(1.4, 2.2)))
     for b in np.arange(4.0, depth - 3.0, 7.0):
         tree(site, at.point(split, b), rng.uniform(1.8, 3.4))
 

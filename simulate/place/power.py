@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from scene.geometry.rectangle import rectangle
 from simulate.place.roadside import off_junction
-from simulate.place.site import Site
+from simulate.place.site import Footing, Site
 from simulate.place.things import small
 from simulate.place.world import Heightfield, polyline_length, polyline_points
 
@@ -40,7 +40,7 @@ def _pole(site: Site, line: Array, s: float, offset: float) -> Array | None:
         (p,), (along,) = polyline_points(line, s + on)
         at = p + offset * np.array([-along[1], along[0]])
         yaw = float(np.arctan2(along[1], along[0]))
-        if off_junction(site, at, 1.2) and small(site, "pole", at, yaw, on_road=True):
+        if off_junction(site, at, 1.2) and small(site, "pole", at, yaw, Footing(on_road=True)):
             return np.asarray(at)
     return None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.site import PAVEMENT_M, Footing, Site, Thing
 from simulate.place.things import LAMP_M, car, small, tree, truck
 from simulate.place.world import polyline_length, polyline_points
 
@@ -22,7 +22,8 @@ def street_lamps(site: Site) -> None:
             yaw = float(np.arctan2(-across[1], -across[0]))
             at = p + (0.5 * road.width_m + 0.2) * across
             if off_junction(site, at, 1.5):
-                site.place("lamp", "lamp", at, LAMP_M, yaw, (0.25, 0.26, 0.27), on_road=True)
+                lamp = Thing("lamp", "lamp", LAMP_M, (0.25, 0.26, 0.27))
+                site.place(lamp, at, yaw, Footing(on_road=True))
 
 
 def avenues(site: Site) -> None:
@@ -49,7 +50,8 @@ def street_furniture(site: Site) -> None:
             # Signs face those who drive towards them on their right.
             yaw = float(np.arctan2(side * along[1], side * along[0]))
             if off_junction(site, at, 6.0):
-                placed += small(site, kinds[placed % len(kinds)], at, yaw, on_road=True)
+                kind = kinds[placed % len(kinds)]
+                placed += small(site, kind, at, yaw, Footing(on_road=True))
 
 
 def traffic(site: Site, parked: float = 0.28) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Final, TypeVar
 
 import cv2
 import numpy as np
@@ -29,12 +30,48 @@ T = TypeVar("T")
 PAVEMENT_M = 2.0  # on both sides of every road
 
 
+@dataclass(frozen=True)
+class Thing:
+    """What is put down.
+
+    Attributes:
+        class_name: class of the object.
+        shape: name of its mesh.
+        size: length, width and height, metres.
+        colour: linear albedo of its painted parts.
+        style: of a building; None otherwise.
+    """
+
+    class_name: str
+    shape: str
+    size: Sequence[float]
+    colour: Rgb = (1.0, 1.0, 1.0)
+    style: BuildingStyle | None = None
+
+
+@dataclass(frozen=True)
+class Footing:
+    """What an object may stand on, and how far it keeps from others.
+
+    Attributes:
+        on_road: whether it may stand on roads and pavements.
+        on_reserved: whether it may stand on reserved ground.
+        gap_m: least distance to other objects, per side.
+    """
+
+    on_road: bool = False
+    on_reserved: bool = False
+    gap_m: float = 0.15
+
+
+ANYWHERE_FREE: Final = Footing()
+
+
 class Site:
     """Collects regions, markings and objects, and refuses objects that would intersect.
 
     An object must lie inside the area, apart from every earlier object, off the roads and their
-    pavements (unless it is `on_road`) and off reserved ground such as driveways (unless it is
-    `on_reserved`).
+    pavements and off reserved ground such as driveways, unless its footing allows them.
     """
 
     def __init__(self, area_m: float, terrain: Heightfield, rng: np.random.Generator) -> None:
@@ -112,49 +149,41 @@ class Site:
 
     def place(
         self,
-        class_name: str,
-        shape: str,
+        thing: Thing,
         at: ArrayLike,
-        size: Sequence[float],
         yaw: float,
-        colour: Rgb = (1.0, 1.0, 1.0),
-        style: BuildingStyle | None = None,
-        *,
-        on_road: bool = False,
-        on_reserved: bool = False,
-        gap_m: float = 0.15,
+        footing: Footing = ANYWHERE_FREE,
     ) -> bool:
-        """Put an object with its box centred over `at` (2,) metres; False when it has no room.
+        """Put a thing with its box centred over `at` (2,) metres; False when it has no room.
 
-        `size` (3,) metres, `yaw` radians; `gap_m` is the least distance kept to other objects,
-        per side. Buildings stand on the lowest ground under them, hedges and fences follow the
-        ground, everything else stands on the ground under its centre.
+        `yaw` is in radians. Buildings stand on the lowest ground under them, hedges and fences
+        follow the ground, everything else stands on the ground under its centre.
 
         Raises InputError when there are more objects than ids.
         """
         at = np.asarray(at, float)
-        length, width, height = size
+        length, width, height = thing.size
         corners = rectangle(at, (length, width), yaw)
         if np.abs(corners).max() > 0.5 * self.area_m:
             return False
+        gap_m = footing.gap_m
         grown = rectangle(at, (length + 2 * gap_m, width + 2 * gap_m), yaw)
-        if self._taken(grown, on_reserved):
+        if self._taken(grown, footing.on_reserved):
             return False
-        if not on_road and self.roads_within(_outline(grown), PAVEMENT_M):
+        if not footing.on_road and self.roads_within(_outline(grown), PAVEMENT_M):
             return False
         self._claim(corners, reserved=False)
 
         samples = np.vstack([corners, 0.5 * (corners + np.roll(corners, 1, 0)), at])
         ground = self.terrain.height(samples[:, 0], samples[:, 1])
         base = float(ground[-1])
-        if class_name == "building":
+        if thing.class_name == "building":
             base = float(ground.min())
-        elif class_name in ("hedge", "fence"):
+        elif thing.class_name in ("hedge", "fence"):
             base = float(ground.min())
             height += float(np.ptp(ground))
         centre = np.array([at[0], at[1], base + 0.5 * height])
-        box = np.array([length, width, height], float)
-        self._add(class_name, shape, centre, box, yaw, colour, style)
+        self._add(thing, centre, np.array([length, width, height], float), yaw)
         return True
 
     def span(
@@ -174,7 +203,8 @@ class Site:
         size = np.array([np.linalg.norm(b - a), width_m, max(heights) - low_m])
         centre = np.array([*(0.5 * (a + b)), 0.5 * (max(heights) + low_m)])
         yaw = float(np.arctan2(*(b - a)[::-1]))
-        self._add(class_name, class_name, centre, size, yaw, (0.05, 0.05, 0.05))
+        cable = Thing(class_name, class_name, size.tolist(), (0.05, 0.05, 0.05))
+        self._add(cable, centre, size, yaw)
 
     def flood(self, shore: Array, bank_m: float) -> None:
         """Paint still water inside a `shore` (K, 2), and level the ground under it.
@@ -206,16 +236,8 @@ class Site:
         self.terrain = Heightfield(nodes, spacing)
         self.paint("water", shore)
 
-    def _add(
-        self,
-        class_name: str,
-        shape: str,
-        centre: Array,
-        size: Array,
-        yaw: float,
-        colour: Rgb,
-        style: BuildingStyle | None = None,
-    ) -> None:
+    def _add(self, thing: Thing, centre: Array, size: Array, yaw: float) -> None:
+        """Add an object with its box (3,) metres, which may be higher than the thing's own."""
         number = len(self.objects) + 1
         if number > MAX_OBJECT_ID:
             raise InputError(
@@ -224,7 +246,16 @@ class Site:
             )
         yaw = float(np.angle(np.exp(1j * yaw)))
         self.objects.append(
-            WorldObject(number, class_name, centre, size, yaw, shape, colour, style)
+            WorldObject(
+                number,
+                thing.class_name,
+                centre,
+                size,
+                yaw,
+                thing.shape,
+                thing.colour,
+                thing.style,
+            )
         )
 
     def _claim(self, corners: Array, reserved: bool) -> None:

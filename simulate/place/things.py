@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.place.site import Site
+from simulate.place.site import ANYWHERE_FREE, Footing, Site, Thing
 from simulate.place.streets import Frame
 from simulate.place.styles import vary
 from simulate.place.world import BuildingStyle, Rgb
 
 Array = NDArray[np.float64]
 Size = tuple[float, float, float]  # length, width, height in metres
+Local = tuple[float, float]  # metres along and across the street of a frame
 
 # Linear albedo.
 _PAINTS: tuple[Rgb, ...] = (
@@ -74,17 +75,12 @@ def small(
     kind: str,
     at: Array,
     yaw: float,
-    *,
-    on_road: bool = False,
-    on_reserved: bool = False,
-    gap_m: float = 0.15,
+    footing: Footing = ANYWHERE_FREE,
 ) -> bool:
     """A thing that is its own class and shape: bin, hydrant, sign, table, bale, boat, ..."""
     size, colours = _SMALL[kind]
     colour = vary(site, site.choose(colours))
-    return site.place(
-        kind, kind, at, size, yaw, colour, on_road=on_road, on_reserved=on_reserved, gap_m=gap_m
-    )  # fmt: skip
+    return site.place(Thing(kind, kind, size, colour), at, yaw, footing)
 
 
 def steel(site: Site) -> Rgb:
@@ -92,12 +88,13 @@ def steel(site: Site) -> Rgb:
 
 
 def building(
-    site: Site, shape: str, at: Frame, a: float, b: float, size: Size, style: BuildingStyle
+    site: Site, shape: str, at: Frame, spot: Local, size: Size, style: BuildingStyle
 ) -> bool:
     """A building facing the street of its frame, smaller when the warp leaves it less room."""
+    where, yaw = at.point(*spot), at.yaw(*spot)
     for share in (1.0, 0.9, 0.8, 0.7):
         fitted = (size[0] * share, size[1] * share, size[2])
-        if site.place("building", shape, at.point(a, b), fitted, at.yaw(a, b), style=style):
+        if site.place(Thing("building", shape, fitted, style=style), where, yaw):
             return True
     return False
 
@@ -112,54 +109,56 @@ def tree(site: Site, at: Array, radius: float, conifers: float = 0.12) -> bool:
     else:
         size = (2 * radius, 2 * radius, radius * rng.uniform(2.1, 2.9) + 1.2)
         shape = f"broadleaf_{rng.integers(6)}"
-    return site.place("tree", shape, at, size, rng.uniform(-np.pi, np.pi), colour)
+    return site.place(Thing("tree", shape, size, colour), at, rng.uniform(-np.pi, np.pi))
 
 
 def bench(site: Site, at: Array, yaw: float) -> bool:
-    return site.place("bench", "bench", at, _BENCH_M, yaw, (0.20, 0.12, 0.07), gap_m=0.05)
+    thing = Thing("bench", "bench", _BENCH_M, (0.20, 0.12, 0.07))
+    return site.place(thing, at, yaw, Footing(gap_m=0.05))
 
 
 def barrier(
     site: Site,
     kind: str,
     at: Frame,
-    start: tuple[float, float],
-    end: tuple[float, float],
-    thick: float,
-    high: float,
+    start: Local,
+    end: Local,
+    section: tuple[float, float],
 ) -> None:
-    """A straight hedge or fence between two local points; shortened ends keep corners apart."""
+    """A straight hedge or fence between two local points; shortened ends keep corners apart.
+
+    `section` is its thickness and height, metres.
+    """
     p, q = at.point(*start), at.point(*end)
     length = float(np.linalg.norm(q - p)) - 0.3
     if length < 1.0:
         return
     yaw = float(np.arctan2(*(q - p)[::-1]))
     colour = vary(site, (1.0, 1.0, 1.0) if kind == "hedge" else (0.22, 0.16, 0.11))
-    site.place(kind, kind, 0.5 * (p + q), (length, thick, high), yaw, colour, gap_m=0.02)
+    thing = Thing(kind, kind, (length, *section), colour)
+    site.place(thing, 0.5 * (p + q), yaw, Footing(gap_m=0.02))
 
 
 def fenced(site: Site, at: Frame, length: float, depth: float, high: float) -> None:
     """Fences along both sides and the back of a block, in pieces that follow its bends."""
     for b in np.arange(0.8, depth - 13.0, 12.0):
         for a in (0.3, length - 0.3):
-            barrier(site, "fence", at, (a, b), (a, b + 12.0), 0.10, high)
+            barrier(site, "fence", at, (a, b), (a, b + 12.0), (0.10, high))
     for a in np.arange(0.8, length - 13.0, 12.0):
-        barrier(site, "fence", at, (a, depth - 0.4), (a + 12.0, depth - 0.4), 0.10, high)
+        barrier(site, "fence", at, (a, depth - 0.4), (a + 12.0, depth - 0.4), (0.10, high))
 
 
 def car(site: Site, at: Array, yaw: float, gap_m: float = 0.15) -> bool:
     shape = site.choose(tuple(_CARS))
     paint = vary(site, site.choose(_PAINTS))
-    return site.place(
-        "car", shape, at, _CARS[shape], yaw, paint, on_road=True, on_reserved=True, gap_m=gap_m
-    )  # fmt: skip
+    thing = Thing("car", shape, _CARS[shape], paint)
+    return site.place(thing, at, yaw, Footing(on_road=True, on_reserved=True, gap_m=gap_m))
 
 
 def van(site: Site, at: Array, yaw: float) -> bool:
     paint = vary(site, site.choose(_PAINTS[:4]))
-    return site.place(
-        "van", "van", at, _TRUCKS["van"], yaw, paint, on_road=True, on_reserved=True
-    )  # fmt: skip
+    thing = Thing("van", "van", _TRUCKS["van"], paint)
+    return site.place(thing, at, yaw, Footing(on_road=True, on_reserved=True))
 
 
 def truck(
@@ -173,6 +172,5 @@ def truck(
     shape = site.choose(shapes)
     paint = vary(site, site.choose(_PAINTS[:2] + STEEL))
     class_name = "van" if shape == "van" else "truck"
-    return site.place(
-        class_name, shape, at, _TRUCKS[shape], yaw, paint, on_road=on_road, on_reserved=on_road
-    )  # fmt: skip
+    thing = Thing(class_name, shape, _TRUCKS[shape], paint)
+    return site.place(thing, at, yaw, Footing(on_road=on_road, on_reserved=on_road))

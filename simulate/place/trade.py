@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from simulate.place.parking import AISLE_M, BAY_M, car_park
-from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.site import PAVEMENT_M, Site, Thing
 from simulate.place.streets import Block
 from simulate.place.styles import hall_style
 from simulate.place.things import CONTAINER_M, building, fenced, small, steel, tree, truck
@@ -31,7 +31,7 @@ def trade(site: Site, block: Block) -> None:
         a, b = 1.5 + (i + 0.5) * share, 0.5 * (b0 + b1)
         height = rng.uniform(5.5, 8.0) + style.roof_height_m
         size = (share - 3.0, min(b1 - b0, rng.uniform(18.0, 34.0)), height)
-        building(site, "hall", at, a, b, size, style)
+        building(site, "hall", at, (a, b), size, style)
 
     # The yard: rows of containers, then lorries wherever room is left.
     yard0, yard1 = hall_end + 3.0, length - 1.0
@@ -42,7 +42,7 @@ def trade(site: Site, block: Block) -> None:
         while a + 0.5 * size[0] < yard1:
             if site.chance(0.55):
                 yaw = at.yaw(a, b) + rng.normal(0, 0.015)
-                site.place("container", shape, at.point(a, b), size, yaw, steel(site))
+                site.place(Thing("container", shape, size, steel(site)), at.point(a, b), yaw)
             a += size[0] + 0.6
     for _ in range(12):
         a, b = rng.uniform(yard0, yard1), rng.uniform(lot + 3.5, b1)
@@ -66,7 +66,8 @@ def works(site: Site, block: Block) -> None:
         share = 0.58 * length / count
         style = hall_style(site)
         size = (share - 3.0, min(b1 - b0 - 2.0, 45.0), rng.uniform(7, 11) + style.roof_height_m)
-        building(site, "hall", at, 2.0 + (i + 0.5) * share, 0.5 * (b0 + b1), size, style)
+        spot = (2.0 + (i + 0.5) * share, 0.5 * (b0 + b1))
+        building(site, "hall", at, spot, size, style)
     for a in np.arange(3.0, 0.58 * length, 7.0):
         small(site, "bollard", at.point(a, b0 - 1.2), at.yaw(a, b0))
 
@@ -82,7 +83,8 @@ def works(site: Site, block: Block) -> None:
         else:
             shape = "container"
             yaw = at.yaw(a, b)
-            site.place("container", shape, at.point(a, b), CONTAINER_M[shape], yaw, steel(site))
+            container = Thing("container", shape, CONTAINER_M[shape], steel(site))
+            site.place(container, at.point(a, b), yaw)
     fenced(site, at, length, depth, 2.0)
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from simulate.place.parking import AISLE_M, BAY_M, car_park
-from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.site import PAVEMENT_M, Footing, Site, Thing
 from simulate.place.streets import Block
 from simulate.place.styles import front_style
 from simulate.place.things import bench, small, tree
@@ -25,9 +25,10 @@ def fronts(site: Site, block: Block) -> None:
     for side in (1, -1):
         # One passage, through the row along the first street.
         way_in = site.rng.uniform(0.4, 0.6) * length if side > 0 else None
-        _row(site, block, side, 0.0, _SETBACK_M, length - _SETBACK_M, way_in)
+        _row(site, block, side, 0.0, (_SETBACK_M, length - _SETBACK_M), way_in)
     for quarter_turn in (1, -1):
-        _row(site, block, quarter_turn, 0.5 * np.pi, inner + 0.1, depth - inner - 0.1, None)
+        span = (inner + 0.1, depth - inner - 0.1)
+        _row(site, block, quarter_turn, 0.5 * np.pi, span, None)
     court = length - 2 * inner - 2.0, depth - 2 * inner - 2.0
     if court[0] > 3 * BAY_M[0] and court[1] > 2 * BAY_M[1] + AISLE_M:
         middle = 0.5 * (depth - 2 * BAY_M[1] - AISLE_M)
@@ -42,16 +43,16 @@ def _row(
     block: Block,
     side: int,
     turn: float,
-    start: float,
-    end: float,
+    span: tuple[float, float],
     way_in: float | None,
 ) -> None:
-    """Buildings from `start` to `end` metres along one street of a block.
+    """Buildings over a span, first to last metre, along one street of a block.
 
     `turn` 0 is a street along the block's length, a quarter turn one along its depth; `way_in` is
     where a passage leads through.
     """
     at = block.front(side)
+    start, end = span
     corners = [start]
     while end - corners[-1] > 15.0:
         corners.append(corners[-1] + float(site.rng.uniform(9.0, 15.0)))
@@ -72,7 +73,8 @@ def _row(
         for share in (1.0, 0.985, 0.96, 0.93, 0.88, 0.8):
             size = ((last - first) * share - 0.02, _DEPTH_M * (0.5 + 0.5 * share), height)
             yaw = at.yaw(a, b) + turn
-            if site.place("building", "front", at.point(a, b), size, yaw, style=style, gap_m=0.0):
+            front = Thing("building", "front", size, style=style)
+            if site.place(front, at.point(a, b), yaw, Footing(gap_m=0.0)):
                 break
 
 

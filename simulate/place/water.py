@@ -6,11 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from simulate.place.site import PAVEMENT_M, Site
+from simulate.place.site import PAVEMENT_M, Footing, Site, Thing
 from simulate.place.streets import Block
 from simulate.place.things import CONTAINER_M, bench, small, steel, tree, truck
 from simulate.place.world import ribbon
 
+_AFLOAT = Footing(on_reserved=True, gap_m=0.4)
 _STRIPS = 10  # of ground kept free where an ellipse of water lies
 
 
@@ -42,7 +43,7 @@ def lake(site: Site, block: Block) -> None:
             middle[0] + rng.uniform(-0.5, 0.5) * half_a,
             middle[1] + rng.uniform(-0.5, 0.5) * half_b,
         )
-        small(site, "boat", at.point(a, b), rng.uniform(-np.pi, np.pi), on_reserved=True, gap_m=0.4)
+        small(site, "boat", at.point(a, b), rng.uniform(-np.pi, np.pi), _AFLOAT)
 
     a, b = (middle[i] + (half + 2.2) * round_[i] for i, half in enumerate((half_a, half_b)))
     path = at.point(np.append(a, a[0]), np.append(b, b[0]))
@@ -82,7 +83,7 @@ def dock(site: Site, block: Block) -> None:
     for _ in range(4 + int((a1 - a0) * (b1 - b0) / 300)):
         a, b = rng.uniform(a0 + 3, a1 - 3), rng.uniform(b0 + 3, b1 - 3)
         yaw = at.yaw(a, b) + site.choose((0.0, np.pi)) + rng.normal(0, 0.15)
-        small(site, "boat", at.point(a, b), yaw, on_reserved=True, gap_m=0.4)
+        small(site, "boat", at.point(a, b), yaw, _AFLOAT)
     for a in np.arange(a0 + 1.0, a1, 6.0):
         for b in (b0 - 0.7, b1 + 0.7):
             small(site, "bollard", at.point(a, b), at.yaw(a, b))
@@ -91,7 +92,8 @@ def dock(site: Site, block: Block) -> None:
         for a in np.arange(16.0, length - 4.0, size[0] + 0.6):
             if site.chance(0.6):
                 yaw = at.yaw(a, b) + rng.normal(0, 0.015)
-                site.place("container", "container", at.point(a, b), size, yaw, steel(site))
+                container = Thing("container", "container", size, steel(site))
+                site.place(container, at.point(a, b), yaw)
     for _ in range(8):
         a, b = rng.uniform(2, 14), rng.uniform(3, b0 - 3)
         truck(site, at.point(a, b), at.yaw(a, b) + np.pi / 2)
