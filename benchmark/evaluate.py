@@ -1,4 +1,8 @@
-"""Evaluation of one localizer on one data set."""
+"""Evaluation of one localizer on one data set.
+
+The module is over 400 lines because the run, its workers and its files are interrupted, resumed and
+checked together.
+"""
 
 from __future__ import annotations
 
@@ -54,6 +58,7 @@ _MOST_QUERIES_AT_ONCE = 16
 _ONLY_PREPARE: Sequence[BenchmarkQuery] = ()
 
 
+# More than six parameters: they are the options of the command ``evaluate``.
 def evaluate(
     dataset: Dataset,
     localizer: Localizer,

@@ -1,4 +1,8 @@
-"""The command ``localize``, which finds the poses of new photographs in a map."""
+"""The command ``localize``, which finds the poses of new photographs in a map.
+
+The module is over 400 lines because what is read of a photograph, what the journal keeps of it and
+what both output files say of it have to agree.
+"""
 
 from __future__ import annotations
 
@@ -88,6 +92,7 @@ def open_place(path: Path) -> Place:
     raise InputError(f"{path} is no map: it is neither a scene nor a folder with sparse/map")
 
 
+# More than six parameters: they are the options of the command ``localize``.
 def localize(
     place: Place,
     photographs: Path,

@@ -1,4 +1,8 @@
-"""The results file of one method on one data set, from which every figure can be recomputed."""
+"""The results file of one method on one data set, from which every figure can be recomputed.
+
+The module is over 400 lines because the models of the file stand beside the summaries that
+recompute their figures, and reading compares the two.
+"""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class _Turned(BaseModel):
     names: tuple[str, ...]
 
 
-# Wide: these are the options of the command ``ingest``.
+# More than six parameters: they are the options of the command ``ingest``.
 def ingest(
     photographs: Path,
     out: Path,

@@ -16,6 +16,7 @@ app = typer.Typer(rich_markup_mode=None)
 
 
 @app.command()
+# More than six parameters: each is an option or argument of the command.
 def train(
     method: Annotated[
         str,
@@ -59,6 +60,7 @@ def train(
 
 
 @app.command()
+# More than six parameters: each is an option or argument of the command.
 def ablate(
     plan: Annotated[
         Path,

@@ -30,6 +30,7 @@ app = typer.Typer(rich_markup_mode=None)
 
 
 @app.command()
+# More than six parameters: each is an option or argument of the command.
 def localize(
     place: Annotated[
         Path, typer.Option("--map", metavar="PLACE", help="Scene with its map, or a flight.")
@@ -94,6 +95,7 @@ def localize(
 
 
 @app.command()
+# More than six parameters: each is an option or argument of the command.
 def evaluate(
     datasets: Datasets,
     method: Methods,
@@ -137,6 +139,7 @@ def evaluate(
 
 
 @app.command()
+# More than six parameters: each is an option or argument of the command.
 def basin(
     datasets: Datasets,
     method: Methods,

@@ -64,6 +64,7 @@ def build_map(
 
 
 @app.command()
+# More than six parameters: each is an option or argument of the command.
 def dense(
     scene: MappedScene,
     size: Annotated[

@@ -34,6 +34,7 @@ class SplitBy(StrEnum):
 
 
 @app.command()
+# More than six parameters: each is an option or argument of the command.
 def ingest(
     photographs: Annotated[
         Path,

@@ -28,6 +28,7 @@ app = typer.Typer(rich_markup_mode=None)
     "spp",
     metavars={"preset": listed(PRESETS)},
 )
+# More than six parameters: each is an option or argument of the command.
 def simulate(
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
     settings: dict[str, Any],

@@ -23,6 +23,7 @@ PACKAGES = (
     "mapping",
     "benchmark",
 )
+LONGEST = 400  # lines of a module
 LONG = 60  # lines of a function
 WIDE = 6  # parameters of a signature, self and cls left out
 _BEGIN = "<!-- figures: python -m tests.docs.measure_house -->\n"
@@ -64,10 +65,20 @@ def measure(*packages: str) -> Measured:
         files.append(len(text.splitlines()))
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                functions.append(_extent(node) - _docstring(node))
-                taken = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-                parameters.append(sum(part.arg not in ("self", "cls") for part in taken))
+                functions.append(lines_of(node))
+                parameters.append(parameters_of(node))
     return Measured(tuple(files), tuple(functions), tuple(parameters))
+
+
+def lines_of(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return how many lines a function has, without its decorators and docstring."""
+    return _extent(node) - _docstring(node)
+
+
+def parameters_of(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Return how many parameters a function takes besides self and cls."""
+    taken = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    return sum(part.arg not in ("self", "cls") for part in taken)
 
 
 def _extent(node: ast.stmt) -> int:
