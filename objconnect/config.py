@@ -10,6 +10,27 @@ from baselines.pixloc.network import Channels, check_levels
 from scene.config import Config
 
 
+class SegmentOptions(Config):
+    """How a picture is segmented into objects.
+
+    Attributes:
+        long_side: most cells of the longer side of the picture that is segmented, which has at most
+            half the size of the image. 192 is still finer than the levels of an image of 512 pixels
+            that have objects; at 256 SLIC takes twice the time.
+        slic_iterations: of SLIC, which has settled after 5; 10 take twice the time.
+        slic_compactness: weight of distance against colour in SLIC.
+        felzenszwalb_scale: k of Felzenszwalb and Huttenlocher, for colours in 0..1; segments grow
+            with it.
+        felzenszwalb_blur: standard deviation of their blur, cells.
+    """
+
+    long_side: int = Field(192, ge=8)
+    slic_iterations: int = Field(5, ge=1)
+    slic_compactness: float = Field(10.0, gt=0)
+    felzenszwalb_scale: float = Field(100.0, gt=0)
+    felzenszwalb_blur: float = Field(0.8, ge=0)
+
+
 class ObjConnectNetConfig(Config):
     """Every block of the method can be switched off. Levels run from coarse to fine.
 
@@ -26,6 +47,10 @@ class ObjConnectNetConfig(Config):
             makes no objects.
         segments: N, the most objects of a picture.
         segment_side: pixels; pictures too small for N objects of this side have fewer.
+        segmenter: how the picture is segmented.
+        finest_object_stride: finest level that has objects, pixels per cell. Objects on finer
+            levels cost as much as the rest of the network and say nothing new, because their cells
+            lie within one object almost everywhere.
         attention: equations (1) to (3), features enriched by their object's.
         object_graph: equations (4) and (5), a graph over the points of each object.
         scene_graph: a graph over all objects.
@@ -40,6 +65,8 @@ class ObjConnectNetConfig(Config):
     segmentation: Literal["slic", "felzenszwalb", "grid", "given", "none"] = "slic"
     segments: int = Field(128, ge=1, le=1024)
     segment_side: float = Field(32.0, ge=4)
+    segmenter: SegmentOptions = SegmentOptions()
+    finest_object_stride: int = Field(4, ge=1)
     attention: bool = True
     object_graph: bool = True
     scene_graph: bool = True

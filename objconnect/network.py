@@ -23,9 +23,6 @@ from objconnect.segmentation import at_level, segment
 from scene.config import load_config
 from scene.errors import InputError
 
-# Objects on finer levels cost as much as the rest of the network, and say nothing new: their cells
-# lie within one object almost everywhere.
-_FINEST_STRIDE: Final = 4
 _ENCODER: Final = "encoder."
 # What only a configuration of this network says.
 _OURS: Final = "segmentation"
@@ -75,7 +72,7 @@ class ObjConnectNet(nn.Module):
             else pixloc.Decoder(config.width, config.steps, config.strides)
         )
         sizes = self.decoder.sizes
-        levels = [stride for stride in config.strides if stride >= _FINEST_STRIDE]
+        levels = [stride for stride in config.strides if stride >= config.finest_object_stride]
         self._with_objects = 0 if config.segmentation == "none" else len(levels)
         with_objects = sizes[: self._with_objects]
         self.objects_of = nn.ModuleList(ObjectBlocks(config, size) for size in with_objects)

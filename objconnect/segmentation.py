@@ -16,22 +16,11 @@ from skimage.segmentation import felzenszwalb, slic
 from torch import Tensor
 from torch.nn import functional
 
-from objconnect.config import ObjConnectNetConfig
+from objconnect.config import ObjConnectNetConfig, SegmentOptions
 from scene.errors import InputError
 
 NOTHING: Final = -1
 """The label of pixels that belong to no object."""
-
-# Segments are looked for in the picture at half its size, and no larger than this, which is still
-# finer than the levels of a photograph of 512 pixels that have objects. At 256, SLIC takes twice
-# the time.
-_LONG_SIDE: Final = 192
-# SLIC has settled by then: ten iterations take twice the time.
-_ITERATIONS: Final = 5
-_COMPACTNESS: Final = 10.0
-# Felzenszwalb and Huttenlocher's k, for colours in 0..1; segments grow with it.
-_SCALE: Final = 100.0
-_BLUR: Final = 0.8
 
 Labels = NDArray[np.int64]
 Picture = NDArray[np.float32]
@@ -42,11 +31,11 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
 
     Args:
         images: (B, 3, H, W) RGB in 0..1.
-        config: ``segmentation``, ``segments`` and ``segment_side`` of it.
+        config: ``segmentation``, ``segments``, ``segment_side`` and ``segmenter`` of it.
 
     Returns:
-        (B, h, w) int64 on the device of the images, at most 192 cells a side and each standing for
-        an equal part of the picture; labels are 0 to N - 1, or ``NOTHING``.
+        (B, h, w) int64 on the device of the images, at most ``segmenter.long_side`` cells a side
+        and each standing for an equal part of the picture; labels are 0 to N - 1, or ``NOTHING``.
 
     Raises:
         InputError: the configuration expects label maps to be given, or wants none.
@@ -57,7 +46,7 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
             "felzenszwalb or grid"
         )
     height, width = images.shape[-2:]
-    size = reduced_size(height, width)
+    size = reduced_size(height, width, config.segmenter.long_side)
     count = min(config.segments, max(1, round(height * width / config.segment_side**2)))
     if config.segmentation == "grid":
         return _squares(*size, count).to(images.device).expand(len(images), -1, -1)
@@ -66,16 +55,16 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
     pictures = small.permute(0, 2, 3, 1).cpu().numpy()
 
     def one(picture: Picture) -> Labels:
-        return keep_largest(find(picture, count), count)
+        return keep_largest(find(picture, count, config.segmenter), count)
 
     # A segmentation is one thread's work, and most of it lets others run.
     labels = list(_pool().map(one, pictures))
     return torch.from_numpy(np.stack(labels)).to(images.device)
 
 
-def reduced_size(height: int, width: int) -> tuple[int, int]:
-    """Height and width at which a picture is segmented."""
-    factor = min(0.5, _LONG_SIDE / max(height, width))
+def reduced_size(height: int, width: int, long_side: int) -> tuple[int, int]:
+    """Height and width at which a picture is segmented: half its own, ``long_side`` at most."""
+    factor = min(0.5, long_side / max(height, width))
     return max(1, round(height * factor)), max(1, round(width * factor))
 
 
@@ -133,24 +122,30 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=os.cpu_count() or 1)
 
 
-def _slic(picture: Picture, count: int) -> Labels:
+def _slic(picture: Picture, count: int, options: SegmentOptions) -> Labels:
     """Achanta et al., "SLIC superpixels", PAMI 2012."""
     found: Callable[..., Labels] = slic
     return found(
         picture,
         n_segments=count,
-        compactness=_COMPACTNESS,
-        max_num_iter=_ITERATIONS,
+        compactness=options.slic_compactness,
+        max_num_iter=options.slic_iterations,
         start_label=0,
         channel_axis=-1,
     )
 
 
-def _felzenszwalb(picture: Picture, count: int) -> Labels:
+def _felzenszwalb(picture: Picture, count: int, options: SegmentOptions) -> Labels:
     """Felzenszwalb and Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004."""
     least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
     found: Callable[..., Labels] = felzenszwalb
-    return found(picture, scale=_SCALE, sigma=_BLUR, min_size=least, channel_axis=-1)
+    return found(
+        picture,
+        scale=options.felzenszwalb_scale,
+        sigma=options.felzenszwalb_blur,
+        min_size=least,
+        channel_axis=-1,
+    )
 
 
 def _squares(height: int, width: int, count: int) -> Tensor:

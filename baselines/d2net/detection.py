@@ -11,14 +11,15 @@ from torch.nn import functional
 
 from baselines.d2net.network import D2Net
 
-# Largest ratio of the two curvatures of a peak: beyond it lies an edge, as in SIFT.
-_EDGE: Final = 5.0
-# Flatter peaks, relative to their height, are rounding errors of a picture without contrast.
+# Numerical guards. Flatter peaks, relative to their height, are rounding errors of a picture
+# without contrast; a peak further from the centre of its cell belongs to another cell; smaller
+# images (px) have no cell with neighbours.
 _FLAT: Final = 1e-4
-# A peak further from the centre of its cell belongs to another cell.
 _MAX_OFFSET: Final = 0.5
-# Smaller images (px) have no cell with neighbours.
 _LEAST: Final = 16
+
+EDGE_RATIO: Final = 5.0
+"""Largest ratio of the two curvatures of a peak, unless another is asked for."""
 
 
 class Keypoints(NamedTuple):
@@ -37,7 +38,9 @@ class Keypoints(NamedTuple):
     descriptors: Tensor
 
 
-def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
+def detect(
+    network: D2Net, image: Tensor, scales: Sequence[float], edge_ratio: float = EDGE_RATIO
+) -> Keypoints:
     """Find and describe keypoints.
 
     The features of each level are added to those of the next, which may not find again what is
@@ -48,6 +51,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
         image: (3, H, W) float RGB in 0..1.
         scales: sizes of the levels over the image's, coarse to fine. Levels too small to hold a
             keypoint are left out.
+        edge_ratio: largest ratio of the two curvatures of a peak; beyond it lies an edge.
     """
     height, width = image.shape[1:]
     coarser = taken = None
@@ -61,7 +65,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
         if coarser is not None:
             features = features + _resized(coarser[None], cells)[0]
         coarser = features
-        peaks, offsets = find_peaks(features)
+        peaks, offsets = find_peaks(features, edge_ratio)
         if taken is not None:
             again = functional.interpolate(taken[None, None].float(), cells)[0, 0].bool()
             peaks &= ~again
@@ -92,7 +96,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
     return Keypoints(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
 
-def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
+def find_peaks(features: Tensor, edge_ratio: float = EDGE_RATIO) -> tuple[Tensor, Tensor]:
     """Cells whose strongest channel peaks there, and where exactly it does.
 
     A peak is the largest of 3 x 3 cells and curved alike in all directions. Its exact place is that
@@ -100,6 +104,7 @@ def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
 
     Args:
         features: (C, h, w), not negative.
+        edge_ratio: see ``detect``.
 
     Returns:
         (h, w) bool, and (2, h, w) offsets of columns and rows in cells; outside peaks they mean
@@ -119,7 +124,7 @@ def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
     dxx, dyy, dxy = west + east - 2 * centre, n + s - 2 * centre, (nw - ne - sw + se) / 4
     dx, dy = (east - west) / 2, (s - n) / 2
     determinant = dxx * dyy - dxy**2
-    round_enough = (dxx + dyy) ** 2 <= (_EDGE + 1) ** 2 / _EDGE * determinant
+    round_enough = (dxx + dyy) ** 2 <= (edge_ratio + 1) ** 2 / edge_ratio * determinant
     curved = (determinant > 0) & (dxx + dyy < -_FLAT * centre)
     peaks = (centre == around.amax(0)) & curved & round_enough
     steps = torch.stack([dxy * dy - dyy * dx, dxy * dx - dxx * dy])

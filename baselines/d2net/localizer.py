@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from baselines.checkpoint import shipped
-from baselines.d2net.detection import detect
+from baselines.d2net.detection import EDGE_RATIO, detect
 from baselines.d2net.network import D2Net, read_network
 from baselines.features import Extractor
 from baselines.structure import StructureConfig, StructureLocalizer
@@ -45,6 +45,12 @@ class D2NetConfig(StructureConfig):
         ge=64,
         description="No image and no level is made larger (px); where the largest would be, all "
         "levels shrink alike.",
+    )
+    max_edge_ratio: float = Field(
+        EDGE_RATIO,
+        ge=1,
+        description="Largest ratio of the two curvatures of a keypoint's peak; beyond it lies an "
+        "edge, as in SIFT.",
     )
     min_contrast: float = Field(
         1.0,
@@ -80,7 +86,7 @@ class D2NetExtractor(Extractor):
         self.weights_sha256 = weights_sha256
         self.options = (
             f"{config.scales} {config.max_edge} {config.max_features} "
-            f"{config.min_contrast} {config.contrast_window_px}"
+            f"{config.min_contrast} {config.contrast_window_px} {config.max_edge_ratio}"
         )
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
@@ -90,7 +96,8 @@ class D2NetExtractor(Extractor):
             rgb = np.asarray(cv2.resize(rgb, smaller.tolist(), interpolation=cv2.INTER_AREA))
         image = torch.from_numpy(rgb.astype(np.float32, order="C") / 255).permute(2, 0, 1)
         with torch.inference_mode():
-            found = detect(self._network, image.to(self._device), self._scales(smaller.max()))
+            scales, ratio = self._scales(smaller.max()), self._config.max_edge_ratio
+            found = detect(self._network, image.to(self._device), scales, ratio)
             strongest = found.scores.argsort(descending=True, stable=True)
             xy, scale, descriptors = (
                 values[strongest].cpu().numpy()

@@ -28,6 +28,7 @@ from scene.maps.sparse_map import MapImage
 SHIPPED: Final = Path(__file__).with_name("supplement.safetensors")
 """The weights that come with the project."""
 
+# What the trained classifier is made of and takes: other values need other weights.
 _WIDTHS: Final = (64, 32)
 _OF_TRACKS: Final = 15
 _LOOK: Final = 9

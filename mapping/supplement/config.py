@@ -23,6 +23,28 @@ class BlobOptions(Config):
     border_px: int = Field(8, ge=1, description="Pixels at the edge in which no blob counts.")
 
 
+class GroundOptions(Config):
+    """How the ground under a map is estimated from its points."""
+
+    neighbours: int = Field(
+        24,
+        ge=3,
+        description="The ground under a place is a plane through this many points around it, seen "
+        "from above.",
+    )
+    close_m: tuple[float, ...] = Field(
+        (0.8, 0.4, 0.2, 0.1, 0.1, 0.1),
+        min_length=1,
+        description="Scale of Cauchy's weights (m) in each round in which the plane is fitted; it "
+        "begins level at the median of the points.",
+    )
+    cell_m: float = Field(2.0, gt=0, description="Side of the cells in which the ground is kept.")
+    margin_m: float = Field(
+        15.0, ge=0, description="Ground that is kept beside the middle 99 % of the points."
+    )
+    ray_steps: int = Field(6, ge=1, description="Steps in which a ray finds the ground.")
+
+
 class TrackOptions(Config):
     """When blobs of several photographs are observations of one place."""
 
@@ -51,6 +73,9 @@ class TrackOptions(Config):
         1.5, gt=0, description="Observations with a larger reprojection error leave a place."
     )
     iterations: int = Field(4, ge=2, description="Gauss-Newton steps that refine the places.")
+    settling: int = Field(
+        2, ge=0, description="Steps of them before observations with too large an error leave."
+    )
     border_px: float = Field(
         4.0, ge=0, description="Pixels at the edge in which a place does not count as visible."
     )
@@ -118,6 +143,9 @@ class SupplementConfig(Config):
         0.5, ge=0, description="Least distance of a place from the map's own points."
     )
     blobs: BlobOptions = Field(BlobOptions(), description="Which blobs of a photograph count.")
+    ground: GroundOptions = Field(
+        GroundOptions(), description="How the ground under the map is estimated."
+    )
     tracks: TrackOptions = Field(
         TrackOptions(), description="When blobs of several photographs are one place."
     )

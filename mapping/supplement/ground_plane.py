@@ -11,23 +11,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mapping.supplement.config import GroundOptions
 from scene.maps.sparse_map import MapImage
 
-# The ground under a point is a plane through so many points around it, seen from above ...
-_AROUND: Final = 24
-# ... that begins level at their median, and is fitted in rounds in each of which fewer are close.
-_CLOSE_M: Final = (0.8, 0.4, 0.2, 0.1, 0.1, 0.1)
+_DEFAULTS: Final = GroundOptions()
 # FLANN's single tree (4), searched to the end.
 _EXACT: Final = {"algorithm": 4, "leaf_max_size": 10}
 _UNLIMITED: Final = {"checks": -1}
 
-# Side of the cells in which the ground is kept, room beside the middle 99 % of the points, and
-# cells at a time.
-_CELL_M: Final = 2.0
-_BESIDE_M: Final = 15.0
+# Cells whose ground is estimated at a time.
 _AT_ONCE: Final = 4096
-# Rounds in which a ray finds the ground.
-_ROUNDS: Final = 6
 
 
 @dataclass(frozen=True)
@@ -37,27 +30,31 @@ class Ground:
     Attributes:
         corner: (2,) east and north of the first.
         z: (R, C) heights, rows to the north; world metres.
+        options: how it was estimated.
     """
 
     corner: NDArray[np.float64]
     z: NDArray[np.float64]
+    options: GroundOptions = _DEFAULTS
 
     @staticmethod
-    def of(cloud: NDArray[np.float64]) -> Ground:
+    def of(cloud: NDArray[np.float64], options: GroundOptions = _DEFAULTS) -> Ground:
         """Estimate the ground under points (M, 3); see ``heights``."""
         low, high = np.percentile(cloud[:, :2], [0.5, 99.5], axis=0)
-        corner = low - _BESIDE_M
-        columns, rows = (np.ceil((high + _BESIDE_M - corner) / _CELL_M) + 1).astype(int)
+        corner = low - options.margin_m
+        side = (high + options.margin_m - corner) / options.cell_m
+        columns, rows = (np.ceil(side) + 1).astype(int)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * _CELL_M
+        places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * options.cell_m
         places[:, :2] += corner
         parts = np.array_split(places, 1 + len(places) // _AT_ONCE)
-        return Ground(corner, -np.concatenate([heights(p, cloud) for p in parts]).reshape(x.shape))
+        below = np.concatenate([heights(part, cloud, options) for part in parts])
+        return Ground(corner, -below.reshape(x.shape), options)
 
     def at(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return heights (N,) of the ground at places (N, 2), interpolated between corners."""
         size = np.array(self.z.shape[::-1])
-        cells = ((xy - self.corner) / _CELL_M).clip(0, size - 1.001)
+        cells = ((xy - self.corner) / self.options.cell_m).clip(0, size - 1.001)
         column, row = cells.astype(int).T
         right, up = (cells % 1).T
         south = self.z[row, column] * (1 - right) + self.z[row, column + 1] * right
@@ -70,25 +67,27 @@ class Ground:
         rays = rays @ image.cam_from_world[:3, :3]
         z = np.full(len(xy), np.median(self.z))
         places = np.tile(image.centre, (len(xy), 1))
-        for _ in range(_ROUNDS):
+        for _ in range(self.options.ray_steps):
             along = (z + above - image.centre[2]) / np.minimum(rays[:, 2], -1e-6)
             places = image.centre + rays * along[:, None]
             z = self.at(places[:, :2])
         return places
 
 
-def heights(xyz: NDArray[np.float64], cloud: NDArray[np.float64]) -> NDArray[np.float64]:
+def heights(
+    xyz: NDArray[np.float64], cloud: NDArray[np.float64], options: GroundOptions = _DEFAULTS
+) -> NDArray[np.float64]:
     """Return heights (N,) of points (N, 3) above the plane of most of the cloud around them.
 
     World metres, up is z; infinite where the cloud (M, 3) has too few points.
     """
-    if len(cloud) < _AROUND or not len(xyz):
+    if len(cloud) < options.neighbours or not len(xyz):
         return np.full(len(xyz), math.inf)
-    found, _ = nearest(xyz[:, :2], cloud[:, :2], _AROUND)
+    found, _ = nearest(xyz[:, :2], cloud[:, :2], options.neighbours)
     around = cloud[found] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
     design = np.concatenate([around[..., :2], np.ones((*found.shape, 1))], 2)
     off = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
-    for close in _CLOSE_M:
+    for close in options.close_m:
         weight = 1 / (1 + np.square(off / close))
         weighted = design * weight[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, design) + 1e-6 * np.eye(3)

@@ -66,7 +66,7 @@ def find_places(
             given = None if masks is None else masks[image.name]
             blobs.append(find(rgb, network, given, config.blobs))
             advance(len(blobs))
-    ground = Ground.of(sparse_map.xyz)
+    ground = Ground.of(sparse_map.xyz, config.ground)
     tracks = follow(images, blobs, ground, config.views, config.tracks)
     tracks = solve(images, blobs, tracks, config.views, config.tracks)
     tracks = distinct(tracks, config.views, config.tracks)

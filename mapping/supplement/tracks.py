@@ -16,10 +16,9 @@ from mapping.supplement.ground_plane import Ground
 from scene.maps.sparse_map import MapImage
 from scene.runtime.progress import progress_bar
 
-# Cells to a pixel of the picture in which the blob nearest to a pixel is looked up.
+# Cells to a pixel of the picture in which the blob nearest to a pixel is looked up: the resolution
+# of a table.
 _CELLS: Final = 2
-# Rounds of the refinement before outliers are dropped.
-_SETTLING: Final = 2
 
 
 @dataclass(frozen=True)
@@ -277,7 +276,7 @@ def solve(
         if round_ < options.iterations:
             step = np.linalg.solve(normal, right[..., None])[..., 0]
             tracks = replace(tracks, xyz=tracks.xyz + step)
-        if round_ >= _SETTLING:
+        if round_ >= options.settling:
             good = error < options.max_error_px
             tracks = replace(
                 tracks, track=tracks.track[good], view=tracks.view[good], row=tracks.row[good]

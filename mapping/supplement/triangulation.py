@@ -14,10 +14,10 @@ from mapping.supplement.config import SupplementConfig
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.progress import progress_bar
 
-# Rounds of Gauss-Newton: two or three are enough from a linear solution.
+# Numerical guards. Rounds of Gauss-Newton: two or three are enough from a linear solution.
 _ROUNDS = 10
 _CONVERGED_M = 1e-6
-# Photographs that make a point at all.
+# Rays that meet in a point at all.
 _LEAST = 2
 # Proposals held against the detections of a photograph at a time.
 _CHUNK = 4096
