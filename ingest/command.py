@@ -17,7 +17,7 @@ from ingest.adjustment import adjust
 from ingest.attitude import turned_over
 from ingest.georegister import georegister
 from ingest.neighbours import choose_pairs
-from ingest.options import IngestOptions, PairOptions
+from ingest.options import IngestOptions
 from ingest.outputs import write_lists, write_measurements
 from ingest.photographs import SESSION, Flight, photographs_of, read_flight
 from ingest.picture import draw
@@ -26,7 +26,7 @@ from ingest.report import REPORT, AttitudeFindings, IngestReport, make_report
 from ingest.split import Split, queries_of
 from scene.bundle.manifest import Manifest, Session, read_json, write_json
 from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish_scene
-from scene.colmap.database import match_photographs
+from scene.colmap.database import MatchingJob, match_photographs
 from scene.colmap.sift import SiftOptions
 from scene.colmap.structure_from_motion import Mapper, map_photographs
 from scene.colmap.triangulation import triangulate_matched
@@ -217,7 +217,7 @@ def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     _require(placed, source.folder)
     files = {image.name: image.file for image in placed.images}
     there = [photograph for photograph in source.taken if photograph.name in files]
-    _match(there, fixes, options.pairs, out)
+    _match(there, fixes, options, out)
     model_path, elsewhere = _map(there, out, source.plan.mapper)
     if not turned:
         raw = read_model(model_path)
@@ -312,14 +312,13 @@ def _place(flight: Flight, folder: Path, out: Path, size: int, turned: set[str])
 def _match(
     taken: Sequence[Photograph],
     fixes: Mapping[str, NDArray[np.float64]],
-    options: PairOptions,
+    options: IngestOptions,
     out: Path,
 ) -> None:
-    pairs = choose_pairs([photograph.name for photograph in taken], fixes, options)
+    pairs = choose_pairs([photograph.name for photograph in taken], fixes, options.pairs)
     with progress_bar("extract and match", len(taken) + len(pairs)) as advance:
-        match_photographs(
-            out / "sessions", taken, pairs, out / _WORK / _DATABASE, SiftOptions(), advance
-        )
+        job = MatchingJob(out / "sessions", pairs, SiftOptions(), matching=options.matching)
+        match_photographs(job, taken, out / _WORK / _DATABASE, advance)
 
 
 def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, dict[str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from scene.colmap.options import MatchOptions
 from scene.config import Config
 
 
@@ -119,6 +120,7 @@ class IngestOptions(Config):
     """How a scene is made of photographs. The manifest of the scene records these options."""
 
     pairs: PairOptions = Field(PairOptions(), description="Which photographs are matched.")
+    matching: MatchOptions = Field(MatchOptions(), description="Which of their features match.")
     placement: PlacementOptions = Field(
         PlacementOptions(), description="How the model is placed by GPS."
     )

@@ -5,18 +5,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapping.class_coverage import class_coverage
+from mapping.options import MapOptions, PairOptions
 from mapping.report import MapReport, ObjectTruth, report
 from scene.bundle.object_points import objects_of_points
 from scene.bundle.pictures import draw_pictures
 from scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish_scene
 from scene.colmap.database import MappingJob
 from scene.colmap.native import VERSION
+from scene.colmap.options import MatchOptions
 from scene.colmap.sift import SiftOptions
 from scene.colmap.structure_from_motion import ADJUSTMENTS, reconstruct
 from scene.colmap.triangulation import triangulate
@@ -31,16 +33,15 @@ from scene.storage.locks import resumable_file, write_lock
 _KEPT = f"{TEMPORARY_PREFIX}mapping"
 _SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
-
-# A pair is worth matching when this share of one picture is seen in the other, ...
-_MIN_OVERLAP = 0.2
-# ... and each picture is matched with at most so many others, those of largest overlap.
-_MAX_NEIGHBOURS = 20
-# Flights whose frames hardly overlap hang together through so many frames that follow each other.
-_FOLLOWING = 4
+_DEFAULTS: Final = MapOptions()
 
 
-def build_map(path: Path, method: Method = "triangulate", cluster: str | None = None) -> MapReport:
+def build_map(
+    path: Path,
+    method: Method = "triangulate",
+    cluster: str | None = None,
+    options: MapOptions = _DEFAULTS,
+) -> MapReport:
     """Build the map of a finished scene from its map frames and record it in the manifest.
 
     An older map is replaced once the new one is whole. The model is in world metres; the features
@@ -53,6 +54,7 @@ def build_map(path: Path, method: Method = "triangulate", cluster: str | None = 
             is then aligned to them.
         cluster: whose cores find the features, see ``worker_pool``. Its nodes see
             the scene under the path it has here.
+        options: which photographs and features are matched, and which are outliers.
 
     Returns:
         The map's figures against the truth.
@@ -63,15 +65,15 @@ def build_map(path: Path, method: Method = "triangulate", cluster: str | None = 
     """
     scene = Scene.open(path)
     with write_lock(path):
-        return _build(scene, method, cluster)
+        return _build(scene, method, cluster, options)
 
 
-def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
+def _build(scene: Scene, method: Method, cluster: str | None, options: MapOptions) -> MapReport:
     path = scene.path
     images, seen = _map_frames(scene)
     names = [image.name for image in images]
     flights = [name.partition("/")[0] for name in names]
-    chosen = choose_pairs(scene.covisibility.of(names).mutual, flights)
+    chosen = choose_pairs(scene.covisibility.of(names).mutual, flights, options.pairs)
     pairs = [(names[i], names[j]) for i, j in chosen]
     if not pairs:
         raise InputError(f"the map frames of {path} do not overlap: fly more of them")
@@ -80,14 +82,21 @@ def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
         "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
     }[method]
     remove_partial(path)
-    digest = _digest(scene.images_root, images, pairs)
+    digest = _digest(scene.images_root, images, pairs, options.matching)
     with resumable_file(path / _KEPT, f"{digest}.db") as database:
         with (
             atomic_folder(scene.map_path, MAP_FILES) as folder,
             progress_bar("map", steps) as advance,
         ):
             job = MappingJob(
-                scene.images_root, pairs, _SIFT, cluster, images=images, database=database
+                scene.images_root,
+                pairs,
+                _SIFT,
+                cluster,
+                options.matching,
+                images=images,
+                database=database,
+                adjustment=options.adjustment,
             )
             sparse_map, features = build(job, folder, advance)
             write_features(folder / FEATURES, features)
@@ -102,12 +111,17 @@ def _build(scene: Scene, method: Method, cluster: str | None) -> MapReport:
     kinds = class_coverage(scene, sparse_map, features) if rendered else {}
     in_view = [item for item in scene.objects.objects if item.id in seen]
     objects = ObjectTruth(in_view, owners)
-    return report(sparse_map, images, objects, len(pairs), kinds)
+    return report(sparse_map, images, objects, len(pairs), kinds, options.model_dump(mode="json"))
 
 
-def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str, str]]) -> str:
+def _digest(
+    root: Path,
+    images: Sequence[PosedImage],
+    pairs: Sequence[tuple[str, str]],
+    matching: MatchOptions,
+) -> str:
     """Return a digest of all that features and matches depend on."""
-    digest = hashlib.sha256(f"{VERSION} {_SIFT} {pairs}".encode())
+    digest = hashlib.sha256(f"{VERSION} {_SIFT} {matching!r} {pairs}".encode())
     for image in images:
         photograph = root / image.name
         content = sha256_of(photograph) if photograph.is_file() else "missing"
@@ -115,18 +129,21 @@ def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str,
     return digest.hexdigest()[:16]
 
 
-def choose_pairs(overlap: NDArray[np.float64], flights: Sequence[str]) -> list[tuple[int, int]]:
+def choose_pairs(
+    overlap: NDArray[np.float64], flights: Sequence[str], options: PairOptions = _DEFAULTS.pairs
+) -> list[tuple[int, int]]:
     """Choose pairs of frames worth matching, each once: neighbours in space, and in time.
 
     Args:
         overlap: (N, N) share of each other's surface that frames see, symmetric.
         flights: of each frame; frames of one flight follow each other in time.
+        options: how much they must overlap, and how many others each one is matched with.
     """
     pairs = set()
     for i, shares in enumerate(overlap):
-        best = np.argsort(-shares, kind="stable")[:_MAX_NEIGHBOURS].tolist()
-        pairs |= {(min(i, j), max(i, j)) for j in best if shares[j] > _MIN_OVERLAP}
-        following = range(i + 1, min(i + 1 + _FOLLOWING, len(flights)))
+        best = np.argsort(-shares, kind="stable")[: options.max_neighbours].tolist()
+        pairs |= {(min(i, j), max(i, j)) for j in best if shares[j] > options.min_overlap}
+        following = range(i + 1, min(i + 1 + options.following, len(flights)))
         pairs |= {(i, j) for j in following if flights[j] == flights[i] and shares[j] > 0}
     return sorted(pairs)
 

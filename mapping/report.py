@@ -53,6 +53,7 @@ class MapReport:
         objects: by size class, of those seen in the map's photographs.
         small_objects: the small ones by their class.
         kinds: shares of each kind of surface.
+        options: what the map was built with, see ``mapping.options``.
     """
 
     images: int
@@ -66,6 +67,7 @@ class MapReport:
     objects: Mapping[str, ObjectCoverage]
     small_objects: Mapping[str, ObjectCoverage]
     kinds: Mapping[str, KindShare]
+    options: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as a dictionary for JSON."""
@@ -111,6 +113,7 @@ def report(
     objects: ObjectTruth,
     pairs: int,
     kinds: Mapping[str, KindShare],
+    options: Mapping[str, Any],
 ) -> MapReport:
     """Measure a map.
 
@@ -120,6 +123,7 @@ def report(
         objects: the objects in view, and what the points lie on.
         pairs: how many pairs of photographs were matched.
         kinds: see ``mapping.class_coverage``.
+        options: what the map was built with.
     """
     mapped = [image for image in truth if image.name in sparse_map.images]
     estimated = np.stack([sparse_map.images[image.name].cam_from_world for image in mapped])
@@ -138,4 +142,5 @@ def report(
         objects=coverage(owners, objects.objects, lambda item: item.size_class),
         small_objects=coverage(owners, small, lambda item: item.class_name),
         kinds=kinds,
+        options=options,
     )

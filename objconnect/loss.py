@@ -9,24 +9,17 @@ places.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from baselines.align.residuals import Level
-from baselines.pixloc.loss import pose_loss
+from baselines.pixloc.loss import Seen, pose_loss
 from baselines.training.contrastive import sample
+from baselines.training.options import LOSSES, LossOptions
 from baselines.training.pairs import PairBatch
 from scene.geometry.pose import Pose
-
-# Weights of (7) and (8) in (6). Both losses are about one once features have begun to tell places
-# apart.
-FEATURE_SHARE: Final = 0.1
-POSE_SHARE: Final = 0.3
-# Objects with fewer points are left out of the confidence loss.
-_LEAST_POINTS: Final = 4
 
 
 def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
@@ -51,39 +44,52 @@ def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
 
 
 def pose_distance(
-    by_level: Sequence[Pose], strides: Sequence[int], batch: PairBatch
+    by_level: Sequence[Pose],
+    strides: Sequence[int],
+    batch: PairBatch,
+    options: LossOptions = LOSSES,
 ) -> tuple[Tensor, list[Tensor]]:
     """Equation (8), L_3d-d: mean over levels of the Huber distance of projections by two poses.
 
-    The smooth Huber function, up to 50 pixels, and of a finer level only where the coarser one came
+    The smooth Huber function, up to a limit, and of a finer level only where the coarser one came
     near: as PixLoc is trained, so that the two differ in their features alone.
 
     Args:
         by_level: predicted poses after each level, coarse to fine.
         strides: of the levels.
         batch: with the true pose.
+        options: the limits, see ``pose_loss``.
 
     Returns:
         The loss, and the distance (B,) in pixels after each level.
     """
-    place = batch.points, batch.intrinsics_b, batch.valid
-    return pose_loss(by_level, strides, batch.b_from_a, *place)
+    seen = Seen(batch.points, batch.intrinsics_b, batch.valid)
+    return pose_loss(by_level, strides, batch.b_from_a, seen, options)
 
 
-def total(contrast: Tensor, features: Tensor, poses: Tensor | None) -> Tensor:
+def total(
+    contrast: Tensor, features: Tensor, poses: Tensor | None, options: LossOptions = LOSSES
+) -> Tensor:
     """Equation (6): the weighted sum of (7) and (8), and the contrastive loss beside it.
+
+    Both losses are about one once features have begun to tell places apart.
 
     Args:
         contrast: the contrastive loss.
         features: L_2d-f.
         poses: L_3d-d; None in the warm-up.
+        options: the weights.
     """
-    loss = contrast + FEATURE_SHARE * features
-    return loss if poses is None else loss + POSE_SHARE * poses
+    loss = contrast + options.feature_share * features
+    return loss if poses is None else loss + options.pose_share * poses
 
 
 def kept_together(
-    labels_a: Tensor, labels_b: Tensor, valid: Tensor, count: int
+    labels_a: Tensor,
+    labels_b: Tensor,
+    valid: Tensor,
+    count: int,
+    min_points: int = LOSSES.min_object_points,
 ) -> tuple[Tensor, Tensor]:
     """Measure how well each object of image a is one object of image b too.
 
@@ -95,6 +101,7 @@ def kept_together(
         labels_b: likewise in b.
         valid: (B, P) points that are there.
         count: N.
+        min_points: objects with fewer do not have enough points.
 
     Returns:
         The measure (B, N) in 0..1, and (B, N) which objects have enough points for it.
@@ -106,7 +113,7 @@ def kept_together(
     shared = shared.scatter_add(1, pair, used.float()).view(batch, count, count)
     in_a, in_b = shared.sum(2), shared.sum(1)
     either = (in_a[:, :, None] + in_b[:, None] - shared).clamp(min=1)
-    return (shared / either).amax(2), in_a >= _LEAST_POINTS
+    return (shared / either).amax(2), in_a >= min_points
 
 
 def trust_loss(confidence: Tensor, kept: Tensor, counts: Tensor) -> Tensor:

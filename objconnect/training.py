@@ -44,7 +44,7 @@ class ObjConnectTraining:
         self.network_config = self.network.config
         if self.network_config.segmentation == "given":
             raise InputError("pairs come without masks: train with slic, then give masks")
-        self._warm_up = config.warm_up
+        self._warm_up, self._losses = config.warm_up, config.losses
 
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         """See ``Trainable``."""
@@ -53,16 +53,16 @@ class ObjConnectTraining:
         labels = self._segments(images)
         with half_precision(batch):
             maps, objects = self.network.describe(images, labels)
-        contrast, figures = contrast_of(maps, strides, batch)
+        contrast, figures = contrast_of(maps, strides, batch, self._losses)
         levels = levels_of(maps, strides, batch)
         distance = feature_distance(levels, batch)
         figures["features"] = float(distance.detach())
         poses = None
         if progress >= self._warm_up:
-            by_level = unrolled(levels, batch, self.network.damping)
-            poses, errors = pose_distance(by_level, strides, batch)
+            by_level = unrolled(levels, batch, self.network.damping, self._losses.iterations)
+            poses, errors = pose_distance(by_level, strides, batch, self._losses)
             figures |= pixels_of(errors, strides, batch)
-        loss = total(contrast, distance, poses)
+        loss = total(contrast, distance, poses, self._losses)
         if objects is not None and labels is not None:
             trust = self._trust(objects, labels, batch)
             figures["trust"] = float(trust.detach())
@@ -71,7 +71,8 @@ class ObjConnectTraining:
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """See ``Trainable``."""
-        return filters_and_damping(self.network, self.network.damping, rate)
+        faster = rate * self._losses.damping_rate
+        return filters_and_damping(self.network, self.network.damping, rate, faster)
 
     def _segments(self, images: Tensor) -> Tensor | None:
         none = self.network_config.segmentation == "none"
@@ -81,8 +82,8 @@ class ObjConnectTraining:
         a, b = labels.chunk(2)
         points_a = at_pixels(a, batch.image_a, batch.xy_a)
         points_b = at_pixels(b, batch.image_b, batch.xy_b)
-        count = self.network_config.segments
-        there = kept_together(points_a, points_b, batch.valid, count)
-        back = kept_together(points_b, points_a, batch.valid, count)
+        count, least = self.network_config.segments, self._losses.min_object_points
+        there = kept_together(points_a, points_b, batch.valid, count, least)
+        back = kept_together(points_b, points_a, batch.valid, count, least)
         kept, counts = (torch.cat(pair) for pair in zip(there, back, strict=True))
         return trust_loss(objects.confidence, kept, counts & objects.present)

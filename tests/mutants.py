@@ -72,22 +72,22 @@ MUTANTS: Final = (
     Mutant(
         "objconnect learns nothing by the distance of features",
         "objconnect/loss.py",
-        "FEATURE_SHARE: Final = 0.1",
-        "FEATURE_SHARE: Final = 0.0",
+        "loss = contrast + options.feature_share * features",
+        "loss = contrast + 0.0 * features",
         (f"{_TRAINING}::test_the_loss_is_the_sum_of_its_parts",),
     ),
     Mutant(
         "objconnect learns nothing by the pose",
         "objconnect/loss.py",
-        "POSE_SHARE: Final = 0.3",
-        "POSE_SHARE: Final = 0.0",
+        "loss + options.pose_share * poses",
+        "loss + 0.0 * poses",
         (f"{_TRAINING}::test_the_loss_is_the_sum_of_its_parts[0.5-slic]",),
     ),
     Mutant(
         "the confidence of places is not taught",
         "baselines/pixloc/training.py",
-        "TRUST_SHARE: Final = 0.3",
-        "TRUST_SHARE: Final = 0.0",
+        "options.trust_share * doubt",
+        "0.0 * doubt",
         (
             f"{_PIXLOC}::test_the_loss_is_the_sum_of_its_parts",
             f"{_PIXLOC}::test_confidence_learns_where_places_are_found_again",
@@ -198,8 +198,8 @@ MUTANTS: Final = (
     Mutant(
         "pixloc learns nothing by the pose",
         "baselines/pixloc/training.py",
-        "POSE_SHARE: Final = 0.3",
-        "POSE_SHARE: Final = 0.0",
+        "contrast + self._losses.pose_share * pose_error",
+        "contrast + 0.0 * pose_error",
         (
             f"{_PIXLOC}::test_the_loss_is_the_sum_of_its_parts[0.5]",
             f"{_PIXLOC}::test_every_part_of_the_loss_teaches",
@@ -278,8 +278,8 @@ MUTANTS: Final = (
     Mutant(
         "the distance of features is only logged",
         "objconnect/training.py",
-        "total(contrast, distance, poses)",
-        "total(contrast, distance.detach(), poses)",
+        "total(contrast, distance, poses, self._losses)",
+        "total(contrast, distance.detach(), poses, self._losses)",
         (f"{_TRAINING}::test_every_part_of_the_loss_teaches",),
     ),
     Mutant(

@@ -13,11 +13,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from baselines.training.contrastive import sample
+from baselines.training.options import LOSSES, LossOptions
 
-_MARGIN: Final = 1.0
-# Within so many cells (Chebyshev) of the true place, a descriptor is no negative.
-_SAFE_RADIUS: Final = 4
-# More than any squared distance of unit vectors.
+# Numerical guards. More than any squared distance of unit vectors.
 _FAR: Final = 10.0
 _TINY: Final = 1e-12
 
@@ -38,30 +36,36 @@ class TripletLoss(NamedTuple):
     right: Tensor
 
 
-def triplet_loss(
-    features_a: Tensor,
-    scores_a: Tensor,
-    features_b: Tensor,
-    scores_b: Tensor,
-    cells_a: Tensor,
-    cells_b: Tensor,
-) -> TripletLoss:
-    """Loss of one pair of images.
+class Described(NamedTuple):
+    """One image of a pair, and the places in it that correspond to places of the other.
 
-    Args:
-        features_a: (C, h, w) of either sign and any length.
-        scores_a: (h, w) soft detection scores.
-        features_b: (C, h', w') of the other image.
-        scores_b: (h', w').
-        cells_a: (N, 2) columns and rows of corresponding places, in cells: the centre of the first
-            is (0.5, 0.5). Descriptors and scores between centres are interpolated. N > 0.
-        cells_b: (N, 2) the same of the other image.
+    Attributes:
+        features: (C, h, w) of either sign and any length.
+        scores: (h, w) soft detection scores.
+        cells: (N, 2) columns and rows of the places, in cells: the centre of the first is
+            (0.5, 0.5). Descriptors and scores between centres are interpolated. N > 0.
     """
-    a, b = _descriptors(features_a, cells_a), _descriptors(features_b, cells_b)
+
+    features: Tensor
+    scores: Tensor
+    cells: Tensor
+
+
+def triplet_loss(
+    image_a: Described, image_b: Described, options: LossOptions = LOSSES
+) -> TripletLoss:
+    """Loss of one pair of images of corresponding places, in the same order."""
+    a = _descriptors(image_a.features, image_a.cells)
+    b = _descriptors(image_b.features, image_b.cells)
     positive = 2 - 2 * (a * b).sum(1)
-    negative = torch.minimum(_hardest(a, features_b, cells_b), _hardest(b, features_a, cells_a))
-    weight = _at(scores_a[None], cells_a)[:, 0] * _at(scores_b[None], cells_b)[:, 0]
-    hinge = functional.relu(_MARGIN + positive - negative)
+    radius = options.triplet_safe_radius
+    negative = torch.minimum(
+        _hardest(a, image_b.features, image_b.cells, radius),
+        _hardest(b, image_a.features, image_a.cells, radius),
+    )
+    score_a, score_b = (_at(each.scores[None], each.cells)[:, 0] for each in (image_a, image_b))
+    weight = score_a * score_b
+    hinge = functional.relu(options.triplet_margin + positive - negative)
     # Scores are of the order of one over the number of cells: their products are small.
     weight = weight / weight.sum().clamp_min(_TINY)
     return TripletLoss(
@@ -81,18 +85,19 @@ def _descriptors(features: Tensor, cells: Tensor) -> Tensor:
     return functional.normalize(_at(features, cells), dim=1)
 
 
-def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor) -> Tensor:
+def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor, safe_radius: int) -> Tensor:
     """Squared distance of each descriptor to the nearest of another image away from its place.
 
     Args:
         descriptors: (N, C).
         features: (C, h, w) of the other image.
         cells: (N, 2) where each descriptor belongs in it.
+        safe_radius: descriptors within so many cells (Chebyshev) of that place do not count.
     """
     others = functional.normalize(features.float().flatten(1), dim=0)
     index = torch.arange(others.shape[1], device=cells.device)
     columns = features.shape[2]
     centres = torch.stack([index % columns, index // columns], -1) + 0.5
-    near = (cells[:, None] - centres).abs().amax(-1) <= _SAFE_RADIUS
+    near = (cells[:, None] - centres).abs().amax(-1) <= safe_radius
     distance = 2 - 2 * descriptors @ others
     return torch.where(near, distance + _FAR, distance).amin(1)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 import baselines.pixloc.network as pixloc
 from baselines.checkpoint import read_weights
-from baselines.d2net.loss import TripletLoss, triplet_loss
+from baselines.d2net.loss import Described, TripletLoss, triplet_loss
 from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, read_network, soft_scores
 from baselines.training.config import TrainConfig
 from baselines.training.contrastive import contrastive, mean_over
@@ -18,9 +18,6 @@ from baselines.training.pairs import PairBatch
 from baselines.vgg import IMAGENET_STD
 from scene.config import load_config
 from scene.errors import InputError
-
-# Correspondences without which the authors pass over a pair of images.
-_LEAST: Final = 128
 
 
 class D2NetTraining:
@@ -42,7 +39,7 @@ class D2NetTraining:
         else:
             self.network = start_from(config.weights)
         self.network_config = self.network.config
-        self._warm_up = config.warm_up
+        self._warm_up, self._losses = config.warm_up, config.losses
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """All parameters alike."""
@@ -51,7 +48,7 @@ class D2NetTraining:
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         """Contrastive, then also the mean triplet loss over pairs with enough correspondences.
 
-        Enough are 128, or half of what the batch has room for if that is less.
+        Enough are ``triplet_min_points``, or half of what the batch has room for if that is less.
 
         Returns:
             the loss and figures: ``contrastive``, the fields of ``TripletLoss`` where a pair has
@@ -66,7 +63,8 @@ class D2NetTraining:
         a, b = features.chunk(2)
         inside = _inside(batch.xy_a, batch.image_a) & _inside(batch.xy_b, batch.image_b)
         valid = batch.valid & inside
-        lost = contrastive(a, b, batch.xy_a / STRIDE, batch.xy_b / STRIDE, valid)
+        cells = batch.xy_a / STRIDE, batch.xy_b / STRIDE
+        lost = contrastive(a, b, *cells, valid, self._losses.contrast)
         contrast = mean_over(valid, lost)
         figures = {"contrastive": float(contrast.detach())}
         if progress < self._warm_up:
@@ -74,15 +72,12 @@ class D2NetTraining:
         scores = soft_scores(features)
         found = [
             triplet_loss(
-                features[i],
-                scores[i],
-                features[count + i],
-                scores[count + i],
-                batch.xy_a[i, valid[i]] / STRIDE,
-                batch.xy_b[i, valid[i]] / STRIDE,
+                Described(features[i], scores[i], cells[0][i, valid[i]]),
+                Described(features[count + i], scores[count + i], cells[1][i, valid[i]]),
+                self._losses,
             )
             for i in range(count)
-            if int(valid[i].sum()) >= min(_LEAST, room // 2)
+            if int(valid[i].sum()) >= min(self._losses.triplet_min_points, room // 2)
         ]
         if not found:
             return contrast, {**figures, "pairs": 0.0}

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from baselines.training.options import LOSSES, LossOptions
 from scene.geometry.pose import Pose
 from scene.geometry.projection import Intrinsics
 
-_CLAMP: Final = 50.0
-# A level counts only where the coarser one came this near (px per px of its stride).
-_NEAR: Final = 3.0
-_LEAST_POINTS: Final = 10
+
+class Seen(NamedTuple):
+    """Points as a camera sees them, batched (B).
+
+    Attributes:
+        points: (B, N, 3) world.
+        intrinsics: of the camera.
+        valid: (B, N) points to use.
+    """
+
+    points: Tensor
+    intrinsics: Intrinsics
+    valid: Tensor
 
 
 def reprojection_error(
@@ -48,26 +58,27 @@ def pose_loss(
     by_level: Sequence[Pose],
     strides: Sequence[int],
     truth: Pose,
-    points: Tensor,
-    intrinsics: Intrinsics,
-    valid: Tensor,
+    seen: Seen,
+    options: LossOptions = LOSSES,
 ) -> tuple[Tensor, list[Tensor]]:
     """The loss of a batch, and the error (B,) after each level.
 
-    Each level counts equally, up to 50 pixels, and only where the coarser one ended within three
-    of its cells: finer features cannot mend what lies beyond their reach. A pair with fewer than 10
-    points counts for nothing.
+    Each level counts equally, up to ``pose_clamp_px``, and only where the coarser one ended within
+    ``near_cells``: finer features cannot mend what lies beyond their reach. A pair with fewer than
+    ``min_points`` counts for nothing.
 
     Args:
         by_level: poses after each level, coarse to fine; no gradient between them.
         strides: of the levels.
-        truth: as of ``reprojection_error``, as the rest.
+        truth: as of ``reprojection_error``.
+        seen: the points.
+        options: the limits named above.
     """
-    errors = [reprojection_error(p, truth, points, intrinsics, valid) for p in by_level]
-    enough = valid.sum(-1) >= _LEAST_POINTS
+    errors = [reprojection_error(pose, truth, *seen) for pose in by_level]
+    enough = seen.valid.sum(-1) >= options.min_points
     counts = enough
     total = torch.zeros_like(errors[0])
     for error, stride in zip(errors, strides, strict=True):
-        total = total + torch.where(counts, error.clamp(max=_CLAMP), 0) / len(errors)
-        counts = enough & (error < _NEAR * stride)
+        total = total + torch.where(counts, error.clamp(max=options.pose_clamp_px), 0) / len(errors)
+        counts = enough & (error < options.near_cells * stride)
     return total.mean(), [error.detach() for error in errors]

@@ -17,25 +17,21 @@ from baselines.align.aligner import align
 from baselines.align.options import Options
 from baselines.align.problem import Problem
 from baselines.align.residuals import Level
-from baselines.pixloc.loss import in_pixels, pose_loss, reprojection_error
+from baselines.pixloc.loss import Seen, in_pixels, pose_loss, reprojection_error
 from baselines.pixloc.network import PixlocNet, PixlocNetConfig, read_network
 from baselines.training.config import TrainConfig
 from baselines.training.contrastive import contrastive, mean_over, sample
+from baselines.training.options import LOSSES, LossOptions
 from baselines.training.pairs import PairBatch
 from scene.config import load_config
 from scene.errors import InputError
 from scene.geometry.pose import Pose
 
 # The authors' finest level is every pixel. Every other costs a third of it in training, and the
-# precision lost is below that of a map's points.
+# precision lost is below that of a map's points. Weights record the strides of their training.
 _STRIDES: Final = (16, 4, 2)
-_UNROLLED: Final = Options(iterations=8, careful=False)
-# Pixels against nats: at the end both are about one.
-POSE_SHARE: Final = 0.3
-TRUST_SHARE: Final = 0.3
+# A numerical guard of the logarithm.
 _LEAST_TRUST: Final = 1e-3
-# Damping is one number for all pixels: it needs larger steps than the filters.
-_DAMPING_RATE: Final = 30.0
 
 
 class PixlocTraining:
@@ -51,26 +47,28 @@ class PixlocTraining:
         else:
             self.network, _ = read_network(config.weights)
         self.network_config = self.network.config
-        self._warm_up = config.warm_up
+        self._warm_up, self._losses = config.warm_up, config.losses
 
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
         """See ``Trainable``."""
         strides = self.network_config.strides
         with half_precision(batch):
             maps = self.network(both(batch))
-        contrast, figures = contrast_of(maps, strides, batch)
+        contrast, figures = contrast_of(maps, strides, batch, self._losses)
         if progress < self._warm_up:
             return contrast, figures
         levels = levels_of(maps, strides, batch)
-        by_level = unrolled(levels, batch, self.network.damping)
-        place = batch.points, batch.intrinsics_b, batch.valid
-        pose_error, errors = pose_loss(by_level, strides, batch.b_from_a, *place)
+        by_level = unrolled(levels, batch, self.network.damping, self._losses.iterations)
+        pose_error, errors = pose_loss(
+            by_level, strides, batch.b_from_a, seen_by_b(batch), self._losses
+        )
         figures |= pixels_of(errors, strides, batch)
-        return contrast + POSE_SHARE * pose_error, figures
+        return contrast + self._losses.pose_share * pose_error, figures
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """See ``Trainable``."""
-        return filters_and_damping(self.network, self.network.damping, rate)
+        faster = rate * self._losses.damping_rate
+        return filters_and_damping(self.network, self.network.damping, rate, faster)
 
 
 def half_precision(batch: PairBatch) -> torch.autocast:
@@ -84,8 +82,16 @@ def both(batch: PairBatch) -> Tensor:
     return images.to(memory_format=torch.channels_last)
 
 
+def seen_by_b(batch: PairBatch) -> Seen:
+    """Return the points of a batch as the cameras b see them."""
+    return Seen(batch.points, batch.intrinsics_b, batch.valid)
+
+
 def contrast_of(
-    maps: Sequence[tuple[Tensor, Tensor]], strides: Sequence[int], batch: PairBatch
+    maps: Sequence[tuple[Tensor, Tensor]],
+    strides: Sequence[int],
+    batch: PairBatch,
+    options: LossOptions = LOSSES,
 ) -> tuple[Tensor, dict[str, float]]:
     """The mean over the levels of the contrastive loss and of that of the confidence, and figures.
 
@@ -97,12 +103,13 @@ def contrast_of(
         maps: features and confidences of ``both`` halves of the batch, level by level.
         strides: of the levels.
         batch: what is known of the pairs.
+        options: what the losses weigh.
     """
     losses, doubts = [], []
     for stride, (features, confidence) in zip(strides, maps, strict=True):
         a, b = features.float().chunk(2)
         cells = batch.xy_a / stride, batch.xy_b / stride
-        lost = contrastive(a, b, *cells, batch.valid)
+        lost = contrastive(a, b, *cells, batch.valid, options.contrast)
         losses.append(mean_over(batch.valid, lost))
         found = torch.exp(-lost.detach())
         for half, places in zip(confidence.chunk(2), cells, strict=True):
@@ -115,7 +122,7 @@ def contrast_of(
     }
     doubt = torch.stack(doubts).mean()
     figures["confidence"] = float(doubt.detach())
-    return torch.stack(losses).mean() + TRUST_SHARE * doubt, figures
+    return torch.stack(losses).mean() + options.trust_share * doubt, figures
 
 
 def levels_of(
@@ -140,30 +147,33 @@ def levels_of(
 
 
 def unrolled(
-    levels: Sequence[Level], batch: PairBatch, damping: Iterable[nn.Module]
+    levels: Sequence[Level],
+    batch: PairBatch,
+    damping: Iterable[nn.Module],
+    iterations: int = LOSSES.iterations,
 ) -> tuple[Pose, ...]:
     """Poses after each level, through which gradients reach features and damping."""
     factors = [each() for each in damping]
     place = batch.points, batch.intrinsics_b, batch.start
-    return align(Problem(levels, *place, factors, _UNROLLED, batch.valid)).by_level
+    options = Options(iterations=iterations, careful=False)
+    return align(Problem(levels, *place, factors, options, batch.valid)).by_level
 
 
 def pixels_of(
     errors: Sequence[Tensor], strides: Sequence[int], batch: PairBatch
 ) -> dict[str, float]:
     """Median errors in pixels, at the start and after each level, to log."""
-    place = batch.points, batch.intrinsics_b, batch.valid
-    start = reprojection_error(batch.start, batch.b_from_a, *place)
+    start = reprojection_error(batch.start, batch.b_from_a, *seen_by_b(batch))
     named = zip(("start", *strides), (start, *errors), strict=True)
     return {f"pixels/{name}": float(in_pixels(error.median())) for name, error in named}
 
 
 def filters_and_damping(
-    network: nn.Module, damping: nn.Module, rate: float
+    network: nn.Module, damping: nn.Module, rate: float, damping_rate: float
 ) -> list[dict[str, Any]]:
     """Groups of parameters: of a network, and of the damping in it, which learns faster."""
     fast = list(damping.parameters())
     known = set(fast)
     filters = [p for p in network.parameters() if p not in known]
     slow = {"params": filters, "lr": rate}
-    return [slow, {"params": fast, "lr": rate * _DAMPING_RATE, "weight_decay": 0}]
+    return [slow, {"params": fast, "lr": damping_rate, "weight_decay": 0}]

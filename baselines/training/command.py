@@ -45,11 +45,11 @@ def train(
     scenes = [Scene.open(path) for path in data]
     looked_at = [Scene.open(path) for path in validation]
     size, points = config.crop, config.points
-    rendered = RenderedPairs(scenes, size, points, config.strength)
+    rendered = RenderedPairs(scenes, size, points, config.strength, config.pairs)
     planes = None
     if config.photographs and config.photograph_share > 0:
-        planes = PlanePairs(config.photographs, size, points, config.strength)
-    chosen = RenderedPairs(looked_at, size, points, 0.0) if looked_at else None
+        planes = PlanePairs(config.photographs, size, points, config.strength, config.pairs)
+    chosen = RenderedPairs(looked_at, size, points, 0.0, config.pairs) if looked_at else None
     sources = PairSources(rendered, planes, chosen)
     described = {"method": method, "scenes": [scene.manifest.seed for scene in scenes]}
     first = join().rank == 0

@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
+from baselines.training.options import LossOptions, PairOptions
 from scene.config import Config
 
 
@@ -33,6 +34,8 @@ class TrainConfig(Config):
         validate_every: steps between two looks at the validation scenes.
         save_every: steps between two checkpoints.
         workers: processes that make pairs.
+        pairs: how pairs are drawn.
+        losses: what the losses weigh.
         seed: of everything drawn.
     """
 
@@ -54,4 +57,6 @@ class TrainConfig(Config):
     validate_every: int = Field(200, ge=1)
     save_every: int = Field(100, ge=1)
     workers: int = Field(1, ge=0)
+    pairs: PairOptions = PairOptions()
+    losses: LossOptions = LossOptions()
     seed: int = 0

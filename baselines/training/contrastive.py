@@ -6,17 +6,11 @@ other, other places of that image, and places a few cells beside its own.
 
 from __future__ import annotations
 
-from typing import Final
-
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-_TEMPERATURE: Final = 0.07
-_ELSEWHERE: Final = 512
-# Offsets (cells) beside the true place: they make the peak sharp, and wide enough to be climbed.
-_BESIDE: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
-_SAME_PLACE: Final = 1.0
+from baselines.training.options import LOSSES, ContrastOptions
 
 
 def sample(maps: Tensor, cells: Tensor) -> Tensor:
@@ -32,7 +26,12 @@ def sample(maps: Tensor, cells: Tensor) -> Tensor:
 
 
 def contrastive(
-    features_a: Tensor, features_b: Tensor, cells_a: Tensor, cells_b: Tensor, valid: Tensor
+    features_a: Tensor,
+    features_b: Tensor,
+    cells_a: Tensor,
+    cells_b: Tensor,
+    valid: Tensor,
+    options: ContrastOptions = LOSSES.contrast,
 ) -> Tensor:
     """The negative logarithm of how likely each point is found at its own place, (B, N).
 
@@ -42,15 +41,16 @@ def contrastive(
         cells_a: (B, N, 2) where the points lie in a, cells.
         cells_b: (B, N, 2) likewise in b.
         valid: (B, N) bool; what is said of other points means nothing.
+        options: the other places.
     """
     # Places of points that do not count may be anything, and lookups at NaN end the process.
     cells_a, cells_b = (torch.where(valid[..., None], c, 0.5) for c in (cells_a, cells_b))
     points = functional.normalize(sample(features_a, cells_a), dim=-1)
     batch, channels, height, width = features_b.shape
-    count = min(_ELSEWHERE, height * width)
+    count = min(options.elsewhere, height * width)
     elsewhere = torch.randint(height * width, (batch, count), device=cells_b.device)
-    distance = cells_b.new_tensor(_BESIDE)
-    angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(_BESIDE), device=cells_b.device)
+    distance = cells_b.new_tensor(options.beside)
+    angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(distance), device=cells_b.device)
     ring = distance[:, None] * torch.stack([angle.cos(), angle.sin()], -1)
     places = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
     found = functional.normalize(sample(features_b, places.flatten(1, 2)), dim=-1)
@@ -58,9 +58,9 @@ def contrastive(
     index = elsewhere[:, None].expand(-1, channels, -1)
     far = functional.normalize(features_b.flatten(2).gather(2, index).float(), dim=1)
     centres = torch.stack([elsewhere % width, elsewhere // width], -1) + 0.5
-    too_close = torch.cdist(cells_b, centres) < _SAME_PLACE
+    too_close = torch.cdist(cells_b, centres) < options.same_place
     to_far = (points @ far).masked_fill(too_close, -torch.inf)
-    logits = torch.cat([to_near, to_far], -1) / _TEMPERATURE
+    logits = torch.cat([to_near, to_far], -1) / options.temperature
     return torch.as_tensor(logits.logsumexp(-1) - logits[..., 0])
 
 

@@ -34,6 +34,7 @@ _CHECKPOINT = "checkpoint.pt"
 LOG: Final = "log.jsonl"
 _RUN = "run.json"
 _CURVES = "curves.png"
+# What is looked at while training, which changes no weights.
 _VALIDATION_BATCHES = 8
 # Training pairs are drawn with the run's seed, validation pairs always with this one.
 _VALIDATION_SEED = 987654321

@@ -10,12 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from baselines.training.options import PAIRS, PairOptions
 from scene.geometry.pose import Pose, so3_exp
 from scene.geometry.projection import Intrinsics
-
-# Starts of the alignment: as far from the truth as an aircraft's own belief may be.
-_START_DEG = 10.0
-_START_SHARE_OF_DEPTH = 0.08
 
 
 class Pinhole(NamedTuple):
@@ -150,15 +147,18 @@ def collate(pairs: Sequence[Pair]) -> PairBatch:
 
 
 def wrong_start(
-    b_from_a: NDArray[np.float64], depth: float, rng: np.random.Generator
+    b_from_a: NDArray[np.float64],
+    depth: float,
+    rng: np.random.Generator,
+    options: PairOptions = PAIRS,
 ) -> NDArray[np.float64]:
     """A pose near the truth, (4, 4): camera b turned and moved, ``depth`` metres from the ground.
 
-    Turns reach 10 degrees and moves 8 % of the depth; both lengths are uniform, so that small
-    errors are as frequent as large ones.
+    Turns reach ``options.start_deg`` and moves ``options.start_share`` of the depth; both lengths
+    are uniform, so that small errors are as frequent as large ones.
     """
-    turn = _direction(rng) * np.radians(_START_DEG) * rng.uniform()
-    move = _direction(rng) * _START_SHARE_OF_DEPTH * depth * rng.uniform()
+    turn = _direction(rng) * np.radians(options.start_deg) * rng.uniform()
+    move = _direction(rng) * options.start_share * depth * rng.uniform()
     start = np.eye(4)
     start[:3, :3] = so3_exp(torch.from_numpy(turn)).numpy()
     start[:3, 3] = move

@@ -16,30 +16,32 @@ from numpy.typing import NDArray
 
 from baselines.training.augment import photometric
 from baselines.training.keypoints import keypoints
+from baselines.training.options import PAIRS, PairOptions
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
 from scene.errors import InputError
 from scene.geometry.pose import so3_exp
 from scene.storage.images import read_rgb
 from scene.storage.listing import PHOTOGRAPHS, list_files
 
-_HEIGHT_M = 80.0
-_TILT_DEG = 15.0
-# Pictures are turned north up before a network sees them, as well as their headings are known.
-_HEADING_DEG = 8.0
-_BORDER = 4.0
-_SMALLEST = 64
-
 
 class PlanePairs:
     """Draws pairs from folders of photographs. Implements ``PairSource``."""
 
-    def __init__(self, folders: Sequence[Path], size: int, points: int, strength: float) -> None:
+    def __init__(
+        self,
+        folders: Sequence[Path],
+        size: int,
+        points: int,
+        strength: float,
+        options: PairOptions = PAIRS,
+    ) -> None:
         self._paths = sorted(
             path for folder in folders for path in list_files(folder, PHOTOGRAPHS, depth=None)
         )
         if not self._paths:
             raise InputError(f"no photographs ({', '.join(PHOTOGRAPHS)}) in {folders[0]}")
         self._size, self._points, self._strength = size, points, strength
+        self._options = options
 
     def draw(self, rng: np.random.Generator) -> Pair:
         """See ``PairSource``."""
@@ -51,17 +53,18 @@ class PlanePairs:
 
     def _seen_twice(self, photograph: NDArray[np.uint8], rng: np.random.Generator) -> Pair | None:
         size, (height, width) = self._size, photograph.shape[:2]
+        options = self._options
         camera = Pinhole(np.full(2, rng.uniform(0.8, 1.4) * size), np.full(2, size / 2))
         # Metres of ground per pixel of the photograph, so that crops show it at 0.5 to 1.2 times.
-        ground = _HEIGHT_M / camera.focal[0] * rng.uniform(0.5, 1.2)
+        ground = options.plane_height_m / camera.focal[0] * rng.uniform(0.5, 1.2)
         middle = np.array([width, height]) * rng.uniform(0.3, 0.7, 2) * ground
-        a_from_ground = _looking_down(middle, rng)
-        away = rng.uniform(-0.15, 0.15, 2) * size / camera.focal[0] * _HEIGHT_M
-        b_from_ground = _looking_down(middle + away, rng)
+        a_from_ground = _looking_down(middle, rng, options)
+        away = rng.uniform(-0.15, 0.15, 2) * size / camera.focal[0] * options.plane_height_m
+        b_from_ground = _looking_down(middle + away, rng, options)
         b_from_a = b_from_ground @ np.linalg.inv(a_from_ground)
         image_a = _seen(photograph, ground, camera, a_from_ground, size)
         image_b = _seen(photograph, ground, camera, b_from_ground, size)
-        xy_a = keypoints(image_a, 4 * self._points, rng)
+        xy_a = keypoints(image_a, 4 * self._points, rng, options)
         # The ground is z = 0: where the rays meet it.
         rays = camera.lift(xy_a, np.ones(len(xy_a)))
         ground_from_a = np.linalg.inv(a_from_ground)
@@ -71,9 +74,10 @@ class PlanePairs:
         xy_b = camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
         on_ground = (directions * depth[:, None] + ground_from_a[:3, 3])[:, :2] / ground
         both = np.concatenate([xy_a, xy_b], 1)
-        good = ((both > _BORDER) & (both < size - _BORDER)).all(1)
+        border = options.border_px
+        good = ((both > border) & (both < size - border)).all(1)
         good &= ((on_ground > 1) & (on_ground < [width - 1, height - 1])).all(1)
-        if good.sum() < _SMALLEST:
+        if good.sum() < options.min_points:
             return None
         valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
         return Pair(
@@ -82,7 +86,7 @@ class PlanePairs:
             camera,
             camera,
             b_from_a,
-            wrong_start(b_from_a, float(np.median(depth)), rng),
+            wrong_start(b_from_a, float(np.median(depth)), rng, options),
             points,
             xy_a,
             xy_b,
@@ -90,11 +94,14 @@ class PlanePairs:
         )
 
 
-def _looking_down(over: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def _looking_down(
+    over: NDArray[np.float64], rng: np.random.Generator, options: PairOptions
+) -> NDArray[np.float64]:
     """``camera_from_ground`` (4, 4) of a camera over a point; ground x right, y down, z away."""
-    height = _HEIGHT_M * rng.uniform(0.85, 1.2)
-    tilt = np.radians(rng.uniform(-_TILT_DEG, _TILT_DEG, 2))
-    heading = np.radians(rng.uniform(-_HEADING_DEG, _HEADING_DEG))
+    height = options.plane_height_m * rng.uniform(0.85, 1.2)
+    tilt = np.radians(rng.uniform(-options.plane_tilt_deg, options.plane_tilt_deg, 2))
+    # Pictures are turned north up before a network sees them, as well as their headings are known.
+    heading = np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
     turn = so3_exp(torch.tensor([*tilt, 0.0])) @ so3_exp(torch.tensor([0.0, 0.0, heading]))
     pose = np.eye(4)
     pose[:3, :3] = turn.numpy()

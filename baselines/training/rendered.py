@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from baselines.training.augment import photometric
 from baselines.training.crops import crop
 from baselines.training.keypoints import keypoints
+from baselines.training.options import PAIRS, PairOptions
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
 from baselines.views import north_angle, upright
 from scene.bundle.frames import DenseLayers
@@ -20,21 +21,6 @@ from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.storage.images import read_rgb
-
-_OVERLAP = 0.3
-# Pictures are turned north up before a network sees them; frames that are then still turned against
-# each other by more show each other nothing a slim network could learn.
-_LARGEST_TURN_DEG = 45.0
-# What an aircraft's belief about its heading may be off by.
-_HEADING_DEG = 8.0
-_CROSS_SHARE = 0.65
-_ZOOM = (0.5, 1.2)
-# So often frames flown at different heights are brought to the same metres per pixel.
-_LEVEL_SHARE = 0.85
-_BORDER = 4.0
-_SMALLEST = 64
-# Two depths of one place agree within this share.
-_SAME_DEPTH = 0.01
 
 
 @dataclass(frozen=True)
@@ -53,8 +39,16 @@ class RenderedPairs:
     Files are opened when the first pair is drawn, so that a worker process can be handed this.
     """
 
-    def __init__(self, scenes: Sequence[Scene], size: int, points: int, strength: float) -> None:
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        size: int,
+        points: int,
+        strength: float,
+        options: PairOptions = PAIRS,
+    ) -> None:
         self._size, self._points, self._strength = size, points, strength
+        self._options = options
         self._scenes = scenes
         self._frames: list[_Frame] = []
         same: list[tuple[int, int]] = []
@@ -62,19 +56,20 @@ class RenderedPairs:
         for number, scene in enumerate(self._scenes):
             first = len(self._frames)
             self._frames += _frames(scene, number)
-            for a, b in _pairs(scene, self._frames[first:]):
+            for a, b in _pairs(scene, self._frames[first:], options):
                 a, b = a + first, b + first
                 differ = self._frames[a].condition != self._frames[b].condition
                 (cross if differ else same).append((a, b))
         if not same and not cross:
-            raise InputError(f"no two frames of {scenes[0].path} overlap by {_OVERLAP:.0%}")
+            least = f"{options.min_overlap:.0%}"
+            raise InputError(f"no two frames of {scenes[0].path} overlap by {least}")
         self._same, self._cross = same or cross, cross or same
         self._open: dict[tuple[int, str], DenseLayers] | None = None
 
     def draw(self, rng: np.random.Generator) -> Pair:
         """See ``PairSource``."""
         while True:
-            pairs = self._cross if rng.uniform() < _CROSS_SHARE else self._same
+            pairs = self._cross if rng.uniform() < self._options.cross_share else self._same
             a, b = pairs[rng.integers(len(pairs))]
             if rng.uniform() < 0.5:
                 a, b = b, a
@@ -95,10 +90,11 @@ class RenderedPairs:
         return np.asarray(self._open[frame.session].read("depth", frame.index))
 
     def _cut(self, a: _Frame, b: _Frame, rng: np.random.Generator) -> Pair | None:
+        options = self._options
         photo_a, photo_b = read_rgb(a.image), read_rgb(b.image)
         depth_a, depth_b = self._depth(a), self._depth(b)
         b_from_a = b.cam_from_world @ np.linalg.inv(a.cam_from_world)
-        xy_a = keypoints(photo_a, 24 * self._points, rng)
+        xy_a = keypoints(photo_a, 24 * self._points, rng, options)
         points = a.camera.lift(xy_a, _at(depth_a, xy_a))
         in_b = points @ b_from_a[:3, :3].T + b_from_a[:3, 3]
         good = (points[:, 2] > 0) & (in_b[:, 2] > 1)
@@ -107,22 +103,22 @@ class RenderedPairs:
         height, width = photo_b.shape[:2]
         good = ((xy_b > 0) & (xy_b < [width, height])).all(1)
         seen = _at(depth_b, np.where(good[:, None], xy_b, 0.5))
-        good &= np.abs(seen - in_b[:, 2]) < _SAME_DEPTH * in_b[:, 2]
+        good &= np.abs(seen - in_b[:, 2]) < options.same_depth * in_b[:, 2]
         xy_a, xy_b, points = xy_a[good], xy_b[good], points[good]
-        if len(points) < _SMALLEST:
+        if len(points) < options.min_points:
             return None
-        zoom = np.exp(rng.uniform(*np.log(_ZOOM)))
+        zoom = np.exp(rng.uniform(*np.log(options.zoom)))
         anchor = rng.integers(len(points))
         jitter = rng.uniform(-0.25, 0.25, (2, 2)) * self._size / zoom
         match_scale = np.exp(rng.normal(0, 0.08))
-        if rng.uniform() < _LEVEL_SHARE:
+        if rng.uniform() < options.level_share:
             distance = float(in_b[good][anchor, 2] / points[anchor, 2])
             match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
         # Light falls from the north in half of the world.
         joint = np.pi / 2 * rng.integers(4)
         angle_a = joint + north_angle(a.cam_from_world[:3, :3])
         angle_b = joint + north_angle(b.cam_from_world[:3, :3])
-        angle_b += np.radians(rng.uniform(-_HEADING_DEG, _HEADING_DEG))
+        angle_b += np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
         zoom_b = zoom * match_scale
         cut_a = crop(photo_a, a.camera, xy_a[anchor] + jitter[0], zoom, self._size, angle_a)
         cut_b = crop(photo_b, b.camera, xy_b[anchor] + jitter[1], zoom_b, self._size, angle_b)
@@ -130,8 +126,9 @@ class RenderedPairs:
         points = points @ cut_a.crop_from_camera[:3, :3].T
         xy_a = cut_a.camera.project(points)
         xy_b = cut_b.camera.project(points @ b_from_a[:3, :3].T + b_from_a[:3, 3])
-        good = cut_a.contains(xy_a, _BORDER) & cut_b.contains(xy_b, _BORDER)
-        if good.sum() < _SMALLEST:
+        border = options.border_px
+        good = cut_a.contains(xy_a, border) & cut_b.contains(xy_b, border)
+        if good.sum() < options.min_points:
             return None
         depth = float(np.median(points[good, 2]))
         valid, (points, xy_a, xy_b) = fill(self._points, points[good], xy_a[good], xy_b[good])
@@ -141,7 +138,7 @@ class RenderedPairs:
             cut_a.camera,
             cut_b.camera,
             b_from_a,
-            wrong_start(b_from_a, depth, rng),
+            wrong_start(b_from_a, depth, rng, options),
             points,
             xy_a,
             xy_b,
@@ -168,14 +165,15 @@ def _pinhole(camera: Camera, image: Path) -> Pinhole:
     return Pinhole(np.array(camera.focal), np.array(camera.principal))
 
 
-def _pairs(scene: Scene, frames: Sequence[_Frame]) -> list[tuple[int, int]]:
+def _pairs(scene: Scene, frames: Sequence[_Frame], options: PairOptions) -> list[tuple[int, int]]:
     """Index pairs (a < b) of frames that see enough of the same ground about the same way up."""
     names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
     overlap = scene.covisibility.of(names).mutual
     rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     angle = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    rows, columns = np.nonzero(np.triu((overlap >= _OVERLAP) & (angle <= _LARGEST_TURN_DEG), 1))
+    good = (overlap >= options.min_overlap) & (angle <= options.max_turn_deg)
+    rows, columns = np.nonzero(np.triu(good, 1))
     return list(zip(rows.tolist(), columns.tolist(), strict=True))
 
 

@@ -8,12 +8,14 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pycolmap
 
 from scene.colmap.models import empty_model, lens_ids, posed_model
 from scene.colmap.native import ROOM, SEED, Progress, native_camera
+from scene.colmap.options import AdjustmentOptions, MatchOptions
 from scene.colmap.sift import CHUNK, SiftOptions, extract_sift, read_features
 from scene.maps.features import Features, unit_descriptors
 from scene.maps.matching import match
@@ -26,21 +28,16 @@ from scene.storage.images import check_photographs
 # Number of images per unit of work of a cluster.
 _UNIT = 4
 
-# Largest ratio of nearest to second nearest descriptor distance; COLMAP's own default.
-_MAX_RATIO = 0.8
-
 # Pairs matched between two progress reports; finished chunks survive an interruption.
 _PAIR_CHUNK = 32
 
-# Inlier threshold of the geometric verification: distance to the epipolar line (px).
-_VERIFIED_PX = 2.0
-# The same where the lens is not calibrated yet; COLMAP's own default.
-_GUESSED_PX = 4.0
+_MATCHING: Final = MatchOptions()
+_ADJUSTMENT: Final = AdjustmentOptions()
 
 
 @dataclass(frozen=True)
 class MatchingJob:
-    """Photographs to match, and the options of the detector.
+    """Photographs to match, and the options of detector and matcher.
 
     Attributes:
         root: folder that the photographs' names are relative to.
@@ -48,12 +45,14 @@ class MatchingJob:
         sift: options of the detector.
         cluster: address of the cluster that extracts the features, see ``worker_pool``; its nodes
             see ``root`` under the same path. None extracts them in this process.
+        matching: options of the matcher.
     """
 
     root: Path
     pairs: Sequence[tuple[str, str]]
     sift: SiftOptions
     cluster: str | None = None
+    matching: MatchOptions = _MATCHING
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,18 +63,18 @@ class MappingJob(MatchingJob):
         images: photographs with their poses.
         database: file for features and matches, new or left by an interrupted call with an equal
             job; None uses a temporary one.
+        adjustment: options of structure from motion.
     """
 
     images: Sequence[PosedImage]
     database: Path | None = None
+    adjustment: AdjustmentOptions = _ADJUSTMENT
 
 
 def match_photographs(
-    root: Path,
+    job: MatchingJob,
     photographs: Sequence[Photograph],
-    pairs: Sequence[tuple[str, str]],
     database: Path,
-    options: SiftOptions,
     on_progress: Progress | None = None,
 ) -> None:
     """Fill a database with features and verified matches.
@@ -83,11 +82,9 @@ def match_photographs(
     An interrupted call can be repeated with the same arguments: it continues where it stopped.
 
     Args:
-        root: folder that the names are relative to.
+        job: what to match.
         photographs: all photographs; they are whole and of the size of their cameras.
-        pairs: pairs of names to match.
         database: file, new or left by an interrupted call.
-        options: options of the detector.
         on_progress: called with the number of photographs and pairs done.
 
     Raises:
@@ -107,7 +104,7 @@ def match_photographs(
         )
         model.add_image_with_trivial_frame(native)
     require_database(database, model)
-    fill_database(database, ids, MatchingJob(root, pairs, options), _GUESSED_PX, on_progress)
+    fill_database(database, ids, job, job.matching.guessed_epipolar_px, on_progress)
 
 
 def match_posed(
@@ -126,7 +123,7 @@ def match_posed(
     check_photographs(job.root, {image.name: image.camera for image in images})
     empty, ids = posed_model(images, {image.name: np.zeros((0, 2)) for image in images})
     require_database(database, empty)
-    fill_database(database, ids, job, _VERIFIED_PX, on_progress)
+    fill_database(database, ids, job, job.matching.epipolar_px, on_progress)
     features = read_features(database, job.root)
     return posed_model(images, {name: item.xy for name, item in features.items()})[0], features
 
@@ -182,7 +179,7 @@ def fill_database(
             for a, b in left_pairs:
                 require_disk_space(database, ROOM)
                 if not db.exists_matches(ids[a], ids[b]):
-                    matches = match(descriptors[a], descriptors[b], _MAX_RATIO)
+                    matches = match(descriptors[a], descriptors[b], job.matching.max_ratio)
                     db.write_matches(ids[a], ids[b], matches.astype(np.uint32))
         if left_pairs:
             require_disk_space(database, ROOM)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scene.colmap.database import MappingJob, match_posed
 from scene.colmap.models import lens_ids, write_model
 from scene.colmap.native import CAUCHY, LEAST_VARIANCE, ROOM, SEED, Progress
+from scene.colmap.options import AdjustmentOptions
 from scene.colmap.triangulation import pipeline_options
 from scene.errors import InputError
 from scene.geometry.pose import Pose
@@ -29,13 +30,7 @@ ADJUSTMENTS = 4
 ALIGNABLE = 3
 """The number of camera centres that a similarity transform needs."""
 
-# Inlier threshold of that similarity transform (m).
-_ALIGN_M = 1.0
-
-# Robust adjustment: the smallest residual of an outlier in standard deviations, the smallest angle
-# between the rays of a point (COLMAP's own), and the relative change of cost that ends a round.
-_OUTLIER = 5.0
-_MIN_ANGLE_DEG = 1.5
+# A numerical guard: the relative change of cost that ends a round of the robust adjustment.
 _CONVERGED = 1e-8
 
 
@@ -88,8 +83,8 @@ def reconstruct(
             f"structure from motion could not register {ALIGNABLE} of the {len(images)} "
             f"images of {root}: they need overlap and texture"
         )
-    _adjust_robustly(model, lambda done: report(len(images) + done))
-    robust = pycolmap.RANSACOptions(max_error=_ALIGN_M, random_seed=SEED)
+    _adjust_robustly(model, job.adjustment, lambda done: report(len(images) + done))
+    robust = pycolmap.RANSACOptions(max_error=job.adjustment.align_m, random_seed=SEED)
     centres = [Pose.from_matrix(image.cam_from_world).centre().numpy() for image in images]
     similarity = pycolmap.align_reconstruction_to_locations(
         model, [image.name for image in images], np.array(centres), ALIGNABLE, robust
@@ -101,7 +96,9 @@ def reconstruct(
     return read_model(out), features
 
 
-def _adjust_robustly(model: pycolmap.Reconstruction, on_round: Progress) -> None:
+def _adjust_robustly(
+    model: pycolmap.Reconstruction, limits: AdjustmentOptions, on_round: Progress
+) -> None:
     """Adjust poses and points in rounds with a robust loss, removing outliers after each.
 
     COLMAP's mapper ends with least squares over everything within four pixels, where a wrong match
@@ -125,7 +122,8 @@ def _adjust_robustly(model: pycolmap.Reconstruction, on_round: Progress) -> None
         sigma = _residual_sigma(model)
         options.ceres.loss_function_scale = CAUCHY * sigma
         pycolmap.create_default_bundle_adjuster(options, config, model).solve()
-        pycolmap.ObservationManager(model).filter_all_points3D(_OUTLIER * sigma, _MIN_ANGLE_DEG)
+        observations = pycolmap.ObservationManager(model)
+        observations.filter_all_points3D(limits.outlier_sigmas * sigma, limits.min_angle_deg)
     on_round(ADJUSTMENTS)
     model.update_point_3d_errors()
 

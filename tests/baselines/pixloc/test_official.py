@@ -12,7 +12,7 @@ from baselines.align.problem import Problem
 from baselines.align.residuals import Level
 from baselines.align.sampling import sample
 from baselines.featuremetric.maps import FeatureMap
-from baselines.pixloc.loss import pose_loss, reprojection_error
+from baselines.pixloc.loss import Seen, pose_loss, reprojection_error
 from baselines.pixloc.network import PixlocNet
 from scene.geometry.pose import Pose
 from tests.baselines.pixloc import official
@@ -81,8 +81,8 @@ def test_loss() -> None:
     for pose in (start, truths):
         projected = official.CAMERA.project(pose.transform(points))
         seen.append(projected.valid & official.CAMERA.contains(projected.xy, 0.5))
-    place = points, official.CAMERA.intrinsics(), seen[0] & seen[1]
-    loss, errors = pose_loss(after, (16, 4, 1), truths, *place)
+    place = Seen(points, official.CAMERA.intrinsics(), seen[0] & seen[1])
+    loss, errors = pose_loss(after, (16, 4, 1), truths, place)
     for ours, theirs in zip(errors, recorded["errors"], strict=True):
         np.testing.assert_allclose(ours.clamp(max=50)[:-1], theirs[:-1], rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(loss, recorded["loss"].mean(), rtol=1e-3)
