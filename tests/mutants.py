@@ -208,15 +208,15 @@ MUTANTS: Final = (
     Mutant(
         "pixloc learns from points that do not count",
         "baselines/pixloc/training.py",
-        "factors, _UNROLLED, batch.valid)",
-        "factors, _UNROLLED)",
+        "factors, options, batch.valid)",
+        "factors, options)",
         (f"{_PIXLOC}::test_poses_are_those_of_eight_plain_steps_on_the_points_that_count",),
     ),
     Mutant(
         "pixloc learns from the steps that help alone",
         "baselines/pixloc/training.py",
-        "Options(iterations=8, careful=False)",
-        "Options(iterations=8)",
+        "Options(iterations=iterations, careful=False)",
+        "Options(iterations=iterations)",
         (f"{_PIXLOC}::test_poses_are_those_of_eight_plain_steps_on_the_points_that_count",),
     ),
     Mutant(
