@@ -8,7 +8,6 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from scene.storage.digests import FOLDER_VARIABLE
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
+from tests.blender import has_blender, require_blender
 from tests.shared import alone, made_once
 from tests.two_nodes import TwoNodes
 
@@ -87,18 +87,14 @@ def own_digests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-def _skip(*_: object) -> None:
-    pytest.skip("bpy is not installed: pip install 'objconnect[simulate]' (Python 3.11)")
-
-
 @pytest.fixture(scope="session", autouse=True)
 def _rendering_is_an_extra() -> Iterator[None]:
     """Where Blender's module is not installed, tests that render are skipped when they begin to."""
-    if find_spec("bpy") is not None:
+    if has_blender():
         yield
         return
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulate.render.pool._Child.__init__", _skip)
+        patch.setattr("simulate.render.pool._Child.__init__", require_blender)
         yield
 
 
@@ -138,8 +134,7 @@ RENDERED = SimulateConfig.model_validate(
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """A rendered scene with its map. Tests that change it take ``rendered_copy``."""
-    if find_spec("bpy") is None:
-        _skip()
+    require_blender()
     require_libraries()
 
     def make(folder: Path) -> None:

@@ -28,6 +28,7 @@ from objconnect import localizer as objconnect
 from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
+from tests.blender import require_blender
 
 pytestmark = pytest.mark.thorough
 
@@ -65,6 +66,7 @@ METHODS: Final = {
 @pytest.fixture(scope="module")
 def snowed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """A small town mapped on a summer noon, and queries of that noon and of dusk over snow."""
+    require_blender()
     require_libraries()
     path = tmp_path_factory.mktemp("rendered") / "snowed"
     simulate(SNOWED, path)

@@ -15,6 +15,7 @@ from simulate.flight.flights import plan_nadir
 from simulate.flight.site import FlightSite
 from simulate.place.presets import preset
 from simulate.render.job import RenderJob
+from tests.blender import require_blender
 
 ROOT = Path(__file__).parents[2]
 
@@ -47,6 +48,7 @@ class Renderer:
     """A Blender process that renders a frame when asked."""
 
     def __init__(self, job: RenderJob, folder: Path) -> None:
+        require_blender()
         self.rendered = folder / ".objconnect-rendered"
         self.rendered.mkdir(parents=True)
         path = folder / "job.json"

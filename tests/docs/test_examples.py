@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 from simulate.render.libraries import require_libraries
+from tests.blender import require_blender
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOST_LINES = 60
@@ -30,6 +31,7 @@ def load(name: str) -> ModuleType:
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scene that 00_simulate.py renders and 01_map.py maps."""
+    require_blender()
     require_libraries()
     path = tmp_path_factory.mktemp("examples") / "scene"
     load("00_simulate").main(path)

@@ -21,6 +21,7 @@ import pytest
 from scene.errors import InputError
 from simulate.render.libraries import require_libraries
 from tests.benchmark.made_data import write_flight
+from tests.blender import require_blender
 from tests.misuse.cases import CASES, Case, check_one_line, lay_out, words_of
 from tests.misuse.commands import COMMANDS
 from tests.misuse.harness import run, snapshot
@@ -248,6 +249,7 @@ def children(process: int) -> list[int]:
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the children of a process")
 @pytest.mark.parametrize(("number", "word"), SIGNALS)
 def test_a_signal_during_rendering(number: int, word: str, tmp_path: Path) -> None:
+    require_blender()
     require_libraries()
     out, temporary = tmp_path / "scene", tmp_path / "tmp"
     temporary.mkdir()

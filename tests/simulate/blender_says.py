@@ -13,6 +13,7 @@ import torch
 from scene.geometry.camera import Camera
 from simulate.camera.lens import rendered_through
 from simulate.render.job import RenderJob
+from tests.blender import require_blender
 
 _SAMPLES = 256
 _RADIUS_PX, _REACH_PX = 4.0, 8
@@ -77,5 +78,6 @@ def dot_errors(camera: Camera, folder: Path) -> np.ndarray:
 
 
 def _ask(script: str, *paths: Path) -> None:
+    require_blender()
     words = [sys.executable, "-m", f"tests.simulate.{script}", *map(str, paths)]
     subprocess.run(words, check=True, cwd=Path(__file__).parents[2], stdout=subprocess.DEVNULL)
