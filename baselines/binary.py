@@ -21,7 +21,7 @@ from baselines.structure import StructureConfig, StructureLocalizer
 from scene.maps.features import Features, unit_bits
 from scene.maps.matching import match
 
-# From one level of ORB's pyramid to the next.
+# From one level of ORB's pyramid to the next: OpenCV's own default, which pixels are converted by.
 _ORB_STEP: Final = 1.2
 
 

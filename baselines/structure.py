@@ -34,6 +34,7 @@ from scene.storage.scratch import scratch
 
 # PnP needs four matches.
 _MIN_MATCHES = 4
+# Part of the key of what is cached per map: another number makes it anew.
 _FORMAT = 1
 
 

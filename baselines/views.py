@@ -22,7 +22,8 @@ from scene.geometry.pose import Pose
 # Numerical guard: features this near (px of the view) to where the photograph ends see the black
 # beyond it.
 MARGIN: Final = 8.0
-# Vertical component of the optical axis in the flattest view that counts as one from above.
+# Vertical component of the optical axis in the flattest view that counts as one from above: what
+# `looks_down` means.
 _LEVEL: Final = -0.5
 # Numerical guard: radians and share below which a photograph is left as it is.
 _SAME_ANGLE, _SAME_SCALE = 1e-3, 1e-3

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from objconnect.segmentation import NOTHING
 
+# Initial weights of a layer that adds to features, over their usual ones; training changes them.
 _SMALL = 0.1
 
 

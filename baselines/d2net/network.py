@@ -23,7 +23,8 @@ from scene.errors import InputError
 
 STRIDE: Final = 8
 """Pixels from cell to cell in training."""
-# Of blue, green and red in 0..255: what the authors' VGG16 expects to be taken off.
+# What trained weights expect of the input: blue, green and red in 0..255 less these, as for the
+# authors' VGG16.
 _MEANS: Final = (103.939, 116.779, 123.68)
 # About the standard deviation of what is left.
 _SPREAD: Final = 60.0

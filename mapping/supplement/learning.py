@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from baselines.checkpoint import write_weights
@@ -24,17 +25,32 @@ from mapping.supplement.classifier import FIGURES, PlaceClassifier
 from mapping.supplement.config import SupplementConfig
 from mapping.supplement.small import Places, find_places
 from scene.bundle.scene import Scene
+from scene.config import Config
 from scene.errors import InputError
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
 
-STEPS: Final = 3000
-_BATCH: Final = 1024
-_RATE: Final = 4e-3
-_DECAY: Final = 1e-2
-_SMALL: Final = 10.0
-_DROPPED: Final = 0.1
+# Shares of places on things at which the report says what is reached; they change no weights.
 _SHARES: Final = (0.95, 0.93, 0.9)
+
+
+class LearningOptions(Config):
+    """How the classifier is trained. The file of its weights records these options."""
+
+    steps: int = Field(3000, ge=1, description="Steps of the optimizer.")
+    batch: int = Field(1024, ge=1, description="Places of a step.")
+    rate: float = Field(4e-3, gt=0, description="Learning rate at its peak.")
+    decay: float = Field(1e-2, ge=0, description="Weight decay.")
+    small_weight: float = Field(
+        10.0, gt=0, description="Weight of places on small things, which are few."
+    )
+    dropout: float = Field(
+        0.1, ge=0, lt=1, description="Share of the figures that a step takes for unknown."
+    )
+    seed: int = Field(0, description="Random seed.")
+
+
+_DEFAULTS: Final = LearningOptions()
 
 
 class Lessons(NamedTuple):
@@ -88,28 +104,29 @@ def _as_map(sparse_map: SparseMap, places: Places) -> SparseMap:
     return SparseMap(images, tracks.xyz, colours, np.zeros(count), tracks.views)
 
 
-def learn(taught: Sequence[Lessons], steps: int = STEPS, seed: int = 0) -> PlaceClassifier:
+def learn(taught: Sequence[Lessons], options: LearningOptions = _DEFAULTS) -> PlaceClassifier:
     """Train a classifier on the places of scenes.
 
     Raises:
         InputError: they have no place at all.
     """
-    torch.manual_seed(seed)
+    torch.manual_seed(options.seed)
     classifier = PlaceClassifier()
     figures = torch.from_numpy(np.concatenate([each.figures for each in taught]))
     if not len(figures):
         raise InputError("the scenes have no place to learn from")
     right = torch.from_numpy(np.concatenate([each.on_thing for each in taught])).float()
     small = torch.from_numpy(np.concatenate([each.small for each in taught])) > 0
-    weight = torch.where(small, _SMALL, 1.0)
+    weight = torch.where(small, options.small_weight, 1.0)
     classifier.mean.copy_(figures.mean(0))
     classifier.deviation.copy_(figures.std(0).clamp_min(1e-6))
-    drop = torch.nn.Dropout(_DROPPED)
-    optimizer = torch.optim.AdamW(classifier.parameters(), _RATE, weight_decay=_DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, steps)
+    drop = torch.nn.Dropout(options.dropout)
+    rate, steps = options.rate, options.steps
+    optimizer = torch.optim.AdamW(classifier.parameters(), rate, weight_decay=options.decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps)
     with progress_bar("steps", steps) as advance:
         for step in range(1, steps + 1):
-            some = torch.randint(len(figures), (_BATCH,))
+            some = torch.randint(len(figures), (options.batch,))
             noisy = classifier.mean + drop(figures[some] - classifier.mean)
             loss = binary_cross_entropy_with_logits(classifier(noisy), right[some], weight[some])
             optimizer.zero_grad()
@@ -144,14 +161,17 @@ def main() -> None:
     words.add_argument("scenes", nargs="+", type=Path, metavar="SCENE")
     words.add_argument("--validation", nargs="*", default=[], type=Path, metavar="SCENE")
     words.add_argument("--out", type=Path, required=True, metavar="FILE")
-    words.add_argument("--steps", type=int, default=STEPS)
-    words.add_argument("--seed", type=int, default=0)
+    words.add_argument("--steps", type=int, default=_DEFAULTS.steps)
+    words.add_argument("--seed", type=int, default=_DEFAULTS.seed)
     chosen = words.parse_args()
+    options = LearningOptions(steps=chosen.steps, seed=chosen.seed)
     try:
-        classifier = learn([lessons(path) for path in chosen.scenes], chosen.steps, chosen.seed)
+        classifier = learn([lessons(path) for path in chosen.scenes], options)
         for path in chosen.validation:
             print(path, *report(classifier, lessons(path)), sep="\n")
-        write_weights(chosen.out, classifier, {"figures": FIGURES})
+        write_weights(
+            chosen.out, classifier, {"figures": FIGURES, "learning": options.model_dump()}
+        )
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None

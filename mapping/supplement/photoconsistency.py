@@ -30,7 +30,8 @@ HEIGHTS: Final = np.arange(-0.45, 3.5, 0.15)
 """Heights above the ground that are compared (m); the trained classifier takes a figure of each."""
 
 _GROUND: Final = np.abs(HEIGHTS) < 0.16
-# The difference that stands for an unknown one, as the trained classifier knows it.
+# The difference that stands for an unknown one, as the trained classifier knows it: another value
+# needs other weights.
 _UNKNOWN: Final = 15.0
 # Photographs of the largest size for which there is room in the cache.
 _CACHED: Final = 16
