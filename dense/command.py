@@ -10,6 +10,7 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,11 +20,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dense.consistency import agreeing
+from dense.options import DEFAULTS, DenseOptions
 from dense.patchmatch import consistent_estimate, first_estimate
 from dense.pictures import draw_cloud, draw_maps
 from dense.planes import normals_of, planes_of
 from dense.report import DenseReport, Fused, read_truth, report
-from dense.sources import choose_sources, seeds_in
+from dense.sources import choose_all, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
 from dense.warp import StereoView
 from dense.workspace import KINDS, Stage, Workspace
@@ -53,9 +55,6 @@ Stereo = Literal["own", "colmap"]
 # Of a depth map: every one alone, then each against its sources.
 _STAGES: tuple[Stage, ...] = ("photometric", "geometric")
 
-# A depth is kept when so many sources confirm it, and a point of the cloud when so many maps do.
-_CONFIRMED = 2
-_FUSED = 3
 # Bytes of a point of the fused cloud with the count of its list, and of a pixel listed there.
 _POINT_BYTES, _LISTED_BYTES = 31, 4
 # Depth maps of the picture for people.
@@ -69,6 +68,7 @@ _LUMA = np.array([0.299, 0.587, 0.114], np.float32) / 255
 logger = logging.getLogger(__name__)
 
 
+# More than six parameters: they are the options of the command ``dense``.
 def dense(
     path: Path,
     *,
@@ -77,6 +77,7 @@ def dense(
     stereo: Stereo = "own",
     seed: int = 0,
     cluster: str | None = None,
+    options: DenseOptions = DEFAULTS,
 ) -> DenseReport:
     """Estimate a depth map for every photograph of the map, fuse them, and measure the result.
 
@@ -91,6 +92,7 @@ def dense(
         seed: of every random choice; the same seed makes the same files.
         cluster: whose cores make our own depth maps, see ``worker_pool``. Its nodes
             see the scene under the path it has here, and write to it.
+        options: how depth maps are sought, and when they agree.
 
     Returns:
         Its figures, against the truth where the scene has depth.
@@ -101,23 +103,35 @@ def dense(
             written.
     """
     scene = Scene.open(path)
+    asked = _Request(size, sources, stereo, seed, options)
     with write_lock(path):
-        return _make(scene, size, sources, stereo, seed, cluster)
+        return _make(scene, asked, cluster)
 
 
-def _make(
-    scene: Scene, size: int, sources: int, stereo: Stereo, seed: int, cluster: str | None
-) -> DenseReport:
+@dataclass(frozen=True)
+class _Request:
+    """What is asked for; see ``dense``."""
+
+    size: int
+    sources: int
+    stereo: Stereo
+    seed: int
+    options: DenseOptions
+
+
+def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     path = scene.path
     scene.require_lists()
     sparse_map = scene.sparse_map()
-    cameras = {i.camera: pinhole_of(i.camera, size) for i in sparse_map.images.values()}
+    cameras = {i.camera: pinhole_of(i.camera, asked.size) for i in sparse_map.images.values()}
     pinhole_map = undistorted_map(sparse_map, cameras)
-    pairs = _choose_all(pinhole_map, sources)
+    agreement = asked.options.agreement
+    enough = agreement.confirmed
+    pairs = choose_all(pinhole_map, asked.sources, enough, asked.options.sources)
     if not pairs:
         raise InputError(
-            f"no photograph of the map of {path} has {_CONFIRMED} others that see enough of the "
-            "same: fly with more overlap"
+            f"no photograph of the map of {path} has {enough} others that see enough of the same: "
+            "fly with more overlap"
         )
     skipped = sorted(set(sparse_map.names) - set(pairs))
     if skipped:
@@ -127,8 +141,9 @@ def _make(
         )  # fmt: skip
     files = [scene.images_root / name for name in sparse_map.names]
     photographs = digests(files)
-    key = {"map": sparse_map.sha256, "photographs": _one(photographs), "size": size,
-           "sources": sources, "stereo": stereo, "seed": seed}  # fmt: skip
+    key = {"map": sparse_map.sha256, "photographs": _one(photographs), "size": asked.size,
+           "sources": asked.sources, "stereo": asked.stereo, "seed": asked.seed,
+           "options": asked.options.model_dump(mode="json")}  # fmt: skip
     workspace = _open_workspace(scene, key)
     _write_photographs(scene, sparse_map, cameras, workspace)
     try:
@@ -138,9 +153,9 @@ def _make(
         raise
     _write_model(pinhole_map, workspace)
     workspace.write_lists(pairs)
-    maps = _Maps(pinhole_map, workspace, pairs, seed)
+    maps = _Maps(pinhole_map, workspace, pairs, asked)
     seconds = None
-    if stereo == "own":
+    if asked.stereo == "own":
         seconds = _make_maps(maps, cluster)
     else:
         patch_match_stereo(workspace.path)
@@ -148,9 +163,10 @@ def _make(
     for name in pairs:  # COLMAP would end the process where we say what is damaged
         known += np.count_nonzero(workspace.depth(name, "geometric"))
         workspace.normals(name, "geometric")
-    # Nor does it say that the disk is full. A point is of _FUSED pixels or more, each listed once.
-    require_disk_space(workspace.cloud, known // _FUSED * _POINT_BYTES + known * _LISTED_BYTES)
-    xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, _FUSED)
+    # Nor does it say that the disk is full. A point is of so many pixels or more, each listed once.
+    fused_bytes = known // agreement.fused * _POINT_BYTES + known * _LISTED_BYTES
+    require_disk_space(workspace.cloud, fused_bytes)
+    xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, agreement.fused)
     truth = read_truth(scene, pinhole_map)
     shown = [tuple(pairs)[k] for k in np.linspace(0, len(pairs) - 1, _SHOWN + 2).astype(int)[1:-1]]
     confirmations = {name: maps.confirmations(name) for name in shown}
@@ -165,23 +181,6 @@ def _make(
 def _one(several: Sequence[str]) -> str:
     """Digest of digests."""
     return hashlib.sha256(" ".join(several).encode()).hexdigest()
-
-
-def _choose_all(sparse_map: SparseMap, count: int) -> dict[str, list[str]]:
-    """Sources of every photograph that has enough of them."""
-    pairs = {}
-    for name in sparse_map.names:
-        seeds = seeds_in(sparse_map, name)
-        chosen = choose_sources(sparse_map, name, seeds, count) if len(seeds) else []
-        if len(chosen) >= _CONFIRMED:
-            pairs[name] = chosen
-    # A source must have a map, and so sources, of its own.
-    while True:
-        kept = {name: [o for o in chosen if o in pairs] for name, chosen in pairs.items()}
-        kept = {name: chosen for name, chosen in kept.items() if len(chosen) >= _CONFIRMED}
-        if kept == pairs:
-            return pairs
-        pairs = kept
 
 
 def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
@@ -206,7 +205,14 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
     request = json.dumps(key, indent=1) + "\n"
 
     def difference(record: Path) -> str | None:
-        return None if read_text(record, "dense key") == request else "key"
+        try:
+            recorded = json.loads(read_text(record, "dense key"))
+        except ValueError:
+            return "key"
+        # Options that came later than the folder had the effect of their defaults.
+        before = {"options": DEFAULTS.model_dump(mode="json")}
+        same = isinstance(recorded, dict) and before | recorded == json.loads(request)
+        return None if same else "key"
 
     return ResumableFolder(folder, folder / KEY, request, difference)
 
@@ -286,12 +292,17 @@ class _Maps:
     """Makes the depth maps of a workspace that are not there yet."""
 
     def __init__(
-        self, sparse_map: SparseMap, workspace: Workspace, pairs: dict[str, list[str]], seed: int
+        self,
+        sparse_map: SparseMap,
+        workspace: Workspace,
+        pairs: dict[str, list[str]],
+        asked: _Request,
     ) -> None:
         self._map = sparse_map
         self._workspace = workspace
         self._pairs = pairs
-        self._seed = seed
+        self._asked = asked
+        self._options = asked.options
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         images = sparse_map.images.values()
         pixels = max(image.camera.width * image.camera.height for image in images)
@@ -302,7 +313,7 @@ class _Maps:
 
     def __reduce__(self) -> tuple[type[_Maps], tuple[object, ...]]:
         """Pickle for a worker of a cluster, without the caches."""
-        return _Maps, (self._map, self._workspace, self._pairs, self._seed)
+        return _Maps, (self._map, self._workspace, self._pairs, self._asked)
 
     def missing(self, stage: Stage) -> list[tuple[Stage, str]]:
         """List the maps to make at a stage; the second stage needs all maps of the first."""
@@ -336,12 +347,15 @@ class _Maps:
             [self.view(other) for other in others],
             inverse,
             [self.first(other)[0] for other in others],
+            self._options.agreement,
         )
 
     def _first(self, name: str) -> tuple[Tensor, Tensor]:
         sources = [self.view(other) for other in self._pairs[name]]
         seeds = seeds_in(self._map, name)
-        planes, _ = first_estimate(self.view(name), sources, seeds, self._generator(name))
+        planes, _ = first_estimate(
+            self.view(name), sources, seeds, self._generator(name), self._options.search
+        )
         return planes, 1 / planes[0]
 
     def _last(self, name: str) -> tuple[Tensor, Tensor]:
@@ -352,13 +366,14 @@ class _Maps:
             self.first(name),
             [self.first(other)[0] for other in others],
             self._generator(name),
+            self._options.search,
         )
-        confirmed = self._confirmations(name, planes[0]) >= _CONFIRMED
+        confirmed = self._confirmations(name, planes[0]) >= self._options.agreement.confirmed
         return planes, torch.where(confirmed, 1 / planes[0], 0)
 
     def _generator(self, name: str) -> torch.Generator:
         """Seed by photograph, so that the order in which maps are made does not matter."""
-        return torch.Generator().manual_seed(zlib.crc32(f"{self._seed} {name}".encode()))
+        return torch.Generator().manual_seed(zlib.crc32(f"{self._asked.seed} {name}".encode()))
 
     def _read_view(self, name: str) -> StereoView:
         image = self._map.images[name]

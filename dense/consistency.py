@@ -7,11 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from dense.options import DEFAULTS, AgreementOptions
 from dense.warp import StereoView, Warp, round_trip
-
-# Two maps agree on a pixel that goes there and comes back this close (px), from so similar a depth.
-_AGREES_PX = 1.0
-_AGREES_SHARE = 0.01
 
 
 def agreeing(
@@ -19,6 +16,7 @@ def agreeing(
     sources: Sequence[StereoView],
     inverse: Tensor,
     inverse_of_sources: Sequence[Tensor],
+    options: AgreementOptions = DEFAULTS.agreement,
 ) -> Tensor:
     """How many sources' own maps confirm each pixel of the reference, (H, W) int64.
 
@@ -27,11 +25,13 @@ def agreeing(
         sources: the others.
         inverse: (H, W) inverse depths of the reference, 0 where unknown.
         inverse_of_sources: (H, W) of each source, 0 where unknown.
+        options: when two maps agree.
     """
     x, y = reference.camera.pixel_grid(torch.float32).to(inverse.device).unbind(-1)
     count = torch.zeros(inverse.shape, dtype=torch.int64, device=inverse.device)
     for source, map_of_source in zip(sources, inverse_of_sources, strict=True):
         there, back = Warp.between(reference, source), Warp.between(source, reference)
         pixels, share = round_trip(there, back, map_of_source, x, y, inverse)
-        count += (pixels < _AGREES_PX) & (share.abs() < _AGREES_SHARE) & (inverse > 0)
+        close = (pixels < options.same_px) & (share.abs() < options.same_depth)
+        count += close & (inverse > 0)
     return count

@@ -18,23 +18,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
+from dense.options import DEFAULTS, SearchOptions
 from dense.photometry import Photometry, Window
 from dense.planes import moved, planes_at_nearest, planes_through, resized
 from dense.warp import StereoView
 
-# The first planes are sought in a picture whose long side has at most so many pixels.
-_COARSEST = 160
-_FIRST_ROUNDS = 4
-_ROUNDS = 1
 # Pixels done at once: their windows stay in the processor's cache.
 _CHUNK = 16384
-# A first guess by chance is a slope of up to so many pixels of disparity per pixel.
-_STEEPEST = 0.5
-# Random steps, in pixels of disparity, and of the slope, in pixels per pixel; halved each round.
-_STEP_PX = 1.0
-_STEP_SLOPE = 0.2
-# Inverse depths by chance lie this much (relative) beyond those of the map's points.
-_MARGIN = 0.2
 
 
 def _regions() -> tuple[tuple[tuple[int, int], ...], ...]:
@@ -63,6 +53,7 @@ def first_estimate(
     sources: Sequence[StereoView],
     seeds: NDArray[np.float64],
     generator: torch.Generator,
+    options: SearchOptions = DEFAULTS.search,
 ) -> Estimate:
     """Planes from photographs alone.
 
@@ -71,9 +62,10 @@ def first_estimate(
         sources: other views of the same surface.
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of map points in the reference.
         generator: of every random choice.
+        options: how planes are sought.
     """
     shrink = [1]
-    while max(reference.grey.shape) / shrink[-1] > _COARSEST:
+    while max(reference.grey.shape) / shrink[-1] > options.coarsest_px:
         shrink.append(2 * shrink[-1])
     planes = None
     for factor in reversed(shrink):
@@ -84,14 +76,14 @@ def first_estimate(
         nearest = planes_at_nearest(points, height, width).to(here.grey.device)
         if planes is None:
             fitted = planes_through(points, height, width).to(here.grey.device)
-            search = _Search(here, others, fitted[0], None, generator)
+            search = _Search(here, others, fitted[0], None, generator, options)
             estimate = search.begin(fitted, nearest)
-            rounds, step = _FIRST_ROUNDS, 4.0
+            rounds, step = options.first_rounds, 4.0
         else:
             planes = resized(planes, height, width)
-            search = _Search(here, others, planes[0], None, generator)
+            search = _Search(here, others, planes[0], None, generator, options)
             estimate = search.best_of([planes, nearest])
-            rounds, step = _ROUNDS, 1.0
+            rounds, step = options.rounds, 1.0
         estimate = search.run(estimate, rounds, step)
         planes = estimate.planes
     return estimate
@@ -103,6 +95,7 @@ def consistent_estimate(
     planes: Tensor,
     inverse_depths: Sequence[Tensor],
     generator: torch.Generator,
+    options: SearchOptions = DEFAULTS.search,
 ) -> Estimate:
     """Planes refined against the first estimates of the sources.
 
@@ -112,9 +105,10 @@ def consistent_estimate(
         planes: (3, H, W) first estimate of the reference.
         inverse_depths: (H, W) first estimates of the sources.
         generator: of every random choice.
+        options: how planes are sought.
     """
-    search = _Search(reference, sources, planes[0], inverse_depths, generator)
-    return search.run(search.evaluate(planes), _ROUNDS, 0.5)
+    search = _Search(reference, sources, planes[0], inverse_depths, generator, options)
+    return search.run(search.evaluate(planes), options.rounds, 0.5)
 
 
 def _shrunk(view: StereoView, factor: int) -> StereoView:
@@ -135,8 +129,10 @@ class _Search:
         expected: Tensor,
         inverse_depths: Sequence[Tensor] | None,
         generator: torch.Generator,
+        options: SearchOptions,
     ) -> None:
-        self._photometry = Photometry(reference, sources, expected, inverse_depths)
+        self._photometry = Photometry(reference, sources, expected, inverse_depths, options.cost)
+        self._options = options
         self._generator = generator
         self._device = reference.grey.device
         self._shape = reference.grey.shape
@@ -158,11 +154,12 @@ class _Search:
     def begin(self, fitted: Tensor, nearest: Tensor) -> Estimate:
         """The best of four guesses per pixel: planes (3, H, W) from the seeds, and from chance."""
         inverse = nearest[0]
-        low, high = float(inverse.min()) * (1 - _MARGIN), float(inverse.max()) * (1 + _MARGIN)
+        margin = self._options.margin
+        low, high = float(inverse.min()) * (1 - margin), float(inverse.max()) * (1 + margin)
         guesses = [fitted, nearest]
         for _ in range(2):
             w = low + (high - low) * self._uniform(1)
-            slope = (2 * self._uniform(2) - 1) * (_STEEPEST * self._pixel)
+            slope = (2 * self._uniform(2) - 1) * (self._options.steepest * self._pixel)
             guesses.append(torch.cat([w, slope]))
         fitted[0].clamp_(low, high)
         return self.best_of(guesses)
@@ -185,6 +182,7 @@ class _Search:
 
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
         """Spread and refine, ``rounds`` times over both colours."""
+        step_px, step_slope = self._options.step_px, self._options.step_slope
         for k in range(rounds):
             for colour in self._colours:
                 noise = [self._normal() for _ in range(2)]
@@ -204,9 +202,9 @@ class _Search:
                     for drawn in noise:
                         random = drawn[:, rows, columns] * scale
                         w, gx, gy = best.planes
-                        best.offer(torch.stack([w + _STEP_PX * random[0], gx, gy]))
+                        best.offer(torch.stack([w + step_px * random[0], gx, gy]))
                         w, gx, gy = best.planes
-                        sx, sy = _STEP_SLOPE * random[1:]
+                        sx, sy = step_slope * random[1:]
                         best.offer(torch.stack([w, gx + sx, gy + sy]))
                     estimate.planes[:, rows, columns] = best.planes
                     estimate.cost[rows, columns] = best.cost

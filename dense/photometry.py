@@ -14,20 +14,17 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
+from dense.options import DEFAULTS, CostOptions
 from dense.warp import StereoView, Warp, round_trip
 
 WORST = 2.0
 """Cost of the opposite picture, and of a view that does not see the plane at all."""
 
-# Every second pixel of a window of 9 x 9.
+# Every second pixel of a window of 9 x 9, as the method is defined.
 _STEPS = (-4, -2, 0, 2, 4)
-_SIGMA_PX = 4.0
-_SIGMA_GREY = 0.1
-# Variance (of grey in 0..1) that is only noise: windows without texture match nothing.
+# A numerical guard. Variance (of grey in 0..1) that is only noise: windows without texture match
+# nothing.
 _NOISE = 1e-5
-# A view whose own map sends the pixel back elsewhere costs so much more per pixel, up to a limit.
-_GEOMETRIC_WEIGHT = 0.2
-_GEOMETRIC_LIMIT_PX = 3.0
 
 
 class Window(NamedTuple):
@@ -57,6 +54,7 @@ class Photometry:
             plane that flees from one of them costs, and one outside all along does not count.
         inverse_depths: of the sources, (H, W), 0 where unknown; with them a plane costs more where
             a source's own map contradicts it.
+        options: the weights.
     """
 
     def __init__(
@@ -65,7 +63,9 @@ class Photometry:
         sources: Sequence[StereoView],
         expected: Tensor,
         inverse_depths: Sequence[Tensor] | None = None,
+        options: CostOptions = DEFAULTS.search.cost,
     ) -> None:
+        self._options = options
         self._grey = reference.grey
         self._sources = [source.grey[None, None] for source in sources]
         self._there = [Warp.between(reference, source) for source in sources]
@@ -83,12 +83,13 @@ class Photometry:
         dy, dx = torch.meshgrid(self._steps, self._steps, indexing="ij")
         offsets = (dy + reach) * self._padded.shape[1] + dx + reach
         self._offsets = offsets.reshape(-1, 1).long()
-        self._near = torch.exp(-(dx**2 + dy**2) / (2 * _SIGMA_PX**2)).reshape(-1, 1)
+        self._near = torch.exp(-(dx**2 + dy**2) / (2 * options.sigma_px**2)).reshape(-1, 1)
 
     def window(self, rows: Tensor, columns: Tensor) -> Window:
         """The windows around pixels (n,) of the reference."""
         grey = self._padded.view(-1)[self._offsets + rows * self._padded.shape[1] + columns]
-        weights = self._near * torch.exp((grey - self._grey[rows, columns]).abs() / -_SIGMA_GREY)
+        difference = (grey - self._grey[rows, columns]).abs()
+        weights = self._near * torch.exp(difference / -self._options.sigma_grey)
         weights = weights / weights.sum(0)
         central = grey - (weights * grey).sum(0)
         deviation = ((weights * central**2).sum(0) + _NOISE).sqrt()
@@ -139,5 +140,6 @@ class Photometry:
         cost = 1 - correlation.clamp(-1, 1)
         if self._inverse_depths is not None:
             pixels, _ = round_trip(warp, self._back[k], self._inverse_depths[k], x, y, w)
-            cost = cost + _GEOMETRIC_WEIGHT * pixels.clamp_max(_GEOMETRIC_LIMIT_PX)
+            limited = pixels.clamp_max(self._options.geometric_limit_px)
+            cost = cost + self._options.geometric_weight * limited
         return torch.where(at.seen, cost, WORST)

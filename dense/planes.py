@@ -16,9 +16,9 @@ from torch import Tensor
 
 from scene.geometry.camera import Camera
 
-# The plane through a pixel's nearest seeds; fewer say nothing of a slope.
+# Seeds that a first guess of a plane goes through; the search changes it.
 _NEIGHBOURS = 8
-# Holds the slope back where the seeds lie on a line.
+# Numerical guards. Holds the slope back where the seeds lie on a line.
 _RIDGE = 1e-2
 # Pixels times seeds whose distances are held at once.
 _DISTANCES = 1 << 23

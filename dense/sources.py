@@ -6,16 +6,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from dense.options import DEFAULTS, SourceOptions
 from dense.planes import planes_at_nearest
 from scene.maps.sparse_map import SparseMap
-
-# Two photographs look at the same side of things when they share so many points of the map.
-_COMMON = 5
-# The picture is covered point by point on a grid of so many a side.
-_GRID = 12
-# The angle (degrees) between rays that serves best: smaller ones leave depth vague (the Gaussian's
-# width to that side), larger ones change what is seen (to the other side).
-_BEST, _BELOW, _ABOVE = 12.0, 5.0, 15.0
 
 
 def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
@@ -35,7 +28,11 @@ def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
 
 
 def choose_sources(
-    sparse_map: SparseMap, name: str, seeds: NDArray[np.float64], count: int
+    sparse_map: SparseMap,
+    name: str,
+    seeds: NDArray[np.float64],
+    count: int,
+    options: SourceOptions = DEFAULTS.sources,
 ) -> list[str]:
     """Up to ``count`` photographs that together see all of one at good angles, best first.
 
@@ -44,24 +41,27 @@ def choose_sources(
         name: of the photograph to be matched.
         seeds: in it, as ``seeds_in`` gives them.
         count: at most so many.
+        options: which photographs see the same, and which angles are good.
     """
     image = sparse_map.images[name]
     observed = image.point_rows[image.point_rows >= 0]
     width, height = image.camera.width, image.camera.height
     # Planes at the centres of a coarse grid stand for the surface everywhere in the picture.
-    scale = np.array([_GRID / width, _GRID / height, 1.0])
-    inverse = planes_at_nearest(seeds * scale, _GRID, _GRID)[0].double().reshape(-1, 1)
-    steps = (torch.arange(_GRID, dtype=torch.float64) + 0.5) / _GRID
+    grid = options.grid
+    scale = np.array([grid / width, grid / height, 1.0])
+    inverse = planes_at_nearest(seeds * scale, grid, grid)[0].double().reshape(-1, 1)
+    steps = (torch.arange(grid, dtype=torch.float64) + 0.5) / grid
     xy = torch.cartesian_prod(steps * height, steps * width).flip(-1)
     rays, _ = image.camera.unproject(xy)
     surface = image.pose.inverse().transform(rays / inverse)
     weights = {}
     for other in sparse_map.images.values():
-        if other.name == name or np.isin(other.point_rows, observed).sum() < _COMMON:
+        if other.name == name or np.isin(other.point_rows, observed).sum() < options.min_common:
             continue
         seen = other.camera.project(other.pose.transform(surface))
         inside = (seen.valid & other.camera.contains(seen.xy)).numpy()
-        weights[other.name] = inside * _angle_weight(surface.numpy(), image.centre, other.centre)
+        angle = _angle_deg(surface.numpy(), image.centre, other.centre)
+        weights[other.name] = inside * _angle_weight(angle, options)
     chosen: list[str] = []
     covered = np.zeros(len(xy))
     while weights and len(chosen) < count:
@@ -71,10 +71,42 @@ def choose_sources(
     return chosen
 
 
-def _angle_weight(
+def choose_all(
+    sparse_map: SparseMap, count: int, enough: int, options: SourceOptions = DEFAULTS.sources
+) -> dict[str, list[str]]:
+    """Sources of every photograph that has enough of them.
+
+    Args:
+        sparse_map: with undistorted cameras.
+        count: at most so many for a photograph.
+        enough: a photograph with fewer is left out.
+        options: see ``choose_sources``.
+    """
+    pairs = {}
+    for name in sparse_map.names:
+        seeds = seeds_in(sparse_map, name)
+        chosen = choose_sources(sparse_map, name, seeds, count, options) if len(seeds) else []
+        if len(chosen) >= enough:
+            pairs[name] = chosen
+    # A source must have a map, and so sources, of its own.
+    while True:
+        kept = {name: [o for o in chosen if o in pairs] for name, chosen in pairs.items()}
+        kept = {name: chosen for name, chosen in kept.items() if len(chosen) >= enough}
+        if kept == pairs:
+            return pairs
+        pairs = kept
+
+
+def _angle_deg(
     points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> NDArray[np.float64]:
+    """Angles (N,) between the rays from points (N, 3) to two centres (3,)."""
     to_a, to_b = points - a, points - b
     cosine = (to_a * to_b).sum(1) / np.linalg.norm(to_a, axis=1) / np.linalg.norm(to_b, axis=1)
-    off = np.degrees(np.arccos(cosine.clip(-1, 1))) - _BEST
-    return np.asarray(np.exp(-0.5 * (off / np.where(off < 0, _BELOW, _ABOVE)) ** 2))
+    return np.asarray(np.degrees(np.arccos(cosine.clip(-1, 1))))
+
+
+def _angle_weight(angle_deg: NDArray[np.float64], options: SourceOptions) -> NDArray[np.float64]:
+    off = angle_deg - options.best_angle_deg
+    width = np.where(off < 0, options.narrower_deg, options.wider_deg)
+    return np.asarray(np.exp(-0.5 * (off / width) ** 2))

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Final
+
 from pydantic import Field
 
 from scene.config import Config
+
+Positive = Annotated[float, Field(gt=0)]
 
 
 class PairOptions(Config):
@@ -37,7 +41,7 @@ class PairOptions(Config):
     max_turn_deg: float = Field(45.0, gt=0, le=180)
     heading_deg: float = Field(8.0, ge=0)
     cross_share: float = Field(0.65, ge=0, le=1)
-    zoom: tuple[float, float] = (0.5, 1.2)
+    zoom: tuple[Positive, Positive] = (0.5, 1.2)
     level_share: float = Field(0.85, ge=0, le=1)
     border_px: float = Field(4.0, ge=0)
     min_points: int = Field(64, ge=1)
@@ -63,7 +67,7 @@ class ContrastOptions(Config):
 
     temperature: float = Field(0.07, gt=0)
     elsewhere: int = Field(512, ge=1)
-    beside: tuple[float, ...] = Field((1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0), min_length=1)
+    beside: tuple[Positive, ...] = Field((1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0), min_length=1)
     same_place: float = Field(1.0, ge=0)
 
 
@@ -105,5 +109,7 @@ class LossOptions(Config):
     triplet_min_points: int = Field(128, ge=1)
 
 
-PAIRS = PairOptions()
-LOSSES = LossOptions()
+PAIRS: Final = PairOptions()
+"""The default of how pairs are drawn."""
+LOSSES: Final = LossOptions()
+"""The default of what the losses weigh."""

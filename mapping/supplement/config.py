@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field
 
 from scene.config import Config
@@ -32,7 +34,7 @@ class GroundOptions(Config):
         description="The ground under a place is a plane through this many points around it, seen "
         "from above.",
     )
-    close_m: tuple[float, ...] = Field(
+    close_m: tuple[Annotated[float, Field(gt=0)], ...] = Field(
         (0.8, 0.4, 0.2, 0.1, 0.1, 0.1),
         min_length=1,
         description="Scale of Cauchy's weights (m) in each round in which the plane is fitted; it "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 from pathlib import Path
@@ -12,7 +13,8 @@ import numpy as np
 import pytest
 import torch
 
-from dense.command import DENSE, UNFINISHED, dense
+from dense.command import DENSE, KEY, UNFINISHED, _resumable, dense
+from dense.options import AgreementOptions, DenseOptions
 from dense.report import DenseReport
 from dense.sources import choose_sources, seeds_in
 from dense.undistort import pinhole_of, undistorted_map, write_undistorted
@@ -214,6 +216,19 @@ def straightened(scene: Scene) -> SparseMap:
     sparse_map = scene.sparse_map()
     cameras = {i.camera: pinhole_of(i.camera, 4000) for i in sparse_map.images.values()}
     return undistorted_map(sparse_map, cameras)
+
+
+def test_the_options_are_recorded(tmp_path: Path) -> None:
+    """A folder made before they were recorded counts as made with the defaults."""
+    before = {"map": "sha256", "size": 96}
+    key = {**before, "options": DenseOptions().model_dump(mode="json")}
+    other = DenseOptions(agreement=AgreementOptions(confirmed=3)).model_dump(mode="json")
+    (tmp_path / KEY).write_text(json.dumps(before))
+    assert _resumable(tmp_path, key).is_same()
+    assert not _resumable(tmp_path, {**before, "options": other}).is_same()
+    assert not _resumable(tmp_path, {**key, "size": 97}).is_same()
+    (tmp_path / KEY).write_text('{"map"')
+    assert not _resumable(tmp_path, key).is_same()
 
 
 def test_two_runs_do_not_write_one_cloud(rendered: Scene) -> None:
