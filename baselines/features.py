@@ -83,11 +83,11 @@ class Extractor(ABC):
         Raises:
             InputError: a photograph is missing or damaged.
         """
-        found = {}
+        features = {}
         for done, name in enumerate(names, 1):
-            found[name] = self(read_rgb(root / name))
+            features[name] = self(read_rgb(root / name))
             on_progress(done)
-        return found
+        return features
 
     def unit(self, descriptors: NDArray[Any]) -> Tensor:
         """Convert to (N, D) float32 of unit length, which ``match`` and retrieval take."""
@@ -139,9 +139,9 @@ def map_features(
                 def advanced(done: int, before: int = first) -> None:
                     advance(before + done)
 
-                found = extractor.of_photographs(images, some, advanced, cache)
+                extracted = extractor.of_photographs(images, some, advanced, cache)
                 for name in some:
-                    add(name, found[name])
+                    add(name, extracted[name])
                 continue
             for done, name in enumerate(some, first + 1):
                 camera = sparse_map.images[name].camera

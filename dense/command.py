@@ -215,11 +215,11 @@ def owned(workspace: Workspace) -> set[str]:
     """What we wrote into a folder, for ``atomic_folder``: photographs
     and maps of every photograph that has a depth map."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
-    found = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
+    files = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
     for name in workspace.names():
-        found.add(f"images/{name}")
-        found |= {f"stereo/{kind}/{name}.{stage}.bin" for kind in KINDS for stage in _STAGES}
-    return found
+        files.add(f"images/{name}")
+        files |= {f"stereo/{kind}/{name}.{stage}.bin" for kind in KINDS for stage in _STAGES}
+    return files
 
 
 def _link_finished(whole: Path, unfinished: Path) -> None:

@@ -197,7 +197,7 @@ def report(scene: Scene, photographs: int, fused: Fused, truth: Mapping[str, Tru
         parts["all"].append(error[judged])
         for k, label in enumerate(GROUPS[1:]):
             parts[label].append(error[judged][group == k])
-    errors = {label: np.concatenate(found) for label, found in parts.items() if found}
+    errors = {label: np.concatenate(arrays) for label, arrays in parts.items() if arrays}
     return DenseReport(
         photographs=photographs,
         maps=len(names),

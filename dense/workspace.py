@@ -52,13 +52,13 @@ class Workspace:
 
     def names(self) -> list[str]:
         """Photographs that have a map or were begun, in alphabetical order."""
-        found = set()
+        names = set()
         for kind in KINDS:
             folder = self.path / "stereo" / kind
             for path in folder.rglob("*.bin"):
                 name = path.relative_to(folder).as_posix().removesuffix(".bin")
-                found.add(name.rpartition(".")[0])
-        return sorted(found - {""})
+                names.add(name.rpartition(".")[0])
+        return sorted(names - {""})
 
     def has(self, name: str, stage: Stage) -> bool:
         """Whether the depth map of a photograph is done; it is written after its normals."""
@@ -137,9 +137,9 @@ def read_array(path: Path, channels: int) -> NDArray[np.float32]:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
     words = data[:_HEADER_BYTES].split(b"&", 3)
     if len(words) == 4 and all(word.isdigit() for word in words[:3]):
-        width, height, found = (int(word) for word in words[:3])
+        width, height, planes = (int(word) for word in words[:3])
         start = sum(len(word) + 1 for word in words[:3])
-        if found == channels and len(data) - start == 4 * width * height * channels:
+        if planes == channels and len(data) - start == 4 * width * height * channels:
             values = np.frombuffer(data, "<f4", offset=start)
             return values.reshape(channels, height, width).astype(np.float32)
     raise InputError(f"{path} is damaged: remove it and run dense again")

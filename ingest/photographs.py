@@ -78,8 +78,8 @@ def read_flight(folder: Path) -> Flight:
     """
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
-    found = list_files(folder, _ENDINGS, depth=None)
-    files = sorted(path.relative_to(folder).as_posix() for path in found)
+    paths = list_files(folder, _ENDINGS, depth=None)
+    files = sorted(path.relative_to(folder).as_posix() for path in paths)
     if not files:
         raise InputError(f"{folder} holds no photograph ({', '.join(_ENDINGS)})")
     images: dict[str, FlightImage] = {}

@@ -148,10 +148,10 @@ def summary(off: NDArray[np.float64]) -> Residuals:
 def lenses_of(photographs: Sequence[Photograph], adjusted: Adjusted) -> tuple[Lens, ...]:
     """Cameras of a model by lens, in the order of the photographs."""
     images = adjusted.model.images
-    found: dict[str, list[Photograph]] = {}
+    by_lens: dict[str, list[Photograph]] = {}
     for photograph in photographs:
         if photograph.name in images:
-            found.setdefault(photograph.lens, []).append(photograph)
+            by_lens.setdefault(photograph.lens, []).append(photograph)
     return tuple(
         Lens(
             name=lens,
@@ -159,7 +159,7 @@ def lenses_of(photographs: Sequence[Photograph], adjusted: Adjusted) -> tuple[Le
             camera=str(images[taken[0].name].camera),
             origin=_origin(taken[0], images[taken[0].name].camera, lens in adjusted.focal),
         )
-        for lens, taken in found.items()
+        for lens, taken in by_lens.items()
     )
 
 

@@ -47,10 +47,10 @@ class ObjectGraph(nn.Module):
     def forward(self, points: Tensor, objects: Occupancy) -> Tensor:
         """Points (B, h w, C) -> the same, with what the graph found added."""
         channels = self.weights(points, objects)
-        found = self.convolution(points * objects.paint(channels).to(points.dtype), objects)
+        message = self.convolution(points * objects.paint(channels).to(points.dtype), objects)
         # Cells of no object have nobody to hear from.
         inside = objects.paint(torch.ones_like(channels[..., :1])).to(points.dtype)
-        added: Tensor = points + inside * self.out(found)
+        added: Tensor = points + inside * self.out(message)
         return added
 
     def weights(self, points: Tensor, objects: Occupancy) -> Tensor:

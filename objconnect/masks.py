@@ -89,16 +89,18 @@ def read_coco(path: Path, image: str, count: int) -> Labels:
     try:
         content = parse_json(read_text(path, "COCO annotations"))
         ids = [entry["id"] for entry in content["images"] if entry["file_name"] == image]
-        found = [a["segmentation"] for a in content["annotations"] if a["image_id"] in ids]
+        segmentations = [a["segmentation"] for a in content["annotations"] if a["image_id"] in ids]
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} is not a file of COCO annotations: {error!r}") from None
     if not ids:
         raise InputError(f"{path} has no image {image!r}")
-    if not found:
+    if not segmentations:
         raise InputError(f"{path} has no masks of {image!r}")
-    masks = [_mask(segmentation, f"{path}, mask {k}") for k, segmentation in enumerate(found)]
+    masks = [
+        _mask(segmentation, f"{path}, mask {k}") for k, segmentation in enumerate(segmentations)
+    ]
     if len({mask.shape for mask in masks}) > 1:
         raise InputError(f"{path}: the masks of {image!r} have several sizes")
     labels = np.full(masks[0].shape, NOTHING, np.int64)
@@ -158,7 +160,7 @@ def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Label
         InputError: as the readers, or it has masks of none of them.
     """
     listed = _coco_names(source) if source.is_file() else frozenset()
-    found = False
+    any_masks = False
     for name in names:
         for called in (name, name.rpartition("/")[2]):
             picture = source / Path(called).with_suffix(".png")
@@ -168,10 +170,10 @@ def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Label
                 labels = read_label_png(picture, _ALL)
             else:
                 continue
-            found = True
+            any_masks = True
             yield name, labels
             break
-    if not found:
+    if not any_masks:
         raise InputError(f"{source} has masks of none of the map's photographs")
 
 

@@ -135,23 +135,23 @@ class ObjConnectNet(nn.Module):
             if labels is not None and number < self._with_objects:
                 stride = self.config.strides[number]
                 here = at_level(labels, image, maps, stride)
-                found = occupancy(here, self.config.segments)
-                maps = self.objects_of[number](maps, found)
+                objects_here = occupancy(here, self.config.segments)
+                maps = self.objects_of[number](maps, objects_here)
                 if number == self._with_objects - 1:
-                    objects = self._as_points(maps, found, stride)
+                    objects = self._as_points(maps, objects_here, stride)
             # The sign is PixLoc's.
             trust = torch.sigmoid(-self.confidence[number](maps))
             made.append((self.features[number](maps), trust))
         return made, objects
 
-    def _as_points(self, maps: Tensor, found: Occupancy, stride: int) -> Objects:
+    def _as_points(self, maps: Tensor, occupied: Occupancy, stride: int) -> Objects:
         """The set V: o_i, the features O at the centres c_i."""
         assert self.trust is not None
-        cells = centres(found)
+        cells = centres(occupied)
         vectors = sample(maps, cells)
         # The head judges the features; it must not bend them.
         confidence = torch.sigmoid(self.trust(vectors.detach()).float())[..., 0]
-        return Objects(cells * stride, vectors, confidence, found.present)
+        return Objects(cells * stride, vectors, confidence, occupied.present)
 
 
 def _head(size: int, dims: int) -> nn.Conv2d:

@@ -135,8 +135,8 @@ def _pool() -> ThreadPoolExecutor:
 
 def _slic(picture: Picture, count: int) -> Labels:
     """Achanta et al., "SLIC superpixels", PAMI 2012."""
-    found: Callable[..., Labels] = slic
-    return found(
+    algorithm: Callable[..., Labels] = slic
+    return algorithm(
         picture,
         n_segments=count,
         compactness=_COMPACTNESS,
@@ -149,8 +149,8 @@ def _slic(picture: Picture, count: int) -> Labels:
 def _felzenszwalb(picture: Picture, count: int) -> Labels:
     """Felzenszwalb and Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004."""
     least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
-    found: Callable[..., Labels] = felzenszwalb
-    return found(picture, scale=_SCALE, sigma=_BLUR, min_size=least, channel_axis=-1)
+    algorithm: Callable[..., Labels] = felzenszwalb
+    return algorithm(picture, scale=_SCALE, sigma=_BLUR, min_size=least, channel_axis=-1)
 
 
 def _squares(height: int, width: int, count: int) -> Tensor:

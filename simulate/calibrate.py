@@ -150,15 +150,15 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
     for name, picture in pictures.items():
         with atomic_write(out / "views" / name) as partial:
             Image.fromarray(picture).save(partial, "PNG", pnginfo=_ours())
-    found = {name: find_corners(picture, BOARD) for name, picture in pictures.items()}
-    kept = [k for k, corners in enumerate(found.values()) if corners is not None]
+    detected = {name: find_corners(picture, BOARD) for name, picture in pictures.items()}
+    kept = [k for k, corners in enumerate(detected.values()) if corners is not None]
     if len(kept) < 4:
         raise InputError(
             f"the chessboard was found in {len(kept)} of {views} views of {camera}: "
             "use a larger picture"
         )
     views_kept = [list(pictures)[k] for k in kept]
-    corners = np.stack([c for c in found.values() if c is not None])
+    corners = np.stack([c for c in detected.values() if c is not None])
     first = _solve(camera, views_kept, corners, poses[kept])
     corners = np.stack(
         [
@@ -219,10 +219,10 @@ def find_corners(picture: NDArray[np.uint8], board: Board) -> Array | None:
     """Inner corners (rows * columns, 2) of a chessboard in a picture (H, W, 3), COLMAP pixels, in
     the order of ``board_points``; None when it is not found."""
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    found, corners = cv2.findChessboardCornersSB(
+    whole, corners = cv2.findChessboardCornersSB(
         grey, (board.columns, board.rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
     )
-    if not found:
+    if not whole:
         return None
     grid = corners.reshape(board.rows, board.columns, 2)
     spacing = min(np.linalg.norm(np.diff(grid, axis=k), axis=-1).min() for k in (0, 1))
@@ -262,8 +262,8 @@ def refine_corners(
         grey, expected[:, None].astype(np.float32), (window, window), (-1, -1), _STOP
     )
     at = board.square_m * ((corners[:, 0].astype(np.float64) + 0.5) / square_px - 1)
-    found: Array = _project(camera, cam_from_board[None], np.insert(at, 2, 0.0, axis=1))[0]
-    return found
+    refined: Array = _project(camera, cam_from_board[None], np.insert(at, 2, 0.0, axis=1))[0]
+    return refined
 
 
 def _photographs(
@@ -333,16 +333,16 @@ def _solve(camera: Camera, views: list[str], corners: Array, poses: Array) -> Ca
     values = dict(zip(("k1", "k2", "k3" if camera.is_fisheye else "p1"), d.ravel(), strict=False))
     values["k4" if camera.is_fisheye else "p2"] = d.ravel()[3]
     values |= {"f": k[0, 0], "fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
-    found = Camera(camera.model, *size, tuple(float(values[name]) for name in names))
+    estimated = Camera(camera.model, *size, tuple(float(values[name]) for name in names))
 
     recovered = np.tile(np.eye(4), (len(views), 1, 1))
     recovered[:, :3, :3] = [cv2.Rodrigues(r)[0] for r in rotations]
     recovered[:, :3, 3] = np.reshape(translations, (-1, 3))
     error = recovered @ np.linalg.inv(poses)
-    shown = _project(found, recovered, points)
+    shown = _project(estimated, recovered, points)
     return Calibration(
         truth=camera,
-        found=found,
+        found=estimated,
         cam_from_board=recovered,
         views=tuple(views),
         corners=corners,

@@ -86,15 +86,15 @@ def align(problem: Problem) -> Alignment:
         >>> camera = Camera("PINHOLE", 32, 32, (32.0, 32.0, 16.0, 16.0))
         >>> reference = (camera.project(points[0].double()).xy - 0.5)[None].float() / 32
         >>> start = Pose(torch.eye(3)[None], torch.tensor([[0.1, -0.1, 0.0]]))
-        >>> found = align(
+        >>> aligned = align(
         ...     Problem(
         ...         [Level(features, 1.0, reference)], points, camera.intrinsics(), start,
         ...         [torch.full((6,), 1e-3)], Options(min_points=4, iterations=100),
         ...     )
         ... )
-        >>> bool(found.failed.any())
+        >>> bool(aligned.failed.any())
         False
-        >>> bool(found.pose.translation.abs().max() < 0.02)
+        >>> bool(aligned.pose.translation.abs().max() < 0.02)
         True
     """
     local, options = Local.of(problem), problem.options

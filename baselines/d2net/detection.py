@@ -51,7 +51,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
     """
     height, width = image.shape[1:]
     coarser = taken = None
-    found = [_none(network.channels, image)]
+    levels = [_none(network.channels, image)]
     for rank, scale in enumerate(scales, 1):
         size = (int(height * scale), int(width * scale))
         if min(size) < _LEAST:
@@ -81,7 +81,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
             features[None], (2 * exact / last - 1).T[None, None], align_corners=True
         )[0, :, 0]
         strongest = features[:, rows[kept], columns[kept]].amax(0)
-        found.append(
+        levels.append(
             Keypoints(
                 xy,
                 torch.full_like(strongest, 1 / scale),
@@ -89,7 +89,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
                 functional.normalize(sampled, dim=0).T,
             )
         )
-    return Keypoints(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+    return Keypoints(*(torch.cat(parts) for parts in zip(*levels, strict=True)))
 
 
 def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:

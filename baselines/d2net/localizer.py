@@ -90,11 +90,11 @@ class D2NetExtractor(Extractor):
             rgb = np.asarray(cv2.resize(rgb, smaller.tolist(), interpolation=cv2.INTER_AREA))
         image = torch.from_numpy(rgb.astype(np.float32, order="C") / 255).permute(2, 0, 1)
         with torch.inference_mode():
-            found = detect(self._network, image.to(self._device), self._scales(smaller.max()))
-            strongest = found.scores.argsort(descending=True, stable=True)
+            keypoints = detect(self._network, image.to(self._device), self._scales(smaller.max()))
+            strongest = keypoints.scores.argsort(descending=True, stable=True)
             xy, scale, descriptors = (
                 values[strongest].cpu().numpy()
-                for values in (found.xy, found.scale, found.descriptors)
+                for values in (keypoints.xy, keypoints.scale, keypoints.descriptors)
             )
         config = self._config
         clear = _has_contrast(rgb, xy, config.contrast_window_px, config.min_contrast)

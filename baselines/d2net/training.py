@@ -72,7 +72,7 @@ class D2NetTraining:
         if progress < self._warm_up:
             return contrast, figures
         scores = soft_scores(features)
-        found = [
+        triplets = [
             triplet_loss(
                 features[i],
                 scores[i],
@@ -84,11 +84,11 @@ class D2NetTraining:
             for i in range(count)
             if int(valid[i].sum()) >= min(_LEAST, room // 2)
         ]
-        if not found:
+        if not triplets:
             return contrast, {**figures, "pairs": 0.0}
-        means = TripletLoss(*(torch.stack(column).mean() for column in zip(*found, strict=True)))
+        means = TripletLoss(*(torch.stack(column).mean() for column in zip(*triplets, strict=True)))
         figures |= {name: float(value.detach()) for name, value in means._asdict().items()}
-        return contrast + means.loss, {**figures, "pairs": float(len(found))}
+        return contrast + means.loss, {**figures, "pairs": float(len(triplets))}
 
 
 def start_from(path: Path) -> D2Net:

@@ -173,15 +173,15 @@ def _from_official(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], di
     Their levels run from fine to coarse, and their tangent is translation then rotation.
     """
     head = re.compile(r"extractor\.(adaptation|uncertainty)\.(\d+)\.0\.(weight|bias)")
-    heads = [found for name in tensors if (found := head.fullmatch(name))]
-    last = max((int(found[2]) for found in heads), default=0)
+    heads = [match for name in tensors if (match := head.fullmatch(name))]
+    last = max((int(match[2]) for match in heads), default=0)
     ours: dict[str, Tensor] = {}
     for name, tensor in tensors.items():
-        if found := head.fullmatch(name):
-            kind = "features" if found[1] == "adaptation" else "confidence"
-            ours[f"{kind}.{last - int(found[2])}.{found[3]}"] = tensor
-        elif found := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
-            ours[f"damping.{last - int(found[1])}.theta"] = tensor.roll(3)
+        if match := head.fullmatch(name):
+            kind = "features" if match[1] == "adaptation" else "confidence"
+            ours[f"{kind}.{last - int(match[2])}.{match[3]}"] = tensor
+        elif match := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
+            ours[f"damping.{last - int(match[1])}.theta"] = tensor.roll(3)
         else:
             ours[name.removeprefix("extractor.").replace(".layers.", ".")] = tensor
     weights = [ours.get(f"features.{level}.weight") for level in range(last + 1)]

@@ -104,10 +104,10 @@ def contrast_of(
         cells = batch.xy_a / stride, batch.xy_b / stride
         lost = contrastive(a, b, *cells, batch.valid)
         losses.append(mean_over(batch.valid, lost))
-        found = torch.exp(-lost.detach())
+        likely = torch.exp(-lost.detach())
         for half, places in zip(confidence.chunk(2), cells, strict=True):
             said = sample(half, places)[..., 0].clamp(_LEAST_TRUST, 1 - _LEAST_TRUST)
-            doubt = functional.binary_cross_entropy(said, found, reduction="none")
+            doubt = functional.binary_cross_entropy(said, likely, reduction="none")
             doubts.append(mean_over(batch.valid, doubt))
     figures = {
         f"contrastive/{stride}": float(loss.detach())

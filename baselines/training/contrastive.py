@@ -27,8 +27,8 @@ def sample(maps: Tensor, cells: Tensor) -> Tensor:
     height, width = maps.shape[-2:]
     scale = cells.new_tensor([2 / width, 2 / height])
     grid = (cells * scale - 1)[:, None]
-    found = functional.grid_sample(maps.float(), grid, "bilinear", "border", align_corners=False)
-    return found[:, :, 0].transpose(1, 2)
+    sampled = functional.grid_sample(maps.float(), grid, "bilinear", "border", align_corners=False)
+    return sampled[:, :, 0].transpose(1, 2)
 
 
 def contrastive(
@@ -53,8 +53,8 @@ def contrastive(
     angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(_BESIDE), device=cells_b.device)
     ring = distance[:, None] * torch.stack([angle.cos(), angle.sin()], -1)
     places = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
-    found = functional.normalize(sample(features_b, places.flatten(1, 2)), dim=-1)
-    to_near = (points[:, :, None] * found.view(*places.shape[:3], channels)).sum(-1)
+    near = functional.normalize(sample(features_b, places.flatten(1, 2)), dim=-1)
+    to_near = (points[:, :, None] * near.view(*places.shape[:3], channels)).sum(-1)
     index = elsewhere[:, None].expand(-1, channels, -1)
     far = functional.normalize(features_b.flatten(2).gather(2, index).float(), dim=1)
     centres = torch.stack([elsewhere % width, elsewhere // width], -1) + 0.5

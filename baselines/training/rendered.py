@@ -151,15 +151,15 @@ class RenderedPairs:
 
 def _frames(scene: Scene, number: int) -> list[_Frame]:
     """Every frame of a scene, in the order of its covisibility."""
-    found = []
+    frames = []
     for name, session in scene.sessions.items():
-        frames = scene.frames(name)
-        for index, (image, camera) in enumerate(zip(frames.names, frames.cameras, strict=True)):
+        stored = scene.frames(name)
+        for index, (image, camera) in enumerate(zip(stored.names, stored.cameras, strict=True)):
             pinhole = _pinhole(camera, scene.images_root / image)
-            pose = frames.cam_from_world[index]
+            pose = stored.cam_from_world[index]
             path = scene.images_root / image
-            found.append(_Frame(path, pinhole, pose, session.condition, (number, name), index))
-    return found
+            frames.append(_Frame(path, pinhole, pose, session.condition, (number, name), index))
+    return frames
 
 
 def _pinhole(camera: Camera, image: Path) -> Pinhole:

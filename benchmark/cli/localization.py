@@ -88,9 +88,11 @@ def localize(
         gimbal_sigma_deg=gimbal_sigma,
         cache=cache,
     )
-    found = sum(item.found for item in located)
-    text = f"{out}: {found} of {len(located)} photographs found"
-    emit(Summary(text, {"poses": str(out), "photographs": len(located), "found": found}), as_json)
+    localized = sum(item.found for item in located)
+    text = f"{out}: {localized} of {len(located)} photographs found"
+    emit(
+        Summary(text, {"poses": str(out), "photographs": len(located), "found": localized}), as_json
+    )
 
 
 @app.command()
@@ -240,9 +242,9 @@ def submit(
     from benchmark.submission import submit as run
 
     claim_folders([path], out, cache)
-    found, images = run(path, create(method, parse_settings(overrides)), out, cache)
-    text = f"{out / SUBMISSION}: {found} of {images} images found"
-    values = {"submission": str(out / SUBMISSION), "images": images, "found": found}
+    localized, images = run(path, create(method, parse_settings(overrides)), out, cache)
+    text = f"{out / SUBMISSION}: {localized} of {images} images found"
+    values = {"submission": str(out / SUBMISSION), "images": images, "found": localized}
     emit(Summary(text, values), as_json)
 
 

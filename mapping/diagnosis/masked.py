@@ -52,8 +52,8 @@ def mask_coverage(
             metres = float(longest * np.median(depth[near]) / min(image.camera.focal))
             counts.setdefault(size_class((metres, 0, 0)), []).append(inside.get(label, 0))
     return {
-        size: ObjectCoverage(len(found), sum(count > 0 for count in found), sum(found))
-        for size, found in sorted(counts.items())
+        size: ObjectCoverage(len(points), sum(count > 0 for count in points), sum(points))
+        for size, points in sorted(counts.items())
     }
 
 
@@ -63,8 +63,8 @@ def points_by_label(labels: Labels, image: MapImage, kept: NDArray[np.bool_]) ->
     seen[seen] = kept[image.point_rows[seen]]
     column, row = np.floor(image.xy[seen]).astype(int).T
     height, width = labels.shape
-    found = labels[row.clip(0, height - 1), column.clip(0, width - 1)]
-    values, counts = np.unique(found[found != NOTHING], return_counts=True)
+    observed = labels[row.clip(0, height - 1), column.clip(0, width - 1)]
+    values, counts = np.unique(observed[observed != NOTHING], return_counts=True)
     return dict(zip(values.tolist(), counts.tolist(), strict=True))
 
 

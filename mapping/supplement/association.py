@@ -69,11 +69,11 @@ def associate(
         alike = (a.descriptors @ b.descriptors.T).astype(np.float64)
         alike[(off > config.epipolar_px) | (alike < config.similarity)] = -np.inf
         best = alike.argmax(1)
-        found = np.flatnonzero(
+        mutual = np.flatnonzero(
             (alike.max(1) > -np.inf) & (alike.argmax(0)[best] == np.arange(len(best)))
         )
-        views.append(np.tile([i, j], (len(found), 1)))
-        rows.append(np.stack([found, best[found]], 1))
+        views.append(np.tile([i, j], (len(mutual), 1)))
+        rows.append(np.stack([mutual, best[mutual]], 1))
     return Pairs(np.concatenate(views), np.concatenate(rows))
 
 

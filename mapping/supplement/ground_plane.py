@@ -84,9 +84,9 @@ def heights(xyz: NDArray[np.float64], cloud: NDArray[np.float64]) -> NDArray[np.
     """
     if len(cloud) < _AROUND or not len(xyz):
         return np.full(len(xyz), math.inf)
-    found, _ = nearest(xyz[:, :2], cloud[:, :2], _AROUND)
-    around = cloud[found] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
-    design = np.concatenate([around[..., :2], np.ones((*found.shape, 1))], 2)
+    neighbours, _ = nearest(xyz[:, :2], cloud[:, :2], _AROUND)
+    around = cloud[neighbours] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
+    design = np.concatenate([around[..., :2], np.ones((*neighbours.shape, 1))], 2)
     off = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
     for close in _CLOSE_M:
         weight = 1 / (1 + np.square(off / close))

@@ -129,11 +129,11 @@ def report(classifier: PlaceClassifier, looked_at: Lessons) -> list[str]:
     for wanted in _SHARES:
         enough = np.flatnonzero(share >= wanted)
         kept = order[: enough[-1] + 1] if len(enough) else order[:0]
-        found = looked_at.lacking & set(looked_at.small[kept].tolist())
+        reached = looked_at.lacking & set(looked_at.small[kept].tolist())
         least = float(likely[kept].min()) if len(kept) else 1.0
         lines.append(
             f"{wanted:.0%} of {len(kept)} places on things from probability {least:.3f} on: "
-            f"{len(found)} of {len(looked_at.lacking)} small things without a point have one"
+            f"{len(reached)} of {len(looked_at.lacking)} small things without a point have one"
         )
     return lines
 

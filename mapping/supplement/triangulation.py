@@ -63,7 +63,7 @@ def lift(
     proposals = _propose(sparse_map, detections, pairs)
     members = _support(sparse_map, detections, pairs, proposals, config)
     order = np.argsort(-(members >= 0).sum(1), kind="stable")
-    taken = {name: np.zeros(len(found.xy), bool) for name, found in detections.items()}
+    taken = {name: np.zeros(len(detected.xy), bool) for name, detected in detections.items()}
     points = []
     for proposal in order.tolist():
         rows = {
@@ -120,15 +120,15 @@ def _support(
     looks = _looks(sparse_map, detections, pairs)
     with progress_bar("support", len(sparse_map.names)) as advance:
         for view, name in enumerate(sparse_map.names):
-            found = detections.get(name)
-            if found is not None and len(found.xy):
+            detected = detections.get(name)
+            if detected is not None and len(detected.xy):
                 image = sparse_map.images[name]
                 local = image.pose.transform(torch.from_numpy(proposals))
                 seen = image.camera.project(local)
                 for start in range(0, len(pairs), _CHUNK):
                     part = slice(start, start + _CHUNK)
-                    off = torch.cdist(seen.xy[part], torch.from_numpy(found.xy)).numpy()
-                    alike = looks[part] @ found.descriptors.T
+                    off = torch.cdist(seen.xy[part], torch.from_numpy(detected.xy)).numpy()
+                    alike = looks[part] @ detected.descriptors.T
                     off[(alike < config.similarity) | ~seen.valid[part].numpy()[:, None]] = np.inf
                     near = off.min(1) < config.reprojection_px
                     members[part, view] = np.where(near, off.argmin(1), -1)
@@ -140,7 +140,7 @@ def _looks(
     sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
 ) -> NDArray[np.float32]:
     """Mean descriptor of each pair, of unit length, (E, D)."""
-    width = max((found.descriptors.shape[1] for found in detections.values()), default=0)
+    width = max((detected.descriptors.shape[1] for detected in detections.values()), default=0)
     total = np.zeros((len(pairs), width), np.float32)
     for view, name in enumerate(sparse_map.names):
         for side in range(2):

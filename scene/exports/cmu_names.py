@@ -39,12 +39,12 @@ class ImageName(NamedTuple):
         Raises:
             InputError: the name is not one of this data set.
         """
-        found = _IMAGE.fullmatch(name)
-        if found is None:
+        match = _IMAGE.fullmatch(name)
+        if match is None:
             raise InputError(
                 f"image {name!r} is not named like img_00119_c0_1303398474779439us.jpg"
             )
-        return ImageName(int(found[1]), found[2], int(found[3]))
+        return ImageName(int(match[1]), match[2], int(match[3]))
 
     @property
     def day(self) -> date:

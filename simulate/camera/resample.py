@@ -136,7 +136,7 @@ def _surface(
     z = sum(w * inverse[c] for c, w in zip(corners, weights, strict=True))
     z = np.divide(1.0, z, out=np.zeros(z.shape), where=z > 0)
     plane = np.logical_and.reduce([flat[c] for c in corners])
-    found = instance[corners[0]]
+    shown = instance[corners[0]]
 
     rough = np.nonzero(~plane)
     row, column = (index[rough] for index in corners[0])
@@ -168,8 +168,8 @@ def _surface(
     nearest = tuple(np.floor(xy[rough]).astype(np.intp).T[::-1])
     missed = ~np.isfinite(best)
     z[rough] = np.where(missed, depth[nearest], best)
-    found[rough] = np.where(missed, instance[nearest], who)
-    return z, found
+    shown[rough] = np.where(missed, instance[nearest], who)
+    return z, shown
 
 
 def _flat(

@@ -100,8 +100,8 @@ class Aircraft:
 
     def places(self, commands: list[Command]) -> Array:
         """Where the mission's waypoints lie, (K, 3) metres."""
-        found = [self._place(c) for c in commands if c.command in _PLACES[:2]]
-        return np.array(found).reshape(-1, 3)
+        positions = [self._place(c) for c in commands if c.command in _PLACES[:2]]
+        return np.array(positions).reshape(-1, 3)
 
     def _obey(self, command: Command) -> None:
         number = command.number

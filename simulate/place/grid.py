@@ -29,12 +29,12 @@ class CircleGrid:
         """Numbers, ascending, of the circles that share area with this one (metres)."""
         x, y = centre.tolist()
         candidates = {k for cell in _cells(x, y, radius) for k in self._cells.get(cell, ())}
-        found = []
+        neighbours = []
         for k in sorted(candidates):
             cx, cy, r = self._circles[k]
             if (cx - x) ** 2 + (cy - y) ** 2 < (r + radius) ** 2:
-                found.append(k)
-        return found
+                neighbours.append(k)
+        return neighbours
 
 
 def _cells(x: float, y: float, radius: float) -> list[tuple[int, int]]:
