@@ -1,1 +1,1 @@
-"""How places look: conditions, meshes, rasters and node graphs, without Blender."""
+"""How places look: conditions, meshes, images and shader graphs. Nothing here imports Blender."""
