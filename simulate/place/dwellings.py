@@ -1,4 +1,4 @@
-"""Blocks where people live: houses on their parcels, and slabs of flats."""
+"""Residential blocks: houses on parcels, and blocks of flats."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simulate.place.things import STEEL, Size, barrier, bench, building, car, tr
 
 
 def housing(site: Site, block: Block) -> None:
-    """Two rows of parcels back to back, each with a house, a drive and a garden."""
+    """Lay two rows of parcels back to back, each with a house, a drive and a garden."""
     depth = 0.5 * block.depth
     for side in (1, -1):
         count = max(1, round(block.length / site.rng.uniform(14.5, 19.0)))
@@ -27,7 +27,7 @@ def _parcel(
 ) -> None:
     rng = site.rng
     site.paint("grass", at.quad(0, width, 0, depth), float(rng.random()))
-    # The drive runs along one side line, the house takes the rest of the width.
+    # The drive runs along one side of the parcel, and the house takes the rest of the width.
     left = site.chance(0.5)
     front = min(width - 6.2, rng.uniform(8.5, 12.5))
     back = min(0.45 * depth, rng.uniform(7.5, 10.5))
@@ -67,7 +67,7 @@ def _parcel(
         runs.append(((width, 0.6), (width, depth - 0.6)))
     if back_line:
         runs.append(((0.7, depth), (width - 0.7, depth)))
-    if site.chance(0.45):  # along the street, open where the drive and the walk pass
+    if site.chance(0.45):  # along the street, with gaps for the drive and the walk
         open_at = sorted([(drive - 1.7, drive + 1.7), (door - 0.8, door + 0.8)])
         start = 0.7
         for gap in [*open_at, (width - 0.7, width)]:
@@ -86,13 +86,13 @@ def _parcel(
 
 
 def outbuilding(site: Site, at: Frame, a: float, b: float, size: Size) -> None:
-    """A garage or a shed: a small plain building."""
+    """Place a garage or a shed."""
     style = shed_style(site)
     building(site, "shed", at, a, b, size, style)
 
 
 def flats(site: Site, block: Block) -> None:
-    """Two rows of slab blocks facing the streets, a car park between them."""
+    """Place two rows of flats that face the streets, with a car park between them."""
     rng = site.rng
     site.paint("grass", block.front(1).quad(0, block.length, 0, block.depth), float(rng.random()))
     strip = 2 * BAY_M[1] + AISLE_M

@@ -1,4 +1,4 @@
-"""Car parks: marked bays, about half of them taken."""
+"""Car parks with marked bays, about half of them occupied."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AISLE_M = 6.0  # between two rows of bays
 
 
 def car_park(site: Site, at: Frame, length: float, rows: int) -> None:
-    """`rows` aisles with marked bays on both sides, about half of them taken."""
+    """Lay ``rows`` aisles with marked bays on both sides, about half of them occupied."""
     rng = site.rng
     wide, deep = BAY_M
     count = int((length - 1.0) / wide)

@@ -1,4 +1,4 @@
-"""A place under construction: who stands where. Everything placed claims its footprint."""
+"""A place while it is built. Every object that is placed claims its footprint."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Site:
     """Collects regions, markings and objects, and refuses objects that would intersect.
 
     An object must lie inside the area, apart from every earlier object, off the roads and their
-    pavements (unless it is `on_road`) and off reserved ground such as driveways (unless it is
-    `on_reserved`).
+    pavements (unless it is ``on_road``) and off reserved ground such as driveways (unless it is
+    ``on_reserved``).
     """
 
     def __init__(self, area_m: float, terrain: Heightfield, rng: np.random.Generator) -> None:
@@ -46,20 +46,20 @@ class Site:
         self.markings: list[Marking] = []
         self.objects: list[WorldObject] = []
         self._claims: list[Array] = []
-        self._reserved: list[bool] = []  # whether a claim is only reserved ground
-        self._circles = CircleGrid()  # around the claims
-        # Every straight piece of every road: start, step, half width, number of its road.
+        self._reserved: list[bool] = []  # whether each claim is only reserved ground
+        self._circles = CircleGrid()  # circles around the claims
+        # Every straight piece of every road: start, step, half width and index of its road.
         self._pieces = np.empty((0, 4))
         self._half_width = np.empty(0)
         self._road_of = np.empty(0, int)
-        self._reach = CircleGrid()  # from a piece's middle to the farthest point of its carriageway
+        self._reach = CircleGrid()  # circles around the carriageway of each piece
 
     def choose(self, options: Sequence[T]) -> T:
-        """One of `options`, uniformly."""
+        """Draw one of the options, with equal probabilities."""
         return options[int(self.rng.integers(len(options)))]
 
     def chance(self, probability: float) -> bool:
-        """True with `probability`."""
+        """Return True with a probability."""
         return bool(self.rng.random() < probability)
 
     def lay_roads(self, roads: Sequence[Road]) -> None:
@@ -82,7 +82,7 @@ class Site:
             self._reach.add(centre, r)
 
     def roads_within(self, points: Array, clear_m: float) -> set[int]:
-        """Indices of the roads whose carriageway comes within `clear_m` of any point (M, 2)."""
+        """Return the indices of roads with a carriageway within ``clear_m`` of any point (M, 2)."""
         centre = points.mean(0)
         near = self._reach.near(centre, float(np.hypot(*(points - centre).T).max()) + clear_m)
         if not near:
@@ -103,11 +103,11 @@ class Site:
         self.markings.append(Marking(np.asarray(line, float), width_m))
 
     def free(self, at: ArrayLike, size: Sequence[float], yaw: float) -> bool:
-        """Whether nothing stands on, and nothing reserves, a rectangle (2,) metres at (2,)."""
+        """Return whether a rectangle of a size (2,), metres, at a point (2,) is free."""
         return not self._taken(rectangle(at, size, yaw), on_reserved=False)
 
     def reserve(self, polygon: Array) -> None:
-        """Keep a rectangle (4, 2) free of everything placed later but `on_reserved`."""
+        """Reserve a rectangle (4, 2). Only objects placed ``on_reserved`` may stand there later."""
         self._claim(polygon, reserved=True)
 
     def place(
@@ -124,13 +124,28 @@ class Site:
         on_reserved: bool = False,
         gap_m: float = 0.15,
     ) -> bool:
-        """Put an object with its box centred over `at` (2,) metres; False when it has no room.
+        """Place an object where there is room for it.
 
-        `size` (3,) metres, `yaw` radians; `gap_m` is the least distance kept to other objects,
-        per side. Buildings stand on the lowest ground under them, hedges and fences follow the
-        ground, everything else stands on the ground under its centre.
+        Buildings stand on the lowest ground under them, hedges and fences follow the ground, and
+        all other objects stand on the ground under their centre.
 
-        Raises InputError when there are more objects than ids.
+        Args:
+            class_name: Class of the object.
+            shape: Name of its mesh.
+            at: Centre of its box (2,), metres.
+            size: Length, width and height (3,), metres.
+            yaw: Direction of its length, radians anticlockwise from east.
+            colour: Colour of its painted parts, linear RGB.
+            style: Style of a building.
+            on_road: Whether it may stand on roads and pavements.
+            on_reserved: Whether it may stand on reserved ground.
+            gap_m: Least distance to other objects, per side, metres.
+
+        Returns:
+            Whether there was room.
+
+        Raises:
+            InputError: There are more objects than ids.
         """
         at = np.asarray(at, float)
         length, width, height = size
@@ -165,10 +180,14 @@ class Site:
         width_m: float,
         low_m: float,
     ) -> None:
-        """Hang something between two points in the air: it claims no ground.
+        """Place an object that hangs between two points and claims no ground.
 
-        `ends` (2, 2) and the `heights` above them in world metres; `low_m` is the height of its
-        lowest point.
+        Args:
+            class_name: Class of the object.
+            ends: Its two ends (2, 2), seen from above, metres.
+            heights: Heights of the two ends, world metres.
+            width_m: Its width.
+            low_m: Height of its lowest point, world metres.
         """
         a, b = ends
         size = np.array([np.linalg.norm(b - a), width_m, max(heights) - low_m])
@@ -177,10 +196,10 @@ class Site:
         self._add(class_name, class_name, centre, size, yaw, (0.05, 0.05, 0.05))
 
     def flood(self, shore: Array, bank_m: float) -> None:
-        """Paint still water inside a `shore` (K, 2), and level the ground under it.
+        """Paint still water inside a shore (K, 2), and level the ground under it.
 
-        The ground around it slopes to the water over `bank_m` metres beyond the last cell of the
-        terrain that the water touches; nothing may stand there yet.
+        The ground around it slopes to the water over ``bank_m`` metres, beyond the last cell of the
+        terrain that the water touches. No object may stand there yet.
         """
         spacing, nodes = self.terrain.spacing_m, self.terrain.nodes.copy()
         axis = np.arange(len(nodes)) * spacing - self.terrain.half_side_m
@@ -243,6 +262,6 @@ class Site:
 
 
 def _outline(corners: Array) -> Array:
-    """Points (20, 2) along the sides of a rectangle (4, 2)."""
+    """Return points (20, 2) along the sides of a rectangle (4, 2)."""
     steps = np.linspace(0, 1, 5, endpoint=False)[:, None, None]
     return np.asarray((corners + steps * (np.roll(corners, -1, 0) - corners)).reshape(-1, 2))

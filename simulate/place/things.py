@@ -1,4 +1,4 @@
-"""Single things of every kind: their sizes, their colours, and how they are put down."""
+"""Functions that place single objects, with their sizes and colours."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ CONTAINER_M: dict[str, Size] = {
 }
 _GREY: Rgb = (0.20, 0.205, 0.21)
 _CREOSOTE: Rgb = (0.12, 0.085, 0.06)
-# Size, and the colours its painted parts come in.
+# Size of each small object, and the colours of its painted parts.
 _SMALL: dict[str, tuple[Size, tuple[Rgb, ...]]] = {
     "bin": ((0.60, 0.60, 1.05), ((0.03, 0.10, 0.05), _GREY, (0.035, 0.04, 0.05))),
     "hydrant": ((0.40, 0.48, 0.85), ((0.45, 0.03, 0.02), (0.50, 0.36, 0.03))),
@@ -79,7 +79,7 @@ def small(
     on_reserved: bool = False,
     gap_m: float = 0.15,
 ) -> bool:
-    """A thing that is its own class and shape: bin, hydrant, sign, table, bale, boat, ..."""
+    """Place a small object whose class is also its shape, such as a bin, a hydrant or a boat."""
     size, colours = _SMALL[kind]
     colour = vary(site, site.choose(colours))
     return site.place(
@@ -94,7 +94,7 @@ def steel(site: Site) -> Rgb:
 def building(
     site: Site, shape: str, at: Frame, a: float, b: float, size: Size, style: BuildingStyle
 ) -> bool:
-    """A building facing the street of its frame, smaller when the warp leaves it less room."""
+    """Place a building that faces the street of its frame, smaller where there is less room."""
     for share in (1.0, 0.9, 0.8, 0.7):
         fitted = (size[0] * share, size[1] * share, size[2])
         if site.place("building", shape, at.point(a, b), fitted, at.yaw(a, b), style=style):
@@ -128,7 +128,7 @@ def barrier(
     thick: float,
     high: float,
 ) -> None:
-    """A straight hedge or fence between two local points; shortened ends keep corners apart."""
+    """Place a straight hedge or fence between two local points, shortened at corners."""
     p, q = at.point(*start), at.point(*end)
     length = float(np.linalg.norm(q - p)) - 0.3
     if length < 1.0:
@@ -139,7 +139,7 @@ def barrier(
 
 
 def fenced(site: Site, at: Frame, length: float, depth: float, high: float) -> None:
-    """Fences along both sides and the back of a block, in pieces that follow its bends."""
+    """Place fences along both sides and the back of a block, in pieces that follow its bends."""
     for b in np.arange(0.8, depth - 13.0, 12.0):
         for a in (0.3, length - 0.3):
             barrier(site, "fence", at, (a, b), (a, b + 12.0), 0.10, high)

@@ -1,4 +1,4 @@
-"""Blocks where people work: halls, yards and car parks."""
+"""Industrial blocks: halls, yards and car parks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simulate.place.things import CONTAINER_M, building, fenced, small, steel, t
 
 
 def trade(site: Site, block: Block) -> None:
-    """A hall or two, a car park before them, containers and lorries beside them."""
+    """Place one or two halls, a car park in front, and containers and lorries beside them."""
     rng = site.rng
     at = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth
@@ -33,7 +33,7 @@ def trade(site: Site, block: Block) -> None:
         size = (share - 3.0, min(b1 - b0, rng.uniform(18.0, 34.0)), height)
         building(site, "hall", at, a, b, size, style)
 
-    # The yard: rows of containers, then lorries wherever room is left.
+    # The yard has rows of containers, and lorries where there is room.
     yard0, yard1 = hall_end + 3.0, length - 1.0
     for b in np.arange(b1 - 1.5, b0 + 1.5, -2.9):
         shape = "long_container" if yard1 - yard0 > 13.5 and site.chance(0.4) else "container"
@@ -52,7 +52,7 @@ def trade(site: Site, block: Block) -> None:
 
 
 def works(site: Site, block: Block) -> None:
-    """A factory hall behind its car park, a fenced yard with pallets, containers and lorries."""
+    """Place a factory hall behind a car park, and a fenced yard with pallets and containers."""
     rng = site.rng
     at = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth
@@ -87,7 +87,7 @@ def works(site: Site, block: Block) -> None:
 
 
 def tank_farm(site: Site, block: Block) -> None:
-    """Rows of tanks on concrete inside a fence, lorries waiting."""
+    """Place rows of tanks on concrete inside a fence, and waiting lorries."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth

@@ -1,4 +1,4 @@
-"""Blocks with still water: a lake in the green, a dock among quays."""
+"""Blocks with still water: a lake in a park, and a dock."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from simulate.place.streets import Block
 from simulate.place.things import CONTAINER_M, bench, small, steel, tree, truck
 from simulate.place.world import ribbon
 
-_STRIPS = 10  # of ground kept free where an ellipse of water lies
+_STRIPS = 10  # number of strips by which the ground of an ellipse of water is reserved
 
 
 def lake(site: Site, block: Block) -> None:
-    """A lake with boats, a path round it with benches, tables and bins, and trees."""
+    """Lay a lake with boats, trees, and a path around it with benches, tables and bins."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth
     site.paint("grass", at.quad(0, length, 0, depth), float(rng.random()))
     bank = 4.0
-    land = bank + 1.5 * site.terrain.spacing_m + 1.0  # from the shore to the edge of the block
+    land = bank + 1.5 * site.terrain.spacing_m + 1.0  # from the shore to the block's edge
     half_a, half_b = (0.5 * side - land for side in (length, depth))
     if min(half_a, half_b) < 5.0:
         return
@@ -56,7 +56,7 @@ def lake(site: Site, block: Block) -> None:
         along = path[k + 1] - path[k]
         yaw = float(np.arctan2(along[1], along[0]))
         kind = kinds[k // 3 % len(kinds)]
-        if kind == "bench":  # looks at the water
+        if kind == "bench":  # faces the water
             bench(site, spot, yaw + np.pi)
         else:
             small(site, kind, spot, yaw)
@@ -65,7 +65,7 @@ def lake(site: Site, block: Block) -> None:
 
 
 def dock(site: Site, block: Block) -> None:
-    """A basin with boats between quays with bollards, containers and lorries."""
+    """Lay a basin with boats between quays with bollards, containers and lorries."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth
