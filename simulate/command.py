@@ -197,7 +197,7 @@ def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifes
     )
 
 
-def _objects(place: World, things: Sequence[WorldObject]) -> Objects:
+def _objects(place: World, items: Sequence[WorldObject]) -> Objects:
     def describe(item: WorldObject) -> SceneObject:
         size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
         return SceneObject(
@@ -211,7 +211,7 @@ def _objects(place: World, things: Sequence[WorldObject]) -> Objects:
 
     return Objects(
         classes=CLASSES,
-        objects=tuple(describe(item) for item in things),
+        objects=tuple(describe(item) for item in items),
         surroundings=tuple(
             Surroundings(name=part.name, outline=tuple((x, y) for x, y in part.outline.tolist()))
             for part in place.surroundings

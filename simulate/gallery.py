@@ -223,7 +223,7 @@ In every weather, at noon:
 
 def _inventory(world: World) -> str:
     """How many objects of each class, most first."""
-    counts = Counter(thing.class_name for thing in world.objects)
+    counts = Counter(item.class_name for item in world.objects)
     return f"{len(world.objects)} objects: " + ", ".join(
         f"{name} {count}" for name, count in counts.most_common()
     )

@@ -125,16 +125,16 @@ def fence_mesh(fence: WorldObject, terrain: Heightfield) -> Mesh:
     return out.build()
 
 
-def _profile(thing: WorldObject, terrain: Heightfield, x: Array) -> tuple[Array, float]:
+def _profile(item: WorldObject, terrain: Heightfield, x: Array) -> tuple[Array, float]:
     """Return the ground under an object that follows it, and the height of the object above it.
 
     Ground heights (K,) are at the points ``x`` (K,) along the object, relative to the centre of its
     box. The object's height is that of the box's top above the highest of them.
     """
-    direction = np.array([np.cos(thing.yaw), np.sin(thing.yaw)])
-    at = thing.centre[:2] + x[:, None] * direction
-    ground = terrain.height(at[:, 0], at[:, 1]) - thing.centre[2]
-    return ground, float(0.5 * thing.size[2] - ground.max())
+    direction = np.array([np.cos(item.yaw), np.sin(item.yaw)])
+    at = item.centre[:2] + x[:, None] * direction
+    ground = terrain.height(at[:, 0], at[:, 1]) - item.centre[2]
+    return ground, float(0.5 * item.size[2] - ground.max())
 
 
 def _sphere(rng: np.random.Generator, count: int) -> Array:

@@ -95,8 +95,8 @@ def every_object(base: World, worlds: Iterable[ChangedWorld]) -> tuple[WorldObje
     """Return the objects of the base world and those that any change added, by ascending id."""
     objects = {o.id: o for o in base.objects}
     for changed in worlds:
-        for thing in changed.world.objects:
-            objects.setdefault(thing.id, thing)
+        for item in changed.world.objects:
+            objects.setdefault(item.id, item)
     return tuple(objects[number] for number in sorted(objects))
 
 
@@ -120,13 +120,13 @@ def changed_world(base: World, change: Change, first_new_id: int = 0) -> Changed
     places = _Places(base, rng)
     placed: list[WorldObject] = []
     moved = []
-    for thing in moving:
-        new = places.find(thing, first_new_id + len(placed))
+    for item in moving:
+        new = places.find(item, first_new_id + len(placed))
         if new is None:
-            left.remove(thing.id)  # there is no room anywhere, so it stays
+            left.remove(item.id)  # there is no room anywhere, so it stays
         else:
             placed.append(new)
-            moved.append((thing.id, new.id))
+            moved.append((item.id, new.id))
     added = []
     for _ in range(round(change.objects_added * len(loose))):
         like = loose[int(rng.integers(len(loose)))]
@@ -159,9 +159,9 @@ def _free_id(world: World) -> int:
     return max((o.id for o in world.objects), default=0) + 1
 
 
-def _kind(thing: WorldObject) -> str:
+def _kind(item: WorldObject) -> str:
     """Return the kind of objects that an object may stand beside: its class, or any vehicle."""
-    return "vehicle" if thing.class_name in VEHICLES else thing.class_name
+    return "vehicle" if item.class_name in VEHICLES else item.class_name
 
 
 class _Places:
@@ -178,23 +178,23 @@ class _Places:
         self._taken: list[Array] = []
         self._circles = CircleGrid()
         self._kin: dict[str, list[WorldObject]] = {}
-        for thing in base.objects:
-            self._take(thing.footprint())
-            self._kin.setdefault(_kind(thing), []).append(thing)
+        for item in base.objects:
+            self._take(item.footprint())
+            self._kin.setdefault(_kind(item), []).append(item)
 
-    def find(self, thing: WorldObject, number: int) -> WorldObject | None:
+    def find(self, item: WorldObject, number: int) -> WorldObject | None:
         """Return a copy of an object in a free place with a new id, or None where none is found."""
-        kin = self._kin[_kind(thing)]
+        kin = self._kin[_kind(item)]
         for _ in range(_TRIES):
             beside = kin[int(self._rng.integers(len(kin)))]
             at = beside.centre[:2] + self._step(beside)
-            if not self._fits(at, thing, beside):
+            if not self._fits(at, item, beside):
                 continue
-            self._take(rectangle(at, thing.size[:2], beside.yaw))
+            self._take(rectangle(at, item.size[:2], beside.yaw))
             ground = float(self._base.terrain.height(*at)) + self._rises.at(at)
-            height = ground + 0.5 * thing.size[2]
+            height = ground + 0.5 * item.size[2]
             centre = np.array([at[0], at[1], height])
-            return replace(thing, id=number, centre=centre, yaw=beside.yaw)
+            return replace(item, id=number, centre=centre, yaw=beside.yaw)
         return None
 
     def _step(self, beside: WorldObject) -> Array:
@@ -212,9 +212,9 @@ class _Places:
         bays = int(self._rng.integers(1, 5))
         return np.asarray(sign * bays * _BAY_M * left)
 
-    def _fits(self, at: Array, thing: WorldObject, beside: WorldObject) -> bool:
+    def _fits(self, at: Array, item: WorldObject, beside: WorldObject) -> bool:
         """Return whether an object would stand on one kind of ground and in no other's place."""
-        grown = rectangle(at, thing.size[:2] + 2 * _GAP_M, beside.yaw)
+        grown = rectangle(at, item.size[:2] + 2 * _GAP_M, beside.yaw)
         if np.abs(grown).max() > 0.5 * self._base.area_m:
             return False
         under = np.vstack([grown, 0.5 * (grown + np.roll(grown, 1, 0)), at])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from simulate.place.objects import STEEL, Size, barrier, bench, building, car, tree
 from simulate.place.parking import AISLE_M, BAY_M, car_park
 from simulate.place.site import PAVEMENT_M, Site
 from simulate.place.streets import Block, Frame
 from simulate.place.styles import house_style, shed_style, slab_style
-from simulate.place.things import STEEL, Size, barrier, bench, building, car, tree
 
 
 def housing(site: Site, block: Block) -> None:

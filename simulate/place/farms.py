@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from simulate.place.objects import barrier, building, car, fenced, small, tree
 from simulate.place.site import PAVEMENT_M, Site
 from simulate.place.streets import Block, Frame
 from simulate.place.styles import hall_style, house_style
-from simulate.place.things import barrier, building, car, fenced, small, tree
 
 
 def farm(site: Site, block: Block) -> None:
-    """Place a farmhouse, a barn and a silo around a yard with tractors; fields lie behind a hedge."""
+    """Place a farmhouse, a barn and a silo around a yard, and fields behind a hedge."""
     rng = site.rng
     at = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth

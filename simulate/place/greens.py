@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from simulate.place.objects import barrier, bench, small, tree
 from simulate.place.site import Site
 from simulate.place.streets import Block
-from simulate.place.things import barrier, bench, small, tree
 from simulate.place.world import polyline_length, polyline_points, ribbon
 
 

@@ -45,11 +45,11 @@ def raised(objects: Sequence[WorldObject], kerbs: Sequence[Kerb]) -> tuple[World
     """Return the objects, with those on raised pavements lifted by the pavement's height."""
     rises = Rises(kerbs)
 
-    def lifted(thing: WorldObject) -> WorldObject:
-        rise = 0.0 if thing.class_name in _HUNG else rises.at(thing.centre[:2])
-        return replace(thing, centre=thing.centre + np.array([0, 0, rise])) if rise else thing
+    def lifted(item: WorldObject) -> WorldObject:
+        rise = 0.0 if item.class_name in _HUNG else rises.at(item.centre[:2])
+        return replace(item, centre=item.centre + np.array([0, 0, rise])) if rise else item
 
-    return tuple(lifted(thing) for thing in objects)
+    return tuple(lifted(item) for item in objects)
 
 
 class Rises:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from simulate.place.objects import car, van
 from simulate.place.site import Site
 from simulate.place.streets import Frame
-from simulate.place.things import car, van
 
 BAY_M = (2.6, 5.0)  # a parking bay
 AISLE_M = 6.0  # between two rows of bays

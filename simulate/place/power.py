@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.geometry.rectangle import rectangle
+from simulate.place.objects import small
 from simulate.place.roadside import off_junction
 from simulate.place.site import Site
-from simulate.place.things import small
 from simulate.place.world import Heightfield, polyline_length, polyline_points
 
 Array = NDArray[np.float64]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.place.objects import LAMP_M, car, small, tree, truck
 from simulate.place.site import PAVEMENT_M, Site
-from simulate.place.things import LAMP_M, car, small, tree, truck
 from simulate.place.world import polyline_length, polyline_points
 
 Array = NDArray[np.float64]

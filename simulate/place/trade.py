@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from simulate.place.objects import CONTAINER_M, building, fenced, small, steel, tree, truck
 from simulate.place.parking import AISLE_M, BAY_M, car_park
 from simulate.place.site import PAVEMENT_M, Site
 from simulate.place.streets import Block
 from simulate.place.styles import hall_style
-from simulate.place.things import CONTAINER_M, building, fenced, small, steel, tree, truck
 
 
 def trade(site: Site, block: Block) -> None:

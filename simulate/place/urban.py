@@ -6,11 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from simulate.place.objects import bench, small, tree
 from simulate.place.parking import AISLE_M, BAY_M, car_park
 from simulate.place.site import PAVEMENT_M, Site
 from simulate.place.streets import Block
 from simulate.place.styles import front_style
-from simulate.place.things import bench, small, tree
 
 _SETBACK_M = 0.35  # distance from the edge of the block to the fronts
 _DEPTH_M = 11.0

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from simulate.place.objects import CONTAINER_M, bench, small, steel, tree, truck
 from simulate.place.site import PAVEMENT_M, Site
 from simulate.place.streets import Block
-from simulate.place.things import CONTAINER_M, bench, small, steel, tree, truck
 from simulate.place.world import ribbon
 
 _STRIPS = 10  # number of strips by which the ground of an ellipse of water is reserved
