@@ -1,7 +1,7 @@
-"""What D2-Net is trained by: descriptors of one place alike and of others not, where detected.
+"""The loss of D2-Net (section 4 of the paper).
 
-A triplet margin loss whose every triplet weighs as much as the soft scores of its two ends
-(section 4 of the paper). Nothing but the better score of good matches teaches detection.
+It is a triplet margin loss. Each triplet is weighted by the product of the soft detection scores of
+its two keypoints, which also trains detection: good matches get higher scores.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from torch.nn import functional
 from baselines.training.contrastive import sample
 
 _MARGIN: Final = 1.0
-# Within so many cells (Chebyshev) of the true place, a descriptor is no negative.
+# Descriptors within this many cells (Chebyshev distance) of the true place are no negatives.
 _SAFE_RADIUS: Final = 4
-# More than any squared distance of unit vectors.
+# A value above any squared distance of unit vectors.
 _FAR: Final = 10.0
 _TINY: Final = 1e-12
 
 
 class TripletLoss(NamedTuple):
-    """The loss of a pair of images and what to watch beside it, all scalars.
+    """The loss of a pair of images and figures for the log, all scalars.
 
     Attributes:
         loss: mean hinge of margin + positive - negative, weighted by the scores.
         positive: mean squared distance of corresponding descriptors.
-        negative: mean squared distance to the hardest other one.
-        right: share of correspondences nearer to each other than to all others.
+        negative: mean squared distance to the hardest negative.
+        right: share of correspondences that are nearer to each other than to any negative.
     """
 
     loss: Tensor
@@ -46,23 +46,23 @@ def triplet_loss(
     cells_a: Tensor,
     cells_b: Tensor,
 ) -> TripletLoss:
-    """Loss of one pair of images.
+    """Return the loss of one pair of images.
 
     Args:
-        features_a: (C, h, w) of either sign and any length.
-        scores_a: (h, w) soft detection scores.
-        features_b: (C, h', w') of the other image.
-        scores_b: (h', w').
-        cells_a: (N, 2) columns and rows of corresponding places, in cells: the centre of the first
-            is (0.5, 0.5). Descriptors and scores between centres are interpolated. N > 0.
-        cells_b: (N, 2) the same of the other image.
+        features_a: features (C, h, w) of image a, of either sign and any length.
+        scores_a: soft detection scores (h, w) of image a.
+        features_b: features (C, h', w') of image b.
+        scores_b: soft detection scores (h', w') of image b.
+        cells_a: columns and rows (N, 2) of corresponding points in image a, N > 0. The centre of
+            the first cell is (0.5, 0.5). Descriptors and scores are interpolated.
+        cells_b: columns and rows (N, 2) of the points in image b.
     """
     a, b = _descriptors(features_a, cells_a), _descriptors(features_b, cells_b)
     positive = 2 - 2 * (a * b).sum(1)
     negative = torch.minimum(_hardest(a, features_b, cells_b), _hardest(b, features_a, cells_a))
     weight = _at(scores_a[None], cells_a)[:, 0] * _at(scores_b[None], cells_b)[:, 0]
     hinge = functional.relu(_MARGIN + positive - negative)
-    # Scores are of the order of one over the number of cells: their products are small.
+    # Scores are about one over the number of cells, so their products are small.
     weight = weight / weight.sum().clamp_min(_TINY)
     return TripletLoss(
         (weight * hinge).sum(),
@@ -73,7 +73,7 @@ def triplet_loss(
 
 
 def _at(values: Tensor, cells: Tensor) -> Tensor:
-    """Values (C, h, w) at places (N, 2), in float32. (N, C)."""
+    """Sample values (C, h, w) at cells (N, 2); returns (N, C) float32."""
     return sample(values[None], cells[None])[0]
 
 
@@ -82,12 +82,12 @@ def _descriptors(features: Tensor, cells: Tensor) -> Tensor:
 
 
 def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor) -> Tensor:
-    """Squared distance of each descriptor to the nearest of another image away from its place.
+    """Return the squared distance (N,) of each descriptor to its hardest negative.
 
     Args:
-        descriptors: (N, C).
-        features: (C, h, w) of the other image.
-        cells: (N, 2) where each descriptor belongs in it.
+        descriptors: descriptors (N, C) of one image.
+        features: features (C, h, w) of the other image.
+        cells: position (N, 2) in the other image of each descriptor's true match.
     """
     others = functional.normalize(features.float().flatten(1), dim=0)
     index = torch.arange(others.shape[1], device=cells.device)

@@ -1,4 +1,4 @@
-"""The card of trained weights: what they were made of, and what training said of them."""
+"""The card of trained weights: training data, settings and validation figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_card(
     weights: Path,
     log: Path,
 ) -> None:
-    """Write the card as Markdown. Recall is for those to add who measured it."""
+    """Write the card as Markdown. It contains no recall, which is measured separately."""
     rows = [json.loads(line) for line in read_text(log, "training log").splitlines()]
     hours = sum(row.get("seconds", 0.0) for row in rows) / 3600
     changed = config.model_dump(mode="json", exclude_defaults=True)

@@ -1,7 +1,8 @@
-"""The loss that teaches features to tell places apart before any pose is solved with them.
+"""The contrastive loss, which trains features to distinguish places without solving for a pose.
 
-InfoNCE (van den Oord et al., 2018) of a point's feature in one image against its own place in the
-other, other places of that image, and places a few cells beside its own.
+It is InfoNCE (van den Oord et al., 2018). The positive of a point's feature in one image is the
+feature at the same point in the other image. The negatives are features at random places of the
+other image and at places a few cells beside the point.
 """
 
 from __future__ import annotations
@@ -14,15 +15,17 @@ from torch.nn import functional
 
 _TEMPERATURE: Final = 0.07
 _ELSEWHERE: Final = 512
-# Offsets (cells) beside the true place: they make the peak sharp, and wide enough to be climbed.
+# Distances (cells) of negatives from the true place. They make the peak of the similarity sharp,
+# and
+# wide enough for alignment to converge.
 _BESIDE: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 _SAME_PLACE: Final = 1.0
 
 
 def sample(maps: Tensor, cells: Tensor) -> Tensor:
-    """Bilinear lookup. Maps (B, C, h, w), cells (B, N, 2) x y -> (B, N, C) float32.
+    """Sample maps (B, C, h, w) bilinearly at cells (B, N, 2) x y; returns (B, N, C) float32.
 
-    The centre of the first cell is (0.5, 0.5); what lies outside takes the border's value.
+    The centre of the first cell is (0.5, 0.5). Positions outside take the value at the border.
     """
     height, width = maps.shape[-2:]
     scale = cells.new_tensor([2 / width, 2 / height])
@@ -34,16 +37,16 @@ def sample(maps: Tensor, cells: Tensor) -> Tensor:
 def contrastive(
     features_a: Tensor, features_b: Tensor, cells_a: Tensor, cells_b: Tensor, valid: Tensor
 ) -> Tensor:
-    """The negative logarithm of how likely each point is found at its own place, (B, N).
+    """Return the negative log-likelihood that each point is matched at its true place, (B, N).
 
     Args:
-        features_a: (B, C, h, w), of any length: they are normalised here.
-        features_b: likewise.
-        cells_a: (B, N, 2) where the points lie in a, cells.
-        cells_b: (B, N, 2) likewise in b.
-        valid: (B, N) bool; what is said of other points means nothing.
+        features_a: features (B, C, h, w) of image a, of any length; they are normalised here.
+        features_b: features of image b.
+        cells_a: positions (B, N, 2) of the points in image a, cells.
+        cells_b: positions of the points in image b.
+        valid: (B, N) bool; the results for other points have no meaning.
     """
-    # Places of points that do not count may be anything, and lookups at NaN end the process.
+    # Positions of invalid points may be NaN, at which sampling would crash.
     cells_a, cells_b = (torch.where(valid[..., None], c, 0.5) for c in (cells_a, cells_b))
     points = functional.normalize(sample(features_a, cells_a), dim=-1)
     batch, channels, height, width = features_b.shape
@@ -65,5 +68,5 @@ def contrastive(
 
 
 def mean_over(valid: Tensor, values: Tensor) -> Tensor:
-    """Mean of values (B, N) over the valid points, a number."""
+    """Return the mean of values (B, N) over the valid points, a scalar."""
     return torch.where(valid, values, 0).sum() / valid.sum().clamp(min=1)

@@ -1,4 +1,4 @@
-"""Where to learn: mostly where a map has points."""
+"""The pixels at which features are trained, mostly corners, where maps have points too."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 _THRESHOLD: Final = 8
-# The rest lies anywhere, so that plain ground is learned too.
+# The other pixels are random, so that features of plain ground are trained too.
 _SHARE_CORNERS: Final = 0.75
 
 
 def keypoints(
     image: NDArray[np.uint8], count: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Pixels at FAST corners (Rosten and Drummond, ECCV 2006) and at random places, (count, 2).
+    """Return pixels (count, 2) at FAST corners (Rosten and Drummond, ECCV 2006) and random places.
 
     Args:
         image: (H, W, 3) uint8.
-        count: of pixels; corners drawn with equal chance, whatever their strength.
-        rng: draws them.
+        count: number of pixels; corners are drawn with equal probability, whatever their strength.
+        rng: generator of the draws.
     """
     height, width = image.shape[:2]
     corners = cv2.FastFeatureDetector.create(_THRESHOLD).detect(image)

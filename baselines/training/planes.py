@@ -1,7 +1,7 @@
-"""Pairs made of single photographs: each is taken for flat ground, seen by two cameras.
+"""Training pairs made of single photographs, which are treated as flat ground seen by two cameras.
 
-It teaches what photographs look like before any scene is rendered (HomographyNet's and SuperPoint's
-way, DeTone et al. 2016 and 2018).
+They train networks on real photographs without rendered scenes, as in HomographyNet and SuperPoint
+(DeTone et al., 2016 and 2018).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from scene.storage.listing import PHOTOGRAPHS, list_files
 
 _HEIGHT_M = 80.0
 _TILT_DEG = 15.0
-# Pictures are turned north up before a network sees them, as well as their headings are known.
+# Networks take pictures turned north up; this is the error of the heading by which they are turned.
 _HEADING_DEG = 8.0
 _BORDER = 4.0
 _SMALLEST = 64
@@ -52,7 +52,7 @@ class PlanePairs:
     def _seen_twice(self, photograph: NDArray[np.uint8], rng: np.random.Generator) -> Pair | None:
         size, (height, width) = self._size, photograph.shape[:2]
         camera = Pinhole(np.full(2, rng.uniform(0.8, 1.4) * size), np.full(2, size / 2))
-        # Metres of ground per pixel of the photograph, so that crops show it at 0.5 to 1.2 times.
+        # Metres of ground per pixel of the photograph; crops show it at 0.5 to 1.2 times its scale.
         ground = _HEIGHT_M / camera.focal[0] * rng.uniform(0.5, 1.2)
         middle = np.array([width, height]) * rng.uniform(0.3, 0.7, 2) * ground
         a_from_ground = _looking_down(middle, rng)
@@ -62,7 +62,7 @@ class PlanePairs:
         image_a = _seen(photograph, ground, camera, a_from_ground, size)
         image_b = _seen(photograph, ground, camera, b_from_ground, size)
         xy_a = keypoints(image_a, 4 * self._points, rng)
-        # The ground is z = 0: where the rays meet it.
+        # The points are where rays meet the ground, z = 0.
         rays = camera.lift(xy_a, np.ones(len(xy_a)))
         ground_from_a = np.linalg.inv(a_from_ground)
         directions = rays @ ground_from_a[:3, :3].T
@@ -91,14 +91,14 @@ class PlanePairs:
 
 
 def _looking_down(over: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-    """``camera_from_ground`` (4, 4) of a camera over a point; ground x right, y down, z away."""
+    """Draw ``camera_from_ground`` (4, 4) of a camera over a point; ground x right, y down."""
     height = _HEIGHT_M * rng.uniform(0.85, 1.2)
     tilt = np.radians(rng.uniform(-_TILT_DEG, _TILT_DEG, 2))
     heading = np.radians(rng.uniform(-_HEADING_DEG, _HEADING_DEG))
     turn = so3_exp(torch.tensor([*tilt, 0.0])) @ so3_exp(torch.tensor([0.0, 0.0, heading]))
     pose = np.eye(4)
     pose[:3, :3] = turn.numpy()
-    # Aimed so that the point over which it stands is in the middle of the picture.
+    # The point below the camera is in the middle of the picture.
     pose[:3, 3] = [0, 0, height] - pose[:3, :3] @ [*over, 0]
     return pose
 
@@ -110,7 +110,7 @@ def _seen(
     camera_from_ground: NDArray[np.float64],
     size: int,
 ) -> NDArray[np.uint8]:
-    """The photograph lying on the ground as the camera sees it, (size, size, 3)."""
+    """Return the photograph, which lies on the ground, as the camera sees it, (size, size, 3)."""
     K = np.array(
         [
             [camera.focal[0], 0, camera.principal[0]],
@@ -121,7 +121,7 @@ def _seen(
     image_from_photograph = (
         K @ camera_from_ground[:3][:, [0, 1, 3]] @ np.diag([metres_per_pixel, metres_per_pixel, 1])
     )
-    # Our pixel centres lie at halves, OpenCV's at whole numbers.
+    # Our pixel centres are at halves, and OpenCV's at whole numbers.
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     shifted = np.linalg.inv(half) @ image_from_photograph @ half
     seen = cv2.warpPerspective(

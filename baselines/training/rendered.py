@@ -1,4 +1,4 @@
-"""Pairs cut from rendered scenes: two frames of different flights, seasons and hours."""
+"""Training pairs cut from rendered scenes: two frames, often of different seasons and hours."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from scene.geometry.camera import Camera
 from scene.storage.images import read_rgb
 
 _OVERLAP = 0.3
-# Pictures are turned north up before a network sees them; frames that are then still turned against
-# each other by more show each other nothing a slim network could learn.
+# Networks take pictures turned north up. A pair of frames that are still turned against each other
+# by
+# more than this is not used, because a small network cannot learn from it.
 _LARGEST_TURN_DEG = 45.0
-# What an aircraft's belief about its heading may be off by.
+# Largest error of an aircraft's heading.
 _HEADING_DEG = 8.0
 _CROSS_SHARE = 0.65
 _ZOOM = (0.5, 1.2)
-# So often frames flown at different heights are brought to the same metres per pixel.
+# Share of pairs whose frames of different heights are resized to the same metres per pixel.
 _LEVEL_SHARE = 0.85
 _BORDER = 4.0
 _SMALLEST = 64
-# Two depths of one place agree within this share.
+# Largest relative difference of two depths of the same point.
 _SAME_DEPTH = 0.01
 
 
@@ -50,7 +51,7 @@ class _Frame:
 class RenderedPairs:
     """Draws pairs from finished scenes with depth. Implements ``PairSource``.
 
-    Files are opened when the first pair is drawn, so that a worker process can be handed this.
+    Files are opened when the first pair is drawn, so that the object can be sent to workers.
     """
 
     def __init__(self, scenes: Sequence[Scene], size: int, points: int, strength: float) -> None:
@@ -84,7 +85,7 @@ class RenderedPairs:
 
     def _depth(self, frame: _Frame) -> NDArray[np.float32]:
         if self._open is None:
-            # They stay open for the life of the process.
+            # The files stay open until the process ends.
             stack = ExitStack()
             self._open = {
                 (number, session): stack.enter_context(scene.dense(session))
@@ -118,7 +119,9 @@ class RenderedPairs:
         if rng.uniform() < _LEVEL_SHARE:
             distance = float(in_b[good][anchor, 2] / points[anchor, 2])
             match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
-        # Light falls from the north in half of the world.
+        # Both frames are turned by the same quarter turns, because south of the equator light comes
+        # from
+        # the north.
         joint = np.pi / 2 * rng.integers(4)
         angle_a = joint + north_angle(a.cam_from_world[:3, :3])
         angle_b = joint + north_angle(b.cam_from_world[:3, :3])
@@ -150,7 +153,7 @@ class RenderedPairs:
 
 
 def _frames(scene: Scene, number: int) -> list[_Frame]:
-    """Every frame of a scene, in the order of its covisibility."""
+    """Return every frame of a scene, in the order of its covisibility."""
     frames = []
     for name, session in scene.sessions.items():
         stored = scene.frames(name)
@@ -169,7 +172,7 @@ def _pinhole(camera: Camera, image: Path) -> Pinhole:
 
 
 def _pairs(scene: Scene, frames: Sequence[_Frame]) -> list[tuple[int, int]]:
-    """Index pairs (a < b) of frames that see enough of the same ground about the same way up."""
+    """Return index pairs (a < b) of frames that overlap and have about the same heading."""
     names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
     overlap = scene.covisibility.of(names).mutual
     rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
@@ -180,7 +183,7 @@ def _pairs(scene: Scene, frames: Sequence[_Frame]) -> list[tuple[int, int]]:
 
 
 def _at(depth: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Depth of the pixels that hold ``xy``, (N,)."""
+    """Return the depths (N,) of the pixels that contain ``xy`` (N, 2)."""
     height, width = depth.shape
     column = np.clip(xy[:, 0].astype(int), 0, width - 1)
     row = np.clip(xy[:, 1].astype(int), 0, height - 1)
