@@ -100,6 +100,7 @@ def _car(tail: float, roof_back: float, roof_front: float, bonnet: float, waist:
 
 
 def _wheel(out: MeshBuilder, x: float, y: float, radius: float) -> None:
+    """Add a wheel on the ground at ``x``, with its outer side at ``y``."""
     turn = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     ring = np.stack([x + radius * np.cos(turn), radius + radius * np.sin(turn)], -1)
     low, high = sorted((y - np.sign(y) * 0.2, y + np.sign(y) * 0.01))
@@ -107,6 +108,7 @@ def _wheel(out: MeshBuilder, x: float, y: float, radius: float) -> None:
 
 
 def _van() -> Mesh:
+    """Build a van of 5.6 x 2.0 x 2.5 m with ribs on its roof."""
     out = MeshBuilder()
     half = 1.0
     side = [(0.0, 0.25), (5.6, 0.25), (5.6, 0.95), (5.45, 1.15), (4.75, 1.35), (4.2, 2.3),
@@ -126,9 +128,10 @@ def _van() -> Mesh:
 
 
 def _lorry() -> Mesh:
+    """Build a lorry: a cab and a ribbed box body."""
     out = MeshBuilder()
     out.box((0, -1.22, 1.05), (6.1, 1.22, 3.4), "paint")
-    for x in np.linspace(0.0, 6.1, 8):  # frames of the body
+    for x in np.linspace(0.0, 6.1, 8):  # ribs of the body
         out.box((x - 0.03, -1.235, 1.05), (x + 0.03, 1.235, 3.41), "plain", (0.35, 0.35, 0.35))
     out.box((0, -0.5, 0.55), (8.0, 0.5, 1.05), "plain", _TRIM)
     cab = [(6.3, 0.5), (8.4, 0.5), (8.4, 1.5), (8.15, 2.75), (6.3, 2.85)]
