@@ -212,8 +212,7 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
 
 
 def owned(workspace: Workspace) -> set[str]:
-    """What we wrote into a folder, for ``atomic_folder``: photographs
-    and maps of every photograph that has a depth map."""
+    """Return the files of a workspace that we wrote, as ``atomic_folder`` takes them."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
     files = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
     for name in workspace.names():
@@ -223,7 +222,7 @@ def owned(workspace: Workspace) -> set[str]:
 
 
 def _link_finished(whole: Path, unfinished: Path) -> None:
-    """What was finished before, under a second name: the folder itself stays as it is."""
+    """Link finished files into the unfinished folder. The old folder stays unchanged."""
     cloud, ours = Workspace(whole).cloud.name, owned(Workspace(whole))
     for path in sorted(whole.rglob("*")):
         name = path.relative_to(whole).as_posix()
@@ -324,7 +323,7 @@ class _Maps:
 
     @torch.inference_mode()
     def confirmations(self, name: str) -> NDArray[np.int64]:
-        """How many sources confirm each pixel of a finished map, (H, W)."""
+        """Return how many sources confirm each pixel of a finished depth map, (H, W)."""
         depth = torch.from_numpy(self._workspace.depth(name, "geometric")).to(self._device)
         inverse = torch.where(depth > 0, 1 / depth, 0)
         return self._confirmations(name, inverse).cpu().numpy()

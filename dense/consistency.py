@@ -20,7 +20,7 @@ def agreeing(
     inverse: Tensor,
     inverse_of_sources: Sequence[Tensor],
 ) -> Tensor:
-    """How many sources' own maps confirm each pixel of the reference, (H, W) int64.
+    """Count the sources whose depth maps confirm each pixel of the reference, (H, W) int64.
 
     Args:
         reference: the view.

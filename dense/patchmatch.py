@@ -156,7 +156,7 @@ class _Search:
         ]
 
     def begin(self, fitted: Tensor, nearest: Tensor) -> Estimate:
-        """The best of four guesses per pixel: planes (3, H, W) from the seeds, and from chance."""
+        """Return the best of four guesses at each pixel, from seeds and at random, (3, H, W)."""
         inverse = nearest[0]
         low, high = float(inverse.min()) * (1 - _MARGIN), float(inverse.max()) * (1 + _MARGIN)
         guesses = [fitted, nearest]
@@ -168,14 +168,14 @@ class _Search:
         return self.best_of(guesses)
 
     def best_of(self, guesses: Sequence[Tensor]) -> Estimate:
-        """The cheapest of some planes (3, H, W) at each pixel."""
+        """Return the cheapest of several planes at each pixel, (3, H, W)."""
         tried = [self.evaluate(guess) for guess in guesses]
         cost, which = torch.stack([estimate.cost for estimate in tried]).min(0)
         planes = torch.stack([estimate.planes for estimate in tried])
         return Estimate(planes.gather(0, which.expand(1, 3, -1, -1))[0], cost)
 
     def evaluate(self, planes: Tensor) -> Estimate:
-        """The cost of one plane per pixel."""
+        """Return the cost of one plane at each pixel."""
         cost = torch.empty(self._shape, device=self._device)
         for colour in self._colours:
             for rows, columns in _chunks(colour):
@@ -242,7 +242,7 @@ def _from_neighbour(
     rows: Tensor,
     columns: Tensor,
 ) -> Tensor:
-    """The plane of the cheapest neighbour in a region, carried to each pixel (n,)."""
+    """Return the plane of the cheapest neighbour in a region, moved to each pixel (n,)."""
     dx, dy = torch.tensor(region, device=rows.device).T[..., None]
     costs = cost[rows + dy + _REACH, columns + dx + _REACH]
     which = costs.argmin(0)

@@ -86,7 +86,7 @@ class Photometry:
         self._near = torch.exp(-(dx**2 + dy**2) / (2 * _SIGMA_PX**2)).reshape(-1, 1)
 
     def window(self, rows: Tensor, columns: Tensor) -> Window:
-        """The windows around pixels (n,) of the reference."""
+        """Return the windows around pixels (n,) of the reference."""
         grey = self._padded.view(-1)[self._offsets + rows * self._padded.shape[1] + columns]
         weights = self._near * torch.exp((grey - self._grey[rows, columns]).abs() / -_SIGMA_GREY)
         weights = weights / weights.sum(0)

@@ -1,4 +1,4 @@
-"""Which photographs to match a photograph with."""
+"""The choice of source photographs for the depth map of a photograph."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 from dense.planes import planes_at_nearest
 from scene.maps.sparse_map import SparseMap
 
-# Two photographs look at the same side of things when they share so many points of the map.
+# Two photographs with at least this many common points of the map see the same surfaces.
 _COMMON = 5
-# The picture is covered point by point on a grid of so many a side.
+# Sources must cover the points of a grid of this many points a side.
 _GRID = 12
-# The angle (degrees) between rays that serves best: smaller ones leave depth vague (the Gaussian's
-# width to that side), larger ones change what is seen (to the other side).
+# The best angle (degrees) between rays, and the widths of the Gaussian below and above it. Smaller
+# angles make the depth inexact, and larger ones change the appearance.
 _BEST, _BELOW, _ABOVE = 12.0, 5.0, 15.0
 
 
 def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
-    """Map points in a photograph, (M, 3): x, y (pixels) and inverse depth (1/m).
+    """Return the map points in a photograph, (M, 3): x, y (pixels) and inverse depth (1/m).
 
-    Those it observes, and those that no photograph observes: points that were not triangulated but
-    added to the map by other means.
+    They are the points that it observes, and those that no photograph observes because they were
+    not triangulated but added to the map by other means.
     """
     image = sparse_map.images[name]
     wanted = sparse_map.track_length == 0
@@ -37,18 +37,18 @@ def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
 def choose_sources(
     sparse_map: SparseMap, name: str, seeds: NDArray[np.float64], count: int
 ) -> list[str]:
-    """Up to ``count`` photographs that together see all of one at good angles, best first.
+    """Choose photographs that together see all of a photograph at good angles, best first.
 
     Args:
-        sparse_map: with undistorted cameras.
-        name: of the photograph to be matched.
-        seeds: in it, as ``seeds_in`` gives them.
-        count: at most so many.
+        sparse_map: map with undistorted cameras.
+        name: the photograph to be matched.
+        seeds: its map points, as those of ``seeds_in``.
+        count: largest number of sources.
     """
     image = sparse_map.images[name]
     observed = image.point_rows[image.point_rows >= 0]
     width, height = image.camera.width, image.camera.height
-    # Planes at the centres of a coarse grid stand for the surface everywhere in the picture.
+    # Planes at the centres of a coarse grid approximate the surface in the picture.
     scale = np.array([_GRID / width, _GRID / height, 1.0])
     inverse = planes_at_nearest(seeds * scale, _GRID, _GRID)[0].double().reshape(-1, 1)
     steps = (torch.arange(_GRID, dtype=torch.float64) + 0.5) / _GRID

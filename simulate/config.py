@@ -1,4 +1,4 @@
-"""What a simulated scene is made from."""
+"""The configuration of a simulated scene."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import preset
 
-# Cycles takes no more.
+# The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
 NotNegative = Annotated[float, Field(ge=0)]
 Role = Literal["map", "query"]
@@ -39,11 +39,12 @@ class SessionConfig(Config):
     Attributes:
         condition: SEASON-LIGHT[-WEATHER], see ``simulate.look.conditions``.
         flight: kind of flight and its numbers, or the kind alone, as "nadir".
-        role: its frames build the map, or are queries.
-        frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
-        change: what stands elsewhere, is gone or is new since the place was built.
-        camera: of this session's photographs; None takes the scene's.
-        name: of its folder; None is condition-flight-role.
+        role: "map" if its frames build the map, or "query".
+        frames: number of photographs; None takes the scene's ``frames``, or as many as the flight's
+            overlaps need.
+        change: objects that are moved, removed or added since the place was built.
+        camera: camera of this session's photographs; None takes the scene's.
+        name: name of its folder; None is condition-flight-role.
     """
 
     condition: str
@@ -61,7 +62,7 @@ class SessionConfig(Config):
 
     @property
     def world_change(self) -> Change:
-        """The change asked for, and bare trees where the season has them."""
+        """Return the configured change, with bare trees where the season has them."""
         if not condition(self.condition).season.bare:
             return self.change
         return self.change.model_copy(update={"bare_trees": True})
@@ -74,8 +75,10 @@ class SessionConfig(Config):
 
 
 def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionConfig, ...]:
-    """A car's drive along the longest road with a camera to either side: two sessions, as each
-    has its own lens. Maps are driven there and back, queries back in another track."""
+    """Return the two sessions of a drive along the longest road, one for each side's camera.
+
+    Maps are driven there and back. Queries are driven back on another track.
+    """
     return tuple(
         SessionConfig(
             condition=condition,
@@ -95,11 +98,11 @@ def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionCo
     )
 
 
-# What is usual in a kind of place where it is not what is usual elsewhere.
+# Defaults of single presets, which replace the general ones.
 _USUAL: dict[str, dict[str, Any]] = {
     "street": {
         "area": 300.0,
-        "frames": 120,  # of a map session: one every 4 m, both ways
+        "frames": 120,  # of a map session: one every 4 m in both directions
         "sessions": (
             *_drive("summer-noon", "map"),
             *_drive("summer-noon", "query", -0.5),
@@ -112,7 +115,8 @@ _USUAL: dict[str, dict[str, Any]] = {
 class SimulateConfig(Config):
     """A scene: a place, a camera, and flights over it.
 
-    The place called street has its own usual area, frames and sessions: drives with two cameras.
+    The preset street has its own defaults for area, frames and sessions, which are drives with two
+    cameras.
 
     Attributes:
         preset: kind of place, such as town or farmland.
