@@ -32,34 +32,35 @@ _KEPT = f"{TEMPORARY_PREFIX}mapping"
 _SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
 
-# A pair is worth matching when this share of one picture is seen in the other, ...
+# A pair is matched when each picture shows at least this share of the other.
 _MIN_OVERLAP = 0.2
-# ... and each picture is matched with at most so many others, those of largest overlap.
+# Each picture is matched with at most this many others, those of largest overlap.
 _MAX_NEIGHBOURS = 20
-# Flights whose frames hardly overlap hang together through so many frames that follow each other.
+# Each frame is also matched with this many frames that follow it, which connects flights whose
+# frames hardly overlap.
 _FOLLOWING = 4
 
 
 def build_map(path: Path, method: Method = "triangulate", cluster: str | None = None) -> MapReport:
     """Build the map of a finished scene from its map frames and record it in the manifest.
 
-    An older map is replaced once the new one is whole. The model is in world metres; the features
-    it was built from lie beside it. Called again after an interruption, it goes on from the
-    features and matches that were done, to the same map.
+    The model is in world metres, and its features are stored beside it. An older map is replaced
+    when the new one is complete. After an interruption, a second call continues with the finished
+    features and matches and builds the same map.
 
     Args:
-        path: of the scene.
-        method: triangulation with the exact poses, or structure from motion that finds its own and
-            is then aligned to them.
-        cluster: whose cores find the features, see ``worker_pool``. Its nodes see
-            the scene under the path it has here.
+        path: folder of the scene.
+        method: triangulation with the exact poses, or structure from motion, whose own poses are
+            then aligned to them.
+        cluster: cluster that extracts the features, see ``worker_pool``. Its nodes must see the
+            scene at the same path.
 
     Returns:
         The map's figures against the truth.
 
     Raises:
-        InputError: not a finished scene, one that another run is writing, a damaged photograph, or
-            no map came of it.
+        InputError: the scene is not finished, is being written by another run, has a damaged
+            photograph, or gives no map.
     """
     scene = Scene.open(path)
     with write_lock(path):
@@ -116,11 +117,11 @@ def _digest(root: Path, images: Sequence[PosedImage], pairs: Sequence[tuple[str,
 
 
 def choose_pairs(overlap: NDArray[np.float64], flights: Sequence[str]) -> list[tuple[int, int]]:
-    """Choose pairs of frames worth matching, each once: neighbours in space, and in time.
+    """Choose the pairs of frames to match, each once: neighbours in space and in time.
 
     Args:
-        overlap: (N, N) share of each other's surface that frames see, symmetric.
-        flights: of each frame; frames of one flight follow each other in time.
+        overlap: symmetric (N, N) share of each other's surface that frames see.
+        flights: flight of each frame; frames of one flight are in the order of time.
     """
     pairs = set()
     for i, shares in enumerate(overlap):

@@ -5,10 +5,10 @@ shifted by half a pixel, from OpenCV's pixels (the first centre is 0, 0) to COLM
 that the recovered principal point is in COLMAP's pixels too.
 
 Corners are detected twice. In a picture their positions are biased, because the lens bends edges
-and small squares have few pixels. A first calibration therefore warps every view to a frontal view of
-the board, in which edges are straight and squares symmetrical. The corners are refined there and
-mapped back (Datta, Kim and Kanade, "Accurate camera calibration using iterative refinement of
-control points", 2009).
+and small squares have few pixels. By a first calibration, every view is therefore warped to a
+frontal view of the board, in which edges are straight and squares symmetrical. The corners are
+refined there and mapped back (Datta, Kim and Kanade, "Accurate camera calibration using iterative
+refinement of control points", 2009).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Options of the map supplement: how small things are found, followed and triangulated."""
+"""Options of the map supplement: detection, tracking and triangulation of small objects."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class SupplementConfig(Config):
         3.2, gt=0, description="Largest height of a place above the ground around it."
     )
     likely: float = Field(
-        0.8, gt=0, lt=1, description="Least probability of being on a thing, by the classifier."
+        0.8, gt=0, lt=1, description="Least probability of being on an object, by the classifier."
     )
     apart_m: float = Field(
         0.5, ge=0, description="Least distance of a place from the map's own points."

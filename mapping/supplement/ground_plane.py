@@ -13,30 +13,32 @@ from numpy.typing import NDArray
 
 from scene.maps.sparse_map import MapImage
 
-# The ground under a point is a plane through so many points around it, seen from above ...
+# The ground under a point is a plane through this many points around it, seen from above.
 _AROUND: Final = 24
-# ... that begins level at their median, and is fitted in rounds in each of which fewer are close.
+# The plane begins level at their median. It is fitted in rounds with these scales (m) of the
+# weights.
 _CLOSE_M: Final = (0.8, 0.4, 0.2, 0.1, 0.1, 0.1)
-# FLANN's single tree (4), searched to the end.
+# FLANN's single tree (4) with an exhaustive search.
 _EXACT: Final = {"algorithm": 4, "leaf_max_size": 10}
 _UNLIMITED: Final = {"checks": -1}
 
-# Side of the cells in which the ground is kept, room beside the middle 99 % of the points, and
-# cells at a time.
+# Side of the cells of the ground (m), margin around the middle 99 % of the points (m), and number
+# of
+# cells that are computed at once.
 _CELL_M: Final = 2.0
 _BESIDE_M: Final = 15.0
 _AT_ONCE: Final = 4096
-# Rounds in which a ray finds the ground.
+# Iterations of the intersection of rays with the ground.
 _ROUNDS: Final = 6
 
 
 @dataclass(frozen=True)
 class Ground:
-    """The ground under a cloud, as heights at the corners of cells.
+    """The ground under a point cloud, given by heights at the corners of cells.
 
     Attributes:
-        corner: (2,) east and north of the first.
-        z: (R, C) heights, rows to the north; world metres.
+        corner: east and north (2,) of the first corner, world metres.
+        z: heights (R, C), world metres; rows run to the north.
     """
 
     corner: NDArray[np.float64]
@@ -65,7 +67,7 @@ class Ground:
         return np.asarray(south * (1 - up) + north * up)
 
     def under(self, image: MapImage, xy: NDArray[np.float64], above: float) -> NDArray[np.float64]:
-        """Return where the rays of pixels (N, 2) are at a height above the ground, (N, 3)."""
+        """Return the points (N, 3) on the rays of pixels (N, 2) at a height above the ground."""
         rays = image.camera.unproject(torch.from_numpy(xy))[0].numpy()
         rays = rays @ image.cam_from_world[:3, :3]
         z = np.full(len(xy), np.median(self.z))
@@ -80,7 +82,7 @@ class Ground:
 def heights(xyz: NDArray[np.float64], cloud: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return heights (N,) of points (N, 3) above the plane of most of the cloud around them.
 
-    World metres, up is z; infinite where the cloud (M, 3) has too few points.
+    They are world metres, with z up, and infinite where the cloud (M, 3) has too few points.
     """
     if len(cloud) < _AROUND or not len(xyz):
         return np.full(len(xyz), math.inf)
