@@ -1,4 +1,4 @@
-"""What a depth map and those of its sources agree on."""
+"""Consistency of a depth map with those of its sources."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from dense.warp import StereoView, Warp, round_trip
 
-# Two maps agree on a pixel that goes there and comes back this close (px), from so similar a depth.
+# Two maps agree where the round trip of a pixel ends within this distance (px) and relative depth.
 _AGREES_PX = 1.0
 _AGREES_SHARE = 0.01
 
@@ -23,10 +23,10 @@ def agreeing(
     """Count the sources whose depth maps confirm each pixel of the reference, (H, W) int64.
 
     Args:
-        reference: the view.
-        sources: the others.
-        inverse: (H, W) inverse depths of the reference, 0 where unknown.
-        inverse_of_sources: (H, W) of each source, 0 where unknown.
+        reference: the reference view.
+        sources: the source views.
+        inverse: inverse depths (H, W) of the reference, 0 where unknown.
+        inverse_of_sources: inverse depths (H, W) of each source, 0 where unknown.
     """
     x, y = reference.camera.pixel_grid(torch.float32).to(inverse.device).unbind(-1)
     count = torch.zeros(inverse.shape, dtype=torch.int64, device=inverse.device)

@@ -1,10 +1,10 @@
 """PatchMatch stereo of one view: planes spread from pixel to pixel and are refined at random.
 
-Red and black pixels of a checkerboard take turns, so that all of one colour are done at once
-(Galliani et al., Gipuma, ICCV 2015); a pixel asks the best of several neighbours in each of four
-regions (after Xu and Tao, ACMH, CVPR 2019). Coarse to fine: the first planes are found in a small
-picture, from the points of the sparse map and from chance. The points are tried again in every
-larger one: what is a few pixels wide is not seen in the small ones.
+Red and black pixels of a checkerboard alternate, so that all pixels of one colour are processed at
+once (Galliani et al., Gipuma, ICCV 2015). A pixel tries the best of several neighbours in each of
+four regions (after Xu and Tao, ACMH, CVPR 2019). The search runs from coarse to fine. The first
+planes come from the points of the sparse map and from random numbers, in a small picture. The
+points are tried again at every larger size, because small pictures lose objects a few pixels wide.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from dense.photometry import Photometry, Window
 from dense.planes import moved, planes_at_nearest, planes_through, resized
 from dense.warp import StereoView
 
-# The first planes are sought in a picture whose long side has at most so many pixels.
+# The long side of the smallest picture has at most this many pixels.
 _COARSEST = 160
 _FIRST_ROUNDS = 4
 _ROUNDS = 1
-# Pixels done at once: their windows stay in the processor's cache.
+# Number of pixels processed at once, whose windows fit into the processor's cache.
 _CHUNK = 16384
-# A first guess by chance is a slope of up to so many pixels of disparity per pixel.
+# Largest slope of a random first guess, in pixels of disparity per pixel.
 _STEEPEST = 0.5
-# Random steps, in pixels of disparity, and of the slope, in pixels per pixel; halved each round.
+# Random steps of the disparity (pixels) and of the slope (pixels per pixel), halved each round.
 _STEP_PX = 1.0
 _STEP_SLOPE = 0.2
-# Inverse depths by chance lie this much (relative) beyond those of the map's points.
+# Random inverse depths exceed the range of those of the map's points by this share.
 _MARGIN = 0.2
 
 
 def _regions() -> tuple[tuple[tuple[int, int], ...], ...]:
-    """Neighbours (dx, dy) of the other colour to each of four sides: a wedge and a line."""
+    """Return neighbours (dx, dy) of the other colour to each of four sides: a wedge and a line."""
     side = [(0, -1), (-1, -2), (1, -2), (-2, -3), (2, -3), (0, -3), (0, -5), (0, -7)]
     regions = []
     for _ in range(4):
@@ -64,7 +64,7 @@ def first_estimate(
     seeds: NDArray[np.float64],
     generator: torch.Generator,
 ) -> Estimate:
-    """Planes from photographs alone.
+    """Estimate planes from photographs alone.
 
     Args:
         reference: the view whose planes are sought.
@@ -104,7 +104,7 @@ def consistent_estimate(
     inverse_depths: Sequence[Tensor],
     generator: torch.Generator,
 ) -> Estimate:
-    """Planes refined against the first estimates of the sources.
+    """Refine planes for consistency with the first estimates of the sources.
 
     Args:
         reference: the view whose planes are sought.
@@ -142,7 +142,7 @@ class _Search:
         self._shape = reference.grey.shape
         centres = [np.linalg.inv(v.cam_from_world)[:3, 3] for v in (reference, *sources)]
         baseline = float(np.median([np.linalg.norm(c - centres[0]) for c in centres[1:]]))
-        # Inverse depth of one pixel of disparity.
+        # The change of inverse depth for one pixel of disparity.
         self._pixel = 1 / (reference.camera.focal[0] * baseline)
         height, width = self._shape
         rows, columns = torch.meshgrid(
@@ -184,7 +184,7 @@ class _Search:
         return Estimate(planes.clone(), cost)
 
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
-        """Spread and refine, ``rounds`` times over both colours."""
+        """Propagate and refine planes, ``rounds`` times over both colours."""
         for k in range(rounds):
             for colour in self._colours:
                 noise = [self._normal() for _ in range(2)]
@@ -246,7 +246,7 @@ def _from_neighbour(
     dx, dy = torch.tensor(region, device=rows.device).T[..., None]
     costs = cost[rows + dy + _REACH, columns + dx + _REACH]
     which = costs.argmin(0)
-    # A neighbour outside the picture wins only among its like: the pixel's own plane is as good.
+    # Where all neighbours are outside the picture, the pixel's own plane is taken.
     inside = torch.isfinite(costs.gather(0, which[None])[0])
     dx, dy = (torch.where(inside, d[which, 0], 0) for d in (dx, dy))
     return moved(planes[:, rows + dy, columns + dx], -dx, -dy)

@@ -1,8 +1,8 @@
-"""How well a plane carries the window around a pixel over into the other views.
+"""The photometric cost of a plane: the difference of windows in the reference and other views.
 
-Bilaterally weighted normalised cross-correlation, as Gipuma and COLMAP measure it: the cost is
-1 - NCC, 0 where two windows are equal up to gain and offset. Within its small window the warp is
-taken for affine, so that one division serves all samples.
+It is bilaterally weighted normalised cross-correlation, as in Gipuma and COLMAP. The cost is
+1 - NCC, which is 0 where two windows are equal up to gain and offset. Within the small window the
+warp is approximated as affine, which needs one division for all samples.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from torch.nn.functional import grid_sample, pad
 from dense.warp import StereoView, Warp, round_trip
 
 WORST = 2.0
-"""Cost of the opposite picture, and of a view that does not see the plane at all."""
+"""Cost of an inverted picture, and of a view that does not see the plane."""
 
-# Every second pixel of a window of 9 x 9.
+# Offsets of samples: every second pixel of a window of 9 x 9.
 _STEPS = (-4, -2, 0, 2, 4)
 _SIGMA_PX = 4.0
 _SIGMA_GREY = 0.1
-# Variance (of grey in 0..1) that is only noise: windows without texture match nothing.
+# Variance (of grey in 0..1) of noise. Windows with less have no texture and match nothing.
 _NOISE = 1e-5
-# A view whose own map sends the pixel back elsewhere costs so much more per pixel, up to a limit.
+# Additional cost per pixel of distance after a round trip through another view's map, up to a
+# limit.
 _GEOMETRIC_WEIGHT = 0.2
 _GEOMETRIC_LIMIT_PX = 3.0
 
@@ -75,7 +76,7 @@ class Photometry:
         x, y = grid.unbind(-1)
         self._seen = torch.stack([warp(x, y, expected).seen for warp in self._there])
         count = self._seen.sum(0)
-        # An occluded view is outvoted: the better half counts, but two where there are two.
+        # The better half of the views counts, and at least two, so that occluded views are ignored.
         self._best = torch.maximum((count + 1) // 2, count.clamp_max(2))
         reach, device = _STEPS[-1], reference.grey.device
         self._padded = pad(reference.grey[None, None], (reach,) * 4, mode="replicate")[0, 0]
@@ -95,7 +96,7 @@ class Photometry:
         return Window(rows, columns, weights, weights * central / deviation)
 
     def cost(self, window: Window, planes: Tensor) -> Tensor:
-        """Cost of a plane at each pixel: mean over the better half of the sources that see it.
+        """Return the cost of a plane at each pixel, the mean over the better half of its sources.
 
         Args:
             window: around n pixels.
@@ -115,7 +116,7 @@ class Photometry:
         x, y = window.columns + 0.5, window.rows + 0.5
         at = warp(x, y, w)
         ux, uy, vx, vy = warp.slopes(at, gx, gy)
-        # In grid_sample's units, in which -1 and 1 are the picture's edges.
+        # In grid_sample's units, -1 and 1 are the edges of the picture.
         side = len(_STEPS)
         grid = torch.empty(side, side, len(w), 2, device=w.device)
         step = self._steps[:, None]
@@ -125,7 +126,7 @@ class Photometry:
             columns = step * (along_x * (2 / size)) + (centre * (2 / size) - 1)
             rows = step * (along_y * (2 / size))
             torch.add(rows[:, None], columns[None], out=grid[..., axis])
-        # As a batch: torch spreads batches over the cores, single pictures it does not.
+        # A batch, because torch parallelises over batches and not within single pictures.
         grey = grid_sample(
             self._sources[k].expand(side, -1, -1, -1),
             grid,

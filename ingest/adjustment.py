@@ -19,18 +19,19 @@ from scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
-# Focal length and height trade against each other over flat ground: where depths within a picture
-# differ by less than this share of them, EXIF knows the focal length better than the pixels do.
+# Over flat ground, focal length and height cannot be separated. Where depths within a picture
+# differ
+# by less than this share, the focal length from EXIF is better than an estimate.
 _RELIEF = 0.25
-# A principal point off the middle looks like a shift of all cameras. Only cameras that face several
-# directions tell the two apart: the mean of their unit vectors to the right is shorter than this.
+# A principal point off the middle looks like a shift of all cameras, except for cameras that face
+# several directions. The mean of their unit vectors to the right is shorter than this.
 _ONE_WAY = 0.8
-# The principal point leaves the middle only where this lowers the reprojection error below this
-# share; otherwise errors of GPS would move it.
+# The principal point is refined only where this reduces the reprojection error to less than this
+# share. Otherwise errors of GPS would move it.
 _BETTER = 0.998
-# Standard deviation of an altitude that counts for nothing (m).
+# Standard deviation of an altitude that is ignored (m).
 _NO_ALTITUDE = 1e4
-# The delay moves the centres, and these the velocities, by a few per cent; so it is found anew.
+# Iterations of the delay, because it changes the velocities by a few per cent.
 _ROUNDS = 3
 
 

@@ -1,4 +1,4 @@
-"""Objects of a picture: which segment each pixel belongs to. No gradient passes here."""
+"""Segmentation of images into objects. No gradient passes through it."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from scene.errors import InputError
 NOTHING: Final = -1
 """The label of pixels that belong to no object."""
 
-# Segments are looked for in the picture at half its size, and no larger than this, which is still
-# finer than the levels of a photograph of 512 pixels that have objects. At 256, SLIC takes twice
-# the time.
+# Images are segmented at half their size and with at most this many pixels on the long side. This
+# is
+# finer than the levels with objects of a photograph of 512 pixels. At 256, SLIC takes twice the
+# time.
 _LONG_SIDE: Final = 192
-# SLIC has settled by then: ten iterations take twice the time.
+# SLIC has converged after these iterations; ten take twice the time.
 _ITERATIONS: Final = 5
 _COMPACTNESS: Final = 10.0
 # Felzenszwalb and Huttenlocher's k, for colours in 0..1; segments grow with it.
@@ -38,18 +39,18 @@ Picture = NDArray[np.float32]
 
 
 def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
-    """S of equation (1): the segments of each picture.
+    """Segment images; this is S of equation (1).
 
     Args:
-        images: (B, 3, H, W) RGB in 0..1.
-        config: ``segmentation``, ``segments`` and ``segment_side`` of it.
+        images: images (B, 3, H, W), RGB in 0..1.
+        config: configuration, of which ``segmentation``, ``segments`` and ``segment_side`` count.
 
     Returns:
-        (B, h, w) int64 on the device of the images, at most 192 cells a side and each standing for
-        an equal part of the picture; labels are 0 to N - 1, or ``NOTHING``.
+        Labels (B, h, w) int64 on the device of the images, 0 to N - 1 or ``NOTHING``. The label
+        maps have at most 192 cells a side and cover the images.
 
     Raises:
-        InputError: the configuration expects label maps to be given, or wants none.
+        InputError: the configuration expects given label maps, or has no objects.
     """
     if config.segmentation in ("given", "none"):
         raise InputError(
@@ -68,23 +69,23 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
     def one(picture: Picture) -> Labels:
         return keep_largest(find(picture, count), count)
 
-    # A segmentation is one thread's work, and most of it lets others run.
+    # A segmentation runs in one thread and releases the interpreter's lock most of the time.
     labels = list(_pool().map(one, pictures))
     return torch.from_numpy(np.stack(labels)).to(images.device)
 
 
 def reduced_size(height: int, width: int) -> tuple[int, int]:
-    """Height and width at which a picture is segmented."""
+    """Return the height and width at which an image is segmented."""
     factor = min(0.5, _LONG_SIDE / max(height, width))
     return max(1, round(height * factor)), max(1, round(width * factor))
 
 
 def keep_largest(labels: Labels, count: int) -> Labels:
-    """Labels renumbered from 0, by decreasing area; beyond ``count`` they become ``NOTHING``.
+    """Renumber labels from 0 by decreasing area; beyond ``count`` they become ``NOTHING``.
 
     Args:
-        labels: (h, w), negative where there is no object.
-        count: of objects to keep.
+        labels: labels (h, w), negative where there is no object.
+        count: number of objects to keep.
     """
     nothing = labels < 0
     areas = np.bincount(labels[~nothing], minlength=1)
@@ -97,12 +98,12 @@ def keep_largest(labels: Labels, count: int) -> Labels:
 
 
 def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tensor:
-    """The label at the centre of each cell of a level, (B, h, w).
+    """Return the label at the centre of each cell of a level, (B, h, w).
 
     Args:
-        labels: (B, _, _) that cover the picture.
-        image: (..., H, W) the picture.
-        level: (..., h, w) the level, which may end before the picture does.
+        labels: label maps (B, _, _) of any size that cover the image.
+        image: image (..., H, W).
+        level: map (..., h, w) of the level, which may cover less than the image.
         stride: pixels per cell.
     """
     rows, columns = (
@@ -115,12 +116,12 @@ def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tenso
 
 
 def at_pixels(labels: Tensor, image: Tensor, xy: Tensor) -> Tensor:
-    """The label under each pixel, (B, P).
+    """Return the label at each pixel, (B, P).
 
     Args:
-        labels: (B, _, _) that cover the picture.
-        image: (..., H, W) the picture.
-        xy: (B, P, 2) pixels; those outside take the border's label.
+        labels: label maps (B, _, _) of any size that cover the image.
+        image: image (..., H, W).
+        xy: pixels (B, P, 2); those outside take the label at the border.
     """
     height, width = labels.shape[1:]
     column = (xy[..., 0] * (width / image.shape[-1])).long().clamp(0, width - 1)
@@ -134,7 +135,7 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def _slic(picture: Picture, count: int) -> Labels:
-    """Achanta et al., "SLIC superpixels", PAMI 2012."""
+    """Segment by SLIC (Achanta et al., "SLIC superpixels", PAMI 2012)."""
     algorithm: Callable[..., Labels] = slic
     return algorithm(
         picture,
@@ -147,14 +148,14 @@ def _slic(picture: Picture, count: int) -> Labels:
 
 
 def _felzenszwalb(picture: Picture, count: int) -> Labels:
-    """Felzenszwalb and Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004."""
+    """Segment by the graph-based method of Felzenszwalb and Huttenlocher (IJCV 2004)."""
     least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
     algorithm: Callable[..., Labels] = felzenszwalb
     return algorithm(picture, scale=_SCALE, sigma=_BLUR, min_size=least, channel_axis=-1)
 
 
 def _squares(height: int, width: int, count: int) -> Tensor:
-    """(1, height, width): at most ``count`` rectangles, as square as they come."""
+    """Return labels (1, height, width) of at most ``count`` rectangles, as square as possible."""
     rows = max(1, min(count, math.floor(math.sqrt(count * height / width))))
     columns = max(1, count // rows)
     row = torch.arange(height) * rows // height

@@ -27,7 +27,7 @@ _WHY: Final = (
 
 @dataclass(frozen=True)
 class Alignment:
-    """Poses found, batched (B) or (B, K) as the starting poses were.
+    """The result of an alignment, with the batch shape (B) or (B, K) of the starts.
 
     Attributes:
         pose: ``cam_from_world``, float64; where alignment failed, the last one before it did.

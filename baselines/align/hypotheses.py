@@ -198,9 +198,9 @@ def _best(
 
     Args:
         aligned: alignments that ended on ``level``.
-        level: of the queries.
-        robust_scale: of the robust cost.
-        count: alignments to keep of each query.
+        level: level of the queries.
+        robust_scale: scale of the robust cost.
+        count: number of alignments to keep for each query.
         chance_cells: cells of the level from which the cost by chance is taken.
     """
     chance = _cost_by_chance(level, robust_scale, chance_cells)

@@ -35,7 +35,7 @@ class Level:
 
 
 def robust_cost(squared: Tensor, scale: float) -> Tensor:
-    """Cost of squared residuals: quadratic below ``scale``, logarithmic above.
+    """Return the cost of squared residuals: quadratic below ``scale``, logarithmic above.
 
     Barron's general loss (CVPR 2019) at shape 0, times the squared scale.
     """
@@ -43,7 +43,7 @@ def robust_cost(squared: Tensor, scale: float) -> Tensor:
 
 
 def robust_weight(squared: Tensor, scale: float) -> Tensor:
-    """Derivative of ``robust_cost`` by the squared residual, in (0, 1]."""
+    """Return the derivative of ``robust_cost`` by the squared residual, in (0, 1]."""
     return 1 / (1 + squared / (2 * scale**2))
 
 
@@ -69,11 +69,11 @@ class Linearisation:
 
     @property
     def gradient(self) -> Tensor:
-        """Gradient of half the summed cost by the tangent of the pose, (M, 6)."""
+        """Return the gradient of half the summed cost by the tangent of the pose, (M, 6)."""
         return self.pull.sum(-2)
 
     def mean_cost(self) -> Tensor:
-        """Mean cost of the points seen, weighted by confidence, (M,); infinite without points."""
+        """Return the mean cost (M,) of the visible points, weighted; infinite without points."""
         total = self.weight.sum(-1)
         mean = (self.weight * self.cost).sum(-1) / total
         return torch.where(total > 0, mean, torch.inf)

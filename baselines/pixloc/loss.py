@@ -1,4 +1,4 @@
-"""How far off the poses of an alignment put the points: what PixLoc is trained by."""
+"""The loss of PixLoc: the reprojection error of the poses of an alignment."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scene.geometry.pose import Pose
 from scene.geometry.projection import Intrinsics
 
 _CLAMP: Final = 50.0
-# A level counts only where the coarser one came this near (px per px of its stride).
+# A level counts only where the error after the coarser level is below this many of its strides.
 _NEAR: Final = 3.0
 _LEAST_POINTS: Final = 10
 
@@ -20,27 +20,27 @@ _LEAST_POINTS: Final = 10
 def reprojection_error(
     pose: Pose, truth: Pose, points: Tensor, intrinsics: Intrinsics, valid: Tensor
 ) -> Tensor:
-    """Mean pseudo-Huber distance of the points' projections by two poses, (B,); see ``in_pixels``.
+    """Return the mean pseudo-Huber distance (B,) of projections by two poses; see ``in_pixels``.
 
     Args:
-        pose: ``camera_from_world``, batched (B).
-        truth: likewise.
-        points: (B, N, 3) world.
-        intrinsics: batched (B).
-        valid: (B, N) points to use; those behind a camera are left out too.
+        pose: estimated ``camera_from_world``, batch shape (B,).
+        truth: true ``camera_from_world``, batch shape (B,).
+        points: points (B, N, 3), world metres.
+        intrinsics: intrinsics of the cameras, batch shape (B,).
+        valid: (B, N) bool, points to use; points behind a camera are left out too.
     """
     ours, true = (
         intrinsics.project(each.to(dtype=points.dtype).transform(points)) for each in (pose, truth)
     )
     used = valid & ours.valid & true.valid
     squared = torch.where(used[..., None], ours.xy - true.xy, 0).square().sum(-1)
-    # Barron's general loss (CVPR 2019) at shape 1 and scale 2, over 4: quadratic, then linear.
+    # Barron's general loss (CVPR 2019) with shape 1 and scale 2, over 4: quadratic, then linear.
     robust = 2 * (torch.sqrt(squared / 4 + 1) - 1)
     return torch.as_tensor(robust.sum(-1) / used.sum(-1).clamp(min=1))
 
 
 def in_pixels(error: Tensor) -> Tensor:
-    """The distance in pixels whose pseudo-Huber function is ``error``."""
+    """Return the distance in pixels whose pseudo-Huber function is ``error``."""
     return 2 * ((error / 2 + 1).square() - 1).sqrt()
 
 
@@ -52,16 +52,16 @@ def pose_loss(
     intrinsics: Intrinsics,
     valid: Tensor,
 ) -> tuple[Tensor, list[Tensor]]:
-    """The loss of a batch, and the error (B,) after each level.
+    """Return the loss of a batch, and the error (B,) after each level.
 
-    Each level counts equally, up to 50 pixels, and only where the coarser one ended within three
-    of its cells: finer features cannot mend what lies beyond their reach. A pair with fewer than 10
-    points counts for nothing.
+    Each level has the same weight, and errors count up to 50 pixels. A level counts only where the
+    coarser one ended within three of its cells, because finer features cannot correct larger
+    errors. Pairs with fewer than 10 points are left out.
 
     Args:
-        by_level: poses after each level, coarse to fine; no gradient between them.
-        strides: of the levels.
-        truth: as of ``reprojection_error``, as the rest.
+        by_level: poses after each level, coarse to fine, without gradients between levels.
+        strides: strides of the levels.
+        truth: true poses; this and the other arguments are those of ``reprojection_error``.
     """
     errors = [reprojection_error(p, truth, points, intrinsics, valid) for p in by_level]
     enough = valid.sum(-1) >= _LEAST_POINTS
