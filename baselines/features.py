@@ -95,7 +95,7 @@ class Extractor(ABC):
         return unit_descriptors(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
-        """Return rows (K, 2) of mutual nearest neighbours by the ratio test, of ``unit`` vectors."""
+        """Return rows (K, 2) of mutual nearest neighbours by the ratio test; see ``unit``."""
         return match(a, b, ratio)
 
 

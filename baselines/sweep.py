@@ -106,7 +106,7 @@ class GreyPhotograph:
 
     Attributes:
         grey: (H, W) float32.
-        camera: of the smaller photograph.
+        camera: camera of the smaller photograph.
         pose: ``cam_from_world``.
         in_photograph: maps its pixels (N, 2) to those of the original.
     """
@@ -163,7 +163,7 @@ class Sweeper:
         """Place pixels of one photograph; none is sure where it has too few neighbours.
 
         Args:
-            name: of the photograph.
+            name: name of the photograph.
             xy: (N, 2) pixels of ``photograph(name)``.
             depths: nearest and farthest depth (N,) of each pixel, metres; None for those of the
                 map's points.

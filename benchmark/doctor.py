@@ -83,7 +83,7 @@ class Diagnosis:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing needed is missing."""
+        """Return whether nothing is missing that is needed."""
         return all(check.state != "missing" for check in self.checks)
 
     def as_dict(self) -> dict[str, Any]:

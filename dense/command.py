@@ -80,17 +80,18 @@ def dense(
 ) -> DenseReport:
     """Estimate a depth map for every photograph of the map, fuse them, and measure the result.
 
-    Writes ``dense/`` into the scene, in the layout of COLMAP's workspaces. It grows in a hidden
-    folder, map by map; an interrupted run goes on with the next map, to the same bytes.
+    The result is the folder ``dense/`` of the scene, in the layout of COLMAP's workspaces. It is
+    made map by map in a hidden folder. An interrupted run continues with the next map, and gives
+    the same bytes.
 
     Args:
-        path: of a finished scene with its map.
+        path: path of a finished scene with its map.
         size: longest side of the depth maps, pixels; photographs are never enlarged.
-        sources: photographs that each is matched with, at most.
+        sources: largest number of photographs with which each is matched.
         stereo: our own PatchMatch, or COLMAP's where pycolmap has CUDA.
-        seed: of every random choice; the same seed makes the same files.
-        cluster: whose cores make our own depth maps, see ``worker_pool``. Its nodes
-            see the scene under the path it has here, and write to it.
+        seed: seed of every random choice; the same seed makes the same files.
+        cluster: cluster that makes the depth maps of our PatchMatch, see ``worker_pool``. Its nodes
+            must see the scene at the same path and write to it.
 
     Returns:
         Its figures, against the truth where the scene has depth.

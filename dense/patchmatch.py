@@ -70,7 +70,7 @@ def first_estimate(
         reference: the view whose planes are sought.
         sources: other views of the same surface.
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of map points in the reference.
-        generator: of every random choice.
+        generator: generator of every random choice.
     """
     shrink = [1]
     while max(reference.grey.shape) / shrink[-1] > _COARSEST:
@@ -111,7 +111,7 @@ def consistent_estimate(
         sources: other views of the same surface.
         planes: (3, H, W) first estimate of the reference.
         inverse_depths: (H, W) first estimates of the sources.
-        generator: of every random choice.
+        generator: generator of every random choice.
     """
     search = _Search(reference, sources, planes[0], inverse_depths, generator)
     return search.run(search.evaluate(planes), _ROUNDS, 0.5)

@@ -35,11 +35,11 @@ class Window(NamedTuple):
     """Samples around each of n pixels of the reference view, S per pixel.
 
     Attributes:
-        rows: (n,) of the pixel.
-        columns: (n,) of the pixel.
-        weights: (S, n), of sum one.
-        correlator: (S, n); times another window and summed, their covariance in units of this
-            one's standard deviation.
+        rows: row (n,) of the pixel.
+        columns: column (n,) of the pixel.
+        weights: weights (S, n) of the samples, whose sum is one.
+        correlator: factors (S, n). The sum of their products with another window is the
+            covariance of both windows over the standard deviation of this one.
     """
 
     rows: Tensor
@@ -53,11 +53,12 @@ class Photometry:
 
     Args:
         reference: the view whose planes are sought.
-        sources: the others.
-        expected: (H, W) inverse depths that say which sources have each pixel in their picture; a
-            plane that flees from one of them costs, and one outside all along does not count.
-        inverse_depths: of the sources, (H, W), 0 where unknown; with them a plane costs more where
-            a source's own map contradicts it.
+        sources: the source views.
+        expected: inverse depths (H, W) by which each pixel is or is not in the picture of a source.
+            A plane that leaves the picture of such a source is penalised; a source that never
+            shows the pixel is ignored.
+        inverse_depths: inverse depth maps (H, W) of the sources, 0 where unknown. With them, a
+            plane costs more where a source's map contradicts it.
     """
 
     def __init__(

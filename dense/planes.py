@@ -63,8 +63,8 @@ def planes_at_nearest(seeds: NDArray[np.float64], height: int, width: int) -> Te
 
     Args:
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of M >= 1 points.
-        height: of the picture.
-        width: of the picture.
+        height: height of the picture.
+        width: width of the picture.
 
     Returns:
         planes: (3, height, width) float32.

@@ -42,7 +42,7 @@ class FlightImage:
 
     @property
     def lens(self) -> str:
-        """What all photographs of one lens have in common, as a text."""
+        """Return a text that all photographs of one lens have in common."""
         focal = f"{self.exif.focal_35mm:.2f} mm" if self.exif.focal_35mm else "focal length unknown"
         maker = f"{self.exif.make} {self.exif.model}".strip() or "unknown camera"
         return f"{maker}, {self.size[0]} x {self.size[1]}, {focal}"

@@ -27,7 +27,7 @@ def draw(
     the order the photographs were taken.
 
     Args:
-        path: of the picture.
+        path: path of the picture.
         title: above it.
         model: in world metres.
         order: names of its photographs as taken.

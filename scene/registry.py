@@ -91,7 +91,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """Return an entry and import it where that has not been done yet.
 
         Args:
-            name: of the entry.
+            name: name of the entry.
             failure: words of the error message when an entry point cannot be imported.
 
         Raises:
@@ -126,7 +126,7 @@ class Registry(Mapping[str, T], Generic[T]):
         Errors of built-in entries pass through: they are faults of this project.
 
         Args:
-            name: of the entry that is used within the ``with`` block.
+            name: name of the entry that is used within the ``with`` block.
             failure: words of the error message, for example "cannot be loaded".
 
         Raises:

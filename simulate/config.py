@@ -124,26 +124,26 @@ class SimulateConfig(Config):
         area: side of the square place, metres.
         size: long side of the photographs, pixels, unless the camera has its own size.
         fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
-        camera: of every photograph of sessions without their own; None is a square pinhole of
-            ``size`` and ``fov_deg``.
+        camera: camera of sessions without their own; None is a square pinhole of ``size`` and
+            ``fov_deg``.
         spp: rendering samples per pixel; the result is denoised.
-        frames: photographs of each session that gives no number of its own.
-        sessions: flights; on the command line "condition:flight[:role][:change]", where the first
-            is the map's and the others are queries unless they say.
-        map_plan: how map flights are flown.
-        query_plan: how query flights are flown.
-        position_jitter_m: wind, standard deviation per axis.
-        attitude_jitter_deg: wind, standard deviation per axis.
-        gps_sigma_m: white noise of the position prior: east, north, up.
-        gps_drift_m: its error that lasts, of zero mean over many flights and this standard
-            deviation: east, north, up.
-        attitude_sigma_deg: white noise of the attitude prior per axis.
-        attitude_drift_deg: its error that lasts, per axis.
-        drift_s: in which a lasting error forgets a share of 1 - 1/e.
-        interval_s: between exposures.
-        sensor: what lens and sensor do to the photographs.
-        jpeg_quality: of the photographs.
-        origin: where on earth the world's origin lies.
+        frames: number of photographs of sessions that give no number of their own.
+        sessions: flights; on the command line "condition:flight[:role][:change]", where by default
+            the first is a map session and the others are query sessions.
+        map_plan: numbers of map flights.
+        query_plan: numbers of query flights.
+        position_jitter_m: standard deviation of positions per axis by wind, metres.
+        attitude_jitter_deg: standard deviation of attitudes per axis by wind, degrees.
+        gps_sigma_m: standard deviation of the white noise of position priors: east, north, up.
+        gps_drift_m: standard deviation of the drift of position priors, which has zero mean over
+            many flights: east, north, up.
+        attitude_sigma_deg: standard deviation of the white noise of attitude priors per axis.
+        attitude_drift_deg: standard deviation of the drift of attitude priors per axis.
+        drift_s: time constant of both drifts, seconds.
+        interval_s: time between exposures, seconds.
+        sensor: effects of lens and sensor on the photographs.
+        jpeg_quality: quality of the JPEGs.
+        origin: geodetic coordinates of the world's origin.
     """
 
     preset: str = "town"
@@ -192,7 +192,7 @@ class SimulateConfig(Config):
     @field_validator("sessions", mode="before")
     @classmethod
     def _from_words(cls, sessions: object) -> object:
-        """The command line's "condition:flight[:role][:change]"."""
+        """Parse sessions of the command line, "condition:flight[:role][:change]"."""
         if not isinstance(sessions, list | tuple):
             return sessions
         return tuple(
@@ -230,7 +230,7 @@ class SimulateConfig(Config):
 
     @staticmethod
     def load(path: Path | None, overrides: Mapping[str, Any]) -> SimulateConfig:
-        """From a YAML file and overrides; see ``scene.config.load_config``.
+        """Load a configuration from a YAML file and overrides; see ``scene.config.load_config``.
 
         Raises:
             InputError: unreadable file, unknown key or bad value.
@@ -238,7 +238,7 @@ class SimulateConfig(Config):
         return load_config(SimulateConfig, path, overrides)
 
     def photo_camera(self, session: SessionConfig | None = None) -> Camera:
-        """The camera of a session's photographs, or of those of sessions without their own."""
+        """Return the camera of a session's photographs, or of sessions without their own camera."""
         camera = (session.camera if session is not None else None) or self.camera
         if camera is not None:
             return camera.build(self.size)

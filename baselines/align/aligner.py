@@ -32,8 +32,8 @@ class Alignment:
     Attributes:
         pose: ``cam_from_world``, float64; where alignment failed, the last one before it did.
         by_level: the pose after each level, coarse to fine; the last is ``pose``.
-        covariance: (..., 6, 6) of the left tangent, rotation (rad) then translation (m); infinite
-            on the diagonal where the points do not determine it.
+        covariance: covariance (..., 6, 6) of the left tangent, rotation (rad) then translation (m);
+            infinite on the diagonal where the points do not determine it.
         cost: (...) mean robust cost of the points in view on the finest level.
         iterations: (...) steps tried, over all levels.
         seen: (...) points in view on the last level reached.

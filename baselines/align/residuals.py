@@ -23,8 +23,8 @@ class Level:
             Channels-last in memory is fastest; bfloat16 is fine.
         stride: pixels of the query's camera per cell.
         reference: (B, N, C) features of the points.
-        confidence: (B, 1, h, w) of the query's cells, or None.
-        reference_confidence: (B, N) of the points, or None.
+        confidence: confidence (B, 1, h, w) of the query's cells, or None.
+        reference_confidence: confidence (B, N) of the points, or None.
     """
 
     features: Tensor
@@ -92,9 +92,9 @@ class LevelCost:
         mask: (M, N) points to use.
         target: (M, N, 3, C) minus the features of the points, with two rows of zeros.
         target_trust: (M, N) confidence of the points, or None.
-        intrinsics: (M) of the queries, or one camera.
+        intrinsics: intrinsics (M) of the queries, or one camera.
         border: cells at the edge of the map in which points do not count; at least 1.
-        scale: of the robust cost.
+        scale: scale of the robust cost.
     """
 
     table: CellTable
@@ -124,9 +124,9 @@ class LevelCost:
             level: features of B queries and their points.
             points: (B, N, 3) in the frame of the poses.
             mask: (B, N) points to use.
-            intrinsics: of the queries, batched (B), or one for all.
+            intrinsics: intrinsics of the queries, batched (B), or one for all.
             border: cells at the edge of the map in which points do not count.
-            scale: of the robust cost.
+            scale: scale of the robust cost.
         """
         table = CellTable.of(level.features)
         exact = level.features.dtype == torch.float64

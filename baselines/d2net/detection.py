@@ -28,7 +28,7 @@ class Keypoints(NamedTuple):
         xy: positions (N, 2), COLMAP pixels.
         scale: (N,) size of a pixel of the pyramid level, in pixels of the image.
         scores: (N,) value of the largest feature, divided by the number of levels so far.
-        descriptors: (N, C) of unit length.
+        descriptors: descriptors (N, C) of unit length.
     """
 
     xy: Tensor

@@ -48,7 +48,7 @@ class ImageName(NamedTuple):
 
     @property
     def day(self) -> date:
-        """The day of the photograph where the data set was taken."""
+        """Return the day of the photograph in the time zone of the data set."""
         return (datetime.fromtimestamp(self.microseconds / 1e6, UTC) + _LOCAL).date()
 
     def __str__(self) -> str:
