@@ -31,7 +31,7 @@ Rows = NDArray[np.int64]
 
 
 class RetrievalOptions(Config):
-    """How photographs of the map are compared with a query before any are matched."""
+    """Options of the retrieval of map photographs for a query."""
 
     words: int = Field(64, ge=1, description="Visual words of the global descriptor (VLAD).")
     training_descriptors: int = Field(
@@ -166,7 +166,7 @@ def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArr
 
 
 class Viewpoints:
-    """Where the photographs of a map were taken from, and what they look at.
+    """The positions of a map's photographs, and the ground that they show.
 
     Args:
         sparse_map: the map; rows are those of its ``names``.

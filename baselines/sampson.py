@@ -28,7 +28,7 @@ _SINGULAR = 1e15
 
 
 class RefinementOptions(Config):
-    """How a pose is refined by Sampson errors."""
+    """Options of the refinement of a pose by Sampson errors."""
 
     max_steps: int = Field(30, ge=1, description="Most steps of Levenberg-Marquardt.")
     cauchy_scale: float = Field(
@@ -86,7 +86,7 @@ class Matches:
 
 @dataclass(frozen=True)
 class Refined:
-    """What ``refine`` returns.
+    """The result of ``refine``.
 
     Attributes:
         pose: ``cam_from_world`` of the query.

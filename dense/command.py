@@ -135,7 +135,7 @@ def _make(
     try:
         require_unchanged(files, photographs)
     except InputError:
-        shutil.rmtree(workspace.path)  # nobody knows which bytes it was made of
+        shutil.rmtree(workspace.path)  # it may contain some of the changed files
         raise
     _write_model(pinhole_map, workspace)
     workspace.write_lists(pairs)

@@ -38,7 +38,7 @@ _OFF_GROUND = 2.5
 
 @dataclass(frozen=True)
 class Georegistration:
-    """Where a model is in the world.
+    """The position, rotation and scale of a model in the world.
 
     Attributes:
         world_from_model: Similarity (3, 4).

@@ -27,7 +27,7 @@ _ALL_WAYS = 10
 
 @dataclass(frozen=True)
 class Motion:
-    """How the aircraft moved at a photograph.
+    """The motion of the aircraft at a photograph.
 
     Attributes:
         line: Number of the flight line.

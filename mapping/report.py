@@ -94,7 +94,7 @@ class MapReport:
 
 @dataclass(frozen=True)
 class ObjectTruth:
-    """Which objects the photographs of a map show, and which its points lie on.
+    """The objects that the photographs of a map show, and those on which its points lie.
 
     Attributes:
         objects: the objects that the photographs show.

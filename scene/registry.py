@@ -1,4 +1,4 @@
-"""Registries: things that are chosen by name, of the project and of installed packages.
+"""Registries of entries that are chosen by name, of the project and of installed packages.
 
 A registry lists its built-in entries in a fixed order and imports one when it is first used. An
 installed package adds an entry by an entry point of the registry's group in its

@@ -8,7 +8,7 @@ from scene.config import Config
 
 
 class BlobOptions(Config):
-    """Which blobs of a photograph may show a small object."""
+    """Options of the detection of blobs that may show small objects."""
 
     surround_ratio: float = Field(
         2.5, gt=1, description="Radius of the surroundings a blob is compared with, in its own."
@@ -24,7 +24,7 @@ class BlobOptions(Config):
 
 
 class TrackOptions(Config):
-    """When blobs of several photographs are observations of one place."""
+    """Options of the tracking of blobs over several photographs."""
 
     lowest_m: float = Field(-0.75, description="Lowest height above the ground that is tried.")
     highest_m: float = Field(3.3, description="Heights above the ground are tried below this.")
@@ -63,7 +63,7 @@ class TrackOptions(Config):
 
 
 class PhotoconsistencyOptions(Config):
-    """How the colours around a place are compared between photographs."""
+    """Options of the comparison of colours around a place between photographs."""
 
     radius_px: int = Field(2, ge=1, description="Radius of the window that is compared.")
     distance_scale: float = Field(

@@ -1,4 +1,4 @@
-"""What the names in the tree of Extended CMU Seasons mean.
+"""Names of files and folders in Extended CMU Seasons.
 
 The name of each photograph tells its camera, c0 or c1, and its moment; each slice lies in one kind
 of surroundings.

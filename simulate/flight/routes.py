@@ -109,7 +109,7 @@ def corridor_aims(flight: CorridorFlight, site: FlightSite, frames: int | None) 
 
 
 class _Stops(NamedTuple):
-    """Where the exposures of a corridor are, before they are laid along its line.
+    """The exposures of a corridor, before they are placed along its line.
 
     Attributes:
         right_m: Distance (N,) to the right of the middle of the corridor, metres.

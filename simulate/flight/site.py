@@ -24,7 +24,7 @@ MAX_PHOTOGRAPHS: Final = 20_000
 
 @dataclass(frozen=True)
 class Wind:
-    """How far exposures are from their planned poses.
+    """The deviation of exposures from their planned poses.
 
     Attributes:
         position_jitter_m: Standard deviation of each camera centre per axis, metres.

@@ -1,1 +1,1 @@
-"""How places look: conditions, meshes, images and shader graphs. Nothing here imports Blender."""
+"""The appearance of places: conditions, meshes, images and shader graphs, without Blender."""

@@ -36,7 +36,7 @@ _TRIES = 60
 
 
 class Change(Config):
-    """How the world of a session differs from the place that the scene's seed makes.
+    """The difference between the world of a session and the place that the scene's seed makes.
 
     Sessions with the same change see the same world.
 

@@ -27,7 +27,7 @@ Lining = Callable[[Site], None]
 
 @dataclass(frozen=True)
 class Quarter:
-    """How the blocks of a place, or of one part of it, are used.
+    """The use of the blocks of a place, or of one part of it.
 
     The blocks nearest the middle get one use of ``first`` each, so that every place has every
     class. Of the other blocks, a share ``open_share`` is open land, and the rest is drawn from

@@ -160,7 +160,7 @@ Roofing = Literal["tile", "slate", "metal", "flat"]
 
 @dataclass(frozen=True)
 class BuildingStyle:
-    """How a building looks inside its box.
+    """The appearance of a building inside its box.
 
     Attributes:
         floors: Number of floors.
