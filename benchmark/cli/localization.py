@@ -47,7 +47,7 @@ def localize(
         Path | None,
         typer.Option(
             metavar="CSV",
-            help="Table of positions and attitudes. Left out, they are read from EXIF and XMP.",
+            help="Table of positions and attitudes. Without it, they are read from EXIF and XMP.",
         ),
     ] = None,
     gps_sigma: Annotated[
@@ -149,7 +149,7 @@ def basin(
         str | None,
         typer.Option(
             metavar="LIST",
-            help="Sizes of the error, written 1m/2deg,3m/5deg. Left out, they go from 0m/0deg to "
+            help="Sizes of the error, written 1m/2deg,3m/5deg. By default they go from 0m/0deg to "
             "30m/30deg.",
         ),
     ] = None,
@@ -202,9 +202,7 @@ def score(
     ],
     method: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME", help="Name of the method; left out, it is the name of the file."
-        ),
+        typer.Option(metavar="NAME", help="Name of the method; by default the name of the file."),
     ] = None,
     start: Start = "none",
     as_json: Json = False,

@@ -20,8 +20,8 @@ Masks = Annotated[
         metavar="MASKS",
         help="Object masks of the map's photographs, for a scene without its own: a folder of "
         "label pictures, NAME.png for NAME.jpg, or a JSON file of COCO annotations with run-length "
-        "masks. Left out, diagnose takes the objects that the scene knows, and supplement searches "
-        "the whole photographs.",
+        "masks. Without them, diagnose takes the objects that the scene knows, and supplement "
+        "searches the whole photographs.",
     ),
 ]
 
