@@ -1,4 +1,4 @@
-"""Arrays of every photograph of a map in one file, of which those of a photograph are read."""
+"""A file of arrays of all photographs of a map, from which those of a photograph can be read."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ Add = Callable[[Mapping[str, NDArray[Any]]], None]
 
 @contextmanager
 def written_store(path: Path, **attributes: float) -> Iterator[Add]:
-    """Write a file, whole or not at all, by what it gives: a function that adds the arrays of the
-    next photograph, by name, all of as many rows.
+    """Write a file of arrays; yield a function that adds the arrays of the next photograph.
+
+    The arrays of a photograph have names and the same number of rows. The file appears only when it
+    is complete.
 
     Raises:
         InputError: the folder cannot be written.
@@ -33,7 +35,7 @@ def written_store(path: Path, **attributes: float) -> Iterator[Add]:
 
         def add(parts: Mapping[str, NDArray[Any]]) -> None:
             for name, values in parts.items():
-                # An empty array may not know how wide its rows are.
+                # An empty array may have another number of columns.
                 if name in file and not len(file[name]) and len(values):
                     del file[name]
                 if name not in file:
@@ -49,7 +51,7 @@ def written_store(path: Path, **attributes: float) -> Iterator[Add]:
 
 
 class ArrayStore:
-    """A file of ``written_store``. It stays open, so that it may be removed meanwhile.
+    """A file that ``written_store`` wrote. It stays open, so it may be removed in the meantime.
 
     Raises:
         InputError: the file is damaged; also when its arrays are read.
@@ -66,21 +68,22 @@ class ArrayStore:
             raise self._damaged(error) from None
 
     def __len__(self) -> int:
-        """Number of photographs."""
+        """Return the number of photographs."""
         return len(self._ends)
 
     def attribute(self, name: str) -> Any:
-        """One that was written with the file."""
+        """Return an attribute that was written with the file."""
         try:
             return attribute(self._file, name)
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 
     def read(self, photograph: int, name: str) -> NDArray[Any]:
-        """An array of a photograph, by its row in ``SparseMap.names``."""
+        """Read an array of a photograph, given by its row in ``SparseMap.names``."""
         first = int(self._ends[photograph - 1]) if photograph else 0
         try:
-            # Held against what is stored, which takes the longer the more there is, but once.
+            # The size is compared with what is stored once, because this takes time for large
+            # files.
             if name not in self._arrays:
                 self._arrays[name] = dataset(self._file, name)
             return np.asarray(self._arrays[name][first : int(self._ends[photograph])])

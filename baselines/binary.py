@@ -1,7 +1,8 @@
 """Binary features of OpenCV: ORB (Rublee et al., ICCV 2011) and AKAZE (Alcantarilla et al., BMVC
 2013), compared by Hamming distance.
 
-The map was not built from them, so that their keypoints are lifted between its observations.
+The map was not built from these keypoints, so their 3D points are interpolated between the map's
+observations.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ from baselines.structure import StructureConfig, StructureLocalizer
 from scene.maps.features import Features, unit_bits
 from scene.maps.matching import match
 
-# From one level of ORB's pyramid to the next: OpenCV's own default, which pixels are converted by.
+# Scale between levels of ORB's pyramid. It is OpenCV's default, by which pixels are converted.
 _ORB_STEP: Final = 1.2
 
 
 class Binary(Extractor):
-    """Features whose descriptors are bits.
+    """An extractor of features with binary descriptors.
 
-    Detectors are not said to be safe in several threads at once and cost nothing to make: each
-    picture has its own.
+    OpenCV does not document its detectors as thread-safe, so each picture has its own, which costs
+    nothing.
     """
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
@@ -48,21 +49,26 @@ class Binary(Extractor):
     def _pixels(
         self, keypoints: Sequence[cv2.KeyPoint], size: tuple[int, int]
     ) -> NDArray[np.float64]:
-        """COLMAP's pixels (N, 2) of keypoints in a picture of ``size``: OpenCV counts from the
-        centre of the first pixel."""
+        """Return COLMAP's pixels (N, 2) of keypoints in a picture of ``size``.
+
+        OpenCV counts pixels from the centre of the first.
+        """
         return np.array([point.pt for point in keypoints]) + 0.5
 
     def unit(self, descriptors: NDArray[np.uint8]) -> Tensor:
-        """Bits as signs; see ``unit_bits``."""
+        """Convert bits to signs; see ``unit_bits``."""
         return unit_bits(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
-        """The ratio is of Hamming distances, which are squared distances of the signs."""
+        """Match as ``Extractor.match``.
+
+        The ratio is that of Hamming distances, squared ones of signs.
+        """
         return match(a, b, ratio**0.5)
 
 
 class Orb(Binary):
-    """Oriented FAST and rotated BRIEF, at most ``max_features`` an image."""
+    """Extracts ORB (oriented FAST and rotated BRIEF), at most ``max_features`` in an image."""
 
     name = "orb"
 
@@ -76,15 +82,18 @@ class Orb(Binary):
     def _pixels(
         self, keypoints: Sequence[cv2.KeyPoint], size: tuple[int, int]
     ) -> NDArray[np.float64]:
-        """OpenCV multiplies a level's pixel by the nominal step to the level. The level was resized
-        edge to edge and its size rounded, so that this is up to two pixels off."""
+        """Return COLMAP's pixels, corrected for an error of OpenCV of up to two pixels.
+
+        OpenCV multiplies a level's pixels by the nominal scale of the level, but the level's size
+        was rounded and its edges are those of the image.
+        """
         step = _ORB_STEP ** np.array([point.octave for point in keypoints])[:, None]
         in_level = np.array([point.pt for point in keypoints]) / step + 0.5
         return np.asarray(in_level * size / np.round(size / step))
 
 
 class Akaze(Binary):
-    """Accelerated KAZE with its M-LDB descriptor, at most ``max_features`` an image."""
+    """Extracts accelerated KAZE with its M-LDB descriptor, at most ``max_features`` in an image."""
 
     name = "akaze"
 
@@ -111,14 +120,14 @@ class AkazeConfig(StructureConfig):
 
 
 class OrbLocalizer(StructureLocalizer):
-    """ORB against the nearest photographs of the map."""
+    """The localizer ``orb``, which matches ORB with the nearest photographs of the map."""
 
     def __init__(self, config: OrbConfig) -> None:
         super().__init__(config, Orb(config.max_features), interpolate=True)
 
 
 class AkazeLocalizer(StructureLocalizer):
-    """AKAZE against the nearest photographs of the map."""
+    """The localizer ``akaze``, which matches AKAZE with the nearest photographs of the map."""
 
     def __init__(self, config: AkazeConfig) -> None:
         super().__init__(config, Akaze(config.max_features, config.threshold), interpolate=True)

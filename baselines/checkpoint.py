@@ -1,4 +1,4 @@
-"""Learned weights on disk: ours as safetensors, others' checkpoints as tensors alone."""
+"""Files of learned weights: our safetensors, and checkpoints, of which only tensors are read."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from scene.storage.files import parse_json, sha256_of
 
 
 def shipped(path: Path) -> Path:
-    """``path``, where weights lie that come with the project, beside the code that reads them.
+    """Return the path of shipped weights, which lie beside the code that reads them.
 
     Raises:
-        InputError: there are none.
+        InputError: the file does not exist.
     """
     if not path.is_file():
         raise InputError(
@@ -35,20 +35,21 @@ def shipped(path: Path) -> Path:
 
 
 class _Number:
-    """Stands for a number of NumPy's or its type, as training scripts keep their scores.
+    """Replaces NumPy's numbers and types in checkpoints, where training scripts store scores.
 
-    NumPy's own types take any state that a file gives them, and crash on a damaged one.
+    NumPy's own types accept any state from a file and crash on a damaged one.
     """
 
     def __init__(self, *_: object) -> None:
-        """Whatever the file says, nobody looks at it."""
+        """Ignore the values of the file, which are not used."""
 
     def __setstate__(self, _: object) -> None:
-        """Likewise."""
+        """Ignore the state of the file, which is not used."""
 
 
-# Training scripts keep their arguments and scores beside the tensors. A score is made by a function
-# of the type and bytes, under the names it has had.
+# Types that checkpoints may contain besides tensors: arguments of training scripts and their
+# scores.
+# A score is stored as a call of a NumPy function, whose name differs between versions.
 _PLAIN: Final[list[Any]] = [
     (_Number, "numpy.core.multiarray.scalar"),
     (_Number, "numpy._core.multiarray.scalar"),
@@ -59,12 +60,12 @@ _PLAIN: Final[list[Any]] = [
 
 @dataclass(frozen=True)
 class Weights:
-    """Tensors by name, and what the network must be to take them.
+    """Tensors by name, with the configuration of their network.
 
     Attributes:
-        tensors: as in the ``state_dict`` of the network.
-        config: of the network; empty where the file does not say.
-        sha256: of the file.
+        tensors: tensors by the names of the network's ``state_dict``.
+        config: configuration of the network; empty where the file has none.
+        sha256: digest of the file.
     """
 
     tensors: dict[str, Tensor]
@@ -75,11 +76,11 @@ class Weights:
 def read_weights(path: Path) -> Weights:
     """Read ``.safetensors``, or a torch checkpoint with its tensors under "model" or at the top.
 
-    Checkpoints may hold nothing but tensors, numbers and plain values: what would run code is
-    refused.
+    Checkpoints may contain only tensors, numbers and plain values. Files that would execute code
+    are refused.
 
     Raises:
-        InputError: there is no such file, or it is damaged, or holds code.
+        InputError: the file does not exist, is damaged, or contains code.
     """
     if not path.is_file():
         raise InputError(f"no weights at {path}")
@@ -97,7 +98,7 @@ def read_weights(path: Path) -> Weights:
     try:
         with torch.serialization.safe_globals(_PLAIN):
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # of a damaged file, whatever its first wrong step raises
+    except Exception as error:  # damaged files raise many kinds of exceptions
         raise InputError(
             f"{path} cannot be read as tensors and plain values: {fault_of(error)}"
         ) from error
@@ -109,8 +110,10 @@ def read_weights(path: Path) -> Weights:
 
 
 def fault_of(error: Exception) -> str:
-    """What is wrong with a checkpoint, out of what torch raised. Never in torch's own words where
-    they go on to say how to run the code in it all the same."""
+    """Describe what is wrong with a checkpoint from the exception that torch raised.
+
+    torch's own message is not used where it explains how to execute the code in the file.
+    """
     text = str(error)
     if code := re.search(r"GLOBAL (\S+)", text):
         return f"it asks for {code[1]}"
@@ -120,7 +123,7 @@ def fault_of(error: Exception) -> str:
 
 
 def write_weights(path: Path, network: nn.Module, config: Mapping[str, Any]) -> None:
-    """Write the tensors of a network and its configuration, whole or not at all."""
+    """Write the tensors of a network and its configuration atomically."""
     own = network.state_dict()
     tensors = {name: value.detach().cpu().contiguous() for name, value in own.items()}
     metadata = {"config": json.dumps(dict(config), sort_keys=True)}
@@ -129,11 +132,10 @@ def write_weights(path: Path, network: nn.Module, config: Mapping[str, Any]) -> 
 
 
 def load_into(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
-    """Put tensors into a network.
+    """Load tensors into a network.
 
     Raises:
-        InputError: names, shapes or kinds of number are not the network's, or a value is not
-            finite.
+        InputError: names, shapes or types are not those of the network, or a value is not finite.
     """
     own = network.state_dict()
     for name, value in own.items():
@@ -151,7 +153,7 @@ def load_into(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> 
                 f"{path}: {name} holds {str(given.dtype).removeprefix('torch.')}, the network's "
                 f"holds {str(value.dtype).removeprefix('torch.')}"
             )
-        # What is finite in double precision need not be in single.
+        # A value that is finite in double precision may be infinite in single precision.
         if not bool(torch.isfinite(given.to(value.dtype)).all()):
             raise InputError(f"{path}: {name} has values that are not finite")
     extra = sorted(set(tensors) - set(own))

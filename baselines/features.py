@@ -27,17 +27,17 @@ _TOGETHER = 64
 
 
 class Extractor(ABC):
-    """Finds keypoints and describes them.
+    """Detects and describes keypoints.
 
-    What is here are descriptors that are vectors, compared by their angle; others say how theirs
-    are read and matched.
+    The descriptors of this class are vectors that are compared by their angle. Subclasses with
+    other descriptors override ``unit`` and ``match``.
 
     Attributes:
-        name: of the kind of feature; also that of its cache.
-        options: everything else that decides what is found, in words.
+        name: name of the kind of feature, and of its cache.
+        options: all other settings that change the features, as text.
         weights_sha256: digest of learned weights, or None.
-        turned: whether features are found again in a picture turned by any angle, of any scale. If
-            not, those of pictures turned north up are compared, at the map's resolution.
+        turned: whether features are invariant to rotation and scale. If not, features of pictures
+            turned north up are compared, at the map's resolution.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Extractor(ABC):
 
     @abstractmethod
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
-        """Features of an (H, W, 3) uint8 image."""
+        """Extract the features of an image (H, W, 3) uint8."""
 
     def seen(
         self, rgb: NDArray[np.uint8], camera: Camera, angle: float, scale: float = 1.0
@@ -56,7 +56,8 @@ class Extractor(ABC):
 
         It is turned counter-clockwise by ``angle`` (rad) and resized by ``scale``.
 
-        The corners that come in are black, and nothing at or beyond the photograph's edge is kept.
+        The corners of the turned picture are black. Keypoints at or beyond the photograph's edge
+        are dropped.
         """
         view = warp_image(rgb, camera, angle, scale)
         features = self(view.picture)
@@ -75,26 +76,26 @@ class Extractor(ABC):
         """Extract features of photographs, by name.
 
         Args:
-            root: folder the names are relative to.
-            names: of the photographs.
-            on_progress: gets the number of those done.
+            root: folder of the photographs.
+            names: names of the photographs.
+            on_progress: receives the number of finished photographs.
             beside: folder for temporary files, as ``scene.storage.scratch.scratch`` takes it.
 
         Raises:
             InputError: a photograph is missing or damaged.
         """
-        found = {}
+        features = {}
         for done, name in enumerate(names, 1):
-            found[name] = self(read_rgb(root / name))
+            features[name] = self(read_rgb(root / name))
             on_progress(done)
-        return found
+        return features
 
     def unit(self, descriptors: NDArray[Any]) -> Tensor:
         """Convert to (N, D) float32 of unit length, which ``match`` and retrieval take."""
         return unit_descriptors(descriptors)
 
     def match(self, a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
-        """Mutual nearest neighbours of ``unit`` descriptors under the ratio test, (K, 2) rows."""
+        """Return rows (K, 2) of mutual nearest neighbours by the ratio test; see ``unit``."""
         return match(a, b, ratio)
 
 
@@ -106,9 +107,9 @@ def map_features(
     Args:
         sparse_map: the map.
         images: folder of the photographs.
-        extractor: of the features.
-        cache: folder of files named by a digest of photographs and extractor; None for a file that
-            goes with what is returned.
+        extractor: extractor of the features.
+        cache: folder of files named by a digest of photographs and extractor; None takes a
+            temporary file that is removed with the result.
 
     Raises:
         InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
@@ -139,9 +140,9 @@ def map_features(
                 def advanced(done: int, before: int = first) -> None:
                     advance(before + done)
 
-                found = extractor.of_photographs(images, some, advanced, cache)
+                extracted = extractor.of_photographs(images, some, advanced, cache)
                 for name in some:
-                    add(name, found[name])
+                    add(name, extracted[name])
                 continue
             for done, name in enumerate(some, first + 1):
                 camera = sparse_map.images[name].camera

@@ -15,7 +15,7 @@ from scene.maps.sparse_map import MapImage
 
 
 class LiftingOptions(Config):
-    """How keypoints of a map's photographs are given 3D points."""
+    """Options of lifting keypoints of a map's photographs to 3D points."""
 
     same_px: float = Field(
         1.0,

@@ -1,4 +1,4 @@
-"""A camera from its directions and attitudes relative to cameras whose poses are known."""
+"""The pose of a camera from directions and attitudes relative to cameras with known poses."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-# Rounds of least squares, each weighing rays by the distances the last one found.
+# Iterations of least squares, each with weights from the distances of the last one.
 _ROUNDS = 10
 
 
 @dataclass(frozen=True)
 class Rays:
-    """What N references say of one camera.
+    """Directions to one camera and its attitudes, from N references.
 
     Attributes:
-        origins: (N, 3) centres of the references, world metres.
-        directions: (N, 3) unit vectors from them to the camera.
-        rotations: (N, 3, 3) ``cam_from_world`` as each reference has it.
+        origins: centres (N, 3) of the references, world metres.
+        directions: unit vectors (N, 3) from the references to the camera.
+        rotations: rotations ``cam_from_world`` (N, 3, 3) according to each reference.
     """
 
     origins: NDArray[np.float64]
@@ -34,19 +34,19 @@ class Rays:
         return Rays(self.origins[rows], self.directions[rows], self.rotations[rows])
 
     def widest_deg(self) -> float:
-        """The largest angle between two of the rays' lines, 0 to 90 degrees."""
+        """Return the largest angle between two rays as lines, 0 to 90 degrees."""
         cosines = np.abs(self.directions @ self.directions.T).clip(max=1)
         return float(np.degrees(np.arccos(cosines.min())))
 
     def consensus(self, agree_deg: float, least_deg: float) -> NDArray[np.int64]:
-        """Rows of the most references that agree on one camera; empty when no two do.
+        """Return the rows of the largest set of references that agree on one camera.
 
-        Every two rays that cross at an angle propose where they meet; a reference agrees when the
-        place lies in front of it along its ray and its attitude is theirs.
+        Each pair of rays proposes the point where they meet. A reference agrees when the point lies
+        along its ray and its attitude is that of the pair. The result is empty when no two agree.
 
         Args:
-            agree_deg: by how much a ray may miss the place, and an attitude another.
-            least_deg: two rays that cross at less propose nothing.
+            agree_deg: largest angle between a ray and the point, and between attitudes.
+            least_deg: least angle between two rays that propose a point.
         """
         best: tuple[int, float] = (1, 0.0)
         chosen = np.zeros(0, np.int64)
@@ -62,7 +62,7 @@ class Rays:
         return chosen
 
     def meet(self) -> NDArray[np.float64]:
-        """Where the rays meet best, (3,): least squares of the angles by which they miss it."""
+        """Return the point (3,) with the least squares of angles to the rays."""
         weights = np.ones(len(self))
         place = self.origins.mean(0)
         across = np.eye(3) - self.directions[:, :, None] * self.directions[:, None, :]
@@ -75,17 +75,17 @@ class Rays:
         return np.asarray(place)
 
     def attitude(self) -> NDArray[np.float64]:
-        """The mean of the rotations, (3, 3)."""
+        """Return the mean (3, 3) of the rotations."""
         u, _, vt = np.linalg.svd(self.rotations.sum(0))
         return np.asarray(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt)
 
     def _misses_deg(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Angle between each ray and the way from its reference to a place, (N,)."""
+        """Return the angle (N,) between each ray and the way from its reference to a place."""
         way = place - self.origins
         across = np.linalg.norm(np.cross(self.directions, way), axis=1)
         return np.asarray(np.degrees(np.arctan2(across, (self.directions * way).sum(1))))
 
     def _turned_deg(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Angle between each rotation and another, (N,)."""
+        """Return the angle (N,) between each rotation and another."""
         chord = np.linalg.norm(self.rotations - rotation, axis=(1, 2)) / np.sqrt(8)
         return np.asarray(np.degrees(2 * np.arcsin(chord.clip(max=1))))

@@ -28,7 +28,7 @@ def metres_per_pixel(pose: Pose, camera: Camera, xyz: NDArray[np.float64]) -> fl
 
     Args:
         pose: ``cam_from_world``.
-        camera: of the photograph.
+        camera: camera of the photograph.
         xyz: (N, 3) points that may be in view.
     """
     in_camera = pose.transform(torch.from_numpy(xyz))

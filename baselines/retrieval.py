@@ -31,7 +31,7 @@ Rows = NDArray[np.int64]
 
 
 class RetrievalOptions(Config):
-    """How photographs of the map are compared with a query before any are matched."""
+    """Options of the retrieval of map photographs for a query."""
 
     words: int = Field(64, ge=1, description="Visual words of the global descriptor (VLAD).")
     training_descriptors: int = Field(
@@ -99,7 +99,7 @@ class VladIndex:
         """Cluster the descriptors of all photographs and describe each by its residuals.
 
         Args:
-            descriptors: of each photograph; those of one are in memory at a time.
+            descriptors: descriptors of each photograph; those of one are in memory at a time.
             options: size of the index.
 
         Example:
@@ -166,7 +166,7 @@ def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArr
 
 
 class Viewpoints:
-    """Where the photographs of a map were taken from, and what they look at.
+    """The positions of a map's photographs, and the ground that they show.
 
     Args:
         sparse_map: the map; rows are those of its ``names``.
@@ -199,7 +199,7 @@ class Viewpoints:
         Args:
             position: (3,) camera centre, world metres.
             rotation: (3, 3) ``cam_from_world``.
-            k: how many.
+            k: number of photographs.
         """
         rotation = upright(rotation)
         height = max(self._map.height_above(position), self._options.min_height_m)
@@ -238,7 +238,7 @@ class References:
     """Chooses photographs of a map for a query.
 
     Attributes:
-        names: of the photographs.
+        names: names of the photographs.
         viewpoints: where they were taken from.
         index: their global descriptors.
     """
@@ -271,7 +271,7 @@ class References:
 
         Args:
             query: the query to choose for.
-            k: how many to choose.
+            k: number of photographs to choose.
             describe: descriptors of the query, (n, D) of unit length; called only when needed.
             tilted: whether features are found again from any side. If not, photographs near the
                 prior that are tilted like it come first.

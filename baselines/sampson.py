@@ -28,7 +28,7 @@ _SINGULAR = 1e15
 
 
 class RefinementOptions(Config):
-    """How a pose is refined by Sampson errors."""
+    """Options of the refinement of a pose by Sampson errors."""
 
     max_steps: int = Field(30, ge=1, description="Most steps of Levenberg-Marquardt.")
     cauchy_scale: float = Field(
@@ -48,8 +48,8 @@ class Matches:
 
     Attributes:
         reference: ``cam_from_world`` of the photograph.
-        query_rays: (K, 3) with z = 1, in the query's frame.
-        reference_rays: (K, 3) the same in the photograph's.
+        query_rays: rays (K, 3) with z = 1, in the query's frame.
+        reference_rays: rays (K, 3) with z = 1, in the photograph's frame.
     """
 
     reference: Pose
@@ -61,7 +61,7 @@ class Matches:
 
         Args:
             pose: ``cam_from_world`` of the query.
-            focal: of the query, pixels.
+            focal: focal length of the query, pixels.
         """
         cross = torch.linalg.cross
         relative = pose @ self.reference.inverse()
@@ -86,12 +86,12 @@ class Matches:
 
 @dataclass(frozen=True)
 class Refined:
-    """What ``refine`` returns.
+    """The result of ``refine``.
 
     Attributes:
         pose: ``cam_from_world`` of the query.
-        covariance: (6, 6) of its left tangent (rotation rad, translation m), by the noise of the
-            matches, poses of the photographs held for exact; None where it is singular.
+        covariance: covariance (6, 6) of the left tangent (rotation rad, translation m), from the
+            noise of the matches and with exact poses of the photographs; None where it is singular.
         iterations: steps tried.
     """
 
@@ -111,7 +111,7 @@ def refine(
     Args:
         start: ``cam_from_world`` of the query, float64.
         photographs: matches to them.
-        focal: of the query, pixels.
+        focal: focal length of the query, pixels.
         options: loss and number of steps.
     """
     pose, damping, iterations = start, 1e-3, 0

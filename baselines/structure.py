@@ -1,6 +1,6 @@
 """Localization by structure: matches to photographs of the map, lifted to 3D points, give a pose.
 
-One pipeline for every kind of local feature; a method is an extractor and a configuration.
+All local features use this pipeline. A method consists of an extractor and a configuration.
 """
 
 from __future__ import annotations
@@ -86,12 +86,13 @@ class StructureLocalizer:
     """Localizes images by matches to 3D points. Implements ``scene.localizer.Localizer``."""
 
     def __init__(self, config: StructureConfig, extractor: Extractor, interpolate: bool) -> None:
-        """
+        """Keep the configuration and the extractor.
+
         Args:
-            config: of the method.
-            extractor: of its features.
-            interpolate: lift keypoints between the map's observations too, which a kind of feature
-                needs that the map was not built from.
+            config: configuration of the method.
+            extractor: extractor of its features.
+            interpolate: whether 3D points of keypoints are interpolated between the map's
+                observations. Features from which the map was not built need this.
         """
         self.config = config
         self._extractor = extractor
@@ -108,9 +109,9 @@ class StructureLocalizer:
         return self._extractor.weights_sha256
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
-        """Extract the features of the map's photographs and tie them to its points."""
+        """Extract the features of the map's photographs and associate them with its points."""
         if cache is None:
-            with scratch() as folder:  # files stay open
+            with scratch() as folder:  # files in it stay open
                 self.prepare(sparse_map, images, folder)
             return
         features = map_features(sparse_map, images, self._extractor, cache)
@@ -168,8 +169,8 @@ class StructureLocalizer:
     def localize(self, query: Query) -> Estimate:
         """Extract features, choose references, match, lift and solve for the pose.
 
-        Features that are not found again in turned pictures are extracted from the image as each
-        likely start would turn it; the estimate with most inliers is returned.
+        Features that are not invariant to rotation are extracted from the image turned by each
+        likely start. The estimate with the most inliers is returned.
         """
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)

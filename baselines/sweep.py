@@ -36,7 +36,7 @@ _CHUNK: Final = 128
 
 
 class SweepOptions(Config):
-    """How pixels of a map's photographs are given a depth."""
+    """Options of the plane sweep."""
 
     neighbours: int = Field(
         4, ge=2, description="Most photographs that each photograph is compared with."
@@ -87,12 +87,12 @@ _DEFAULTS: Final = SweepOptions()
 
 @dataclass(frozen=True)
 class Swept:
-    """Where pixels of one photograph stand.
+    """World points of pixels of one photograph.
 
     Attributes:
-        xyz: (N, 3) world metres.
-        sure: (N,) whether two neighbours agree on it, and on no other depth.
-        score: (N,) their correlation.
+        xyz: points (N, 3), world metres.
+        sure: (N,) bool, whether two neighbours agree on the depth and on no other depth.
+        score: correlation (N,) of the neighbours.
     """
 
     xyz: NDArray[np.float64]
@@ -106,7 +106,7 @@ class GreyPhotograph:
 
     Attributes:
         grey: (H, W) float32.
-        camera: of the smaller photograph.
+        camera: camera of the smaller photograph.
         pose: ``cam_from_world``.
         in_photograph: maps its pixels (N, 2) to those of the original.
     """
@@ -163,7 +163,7 @@ class Sweeper:
         """Place pixels of one photograph; none is sure where it has too few neighbours.
 
         Args:
-            name: of the photograph.
+            name: name of the photograph.
             xy: (N, 2) pixels of ``photograph(name)``.
             depths: nearest and farthest depth (N,) of each pixel, metres; None for those of the
                 map's points.

@@ -6,27 +6,27 @@ from typing import Final
 
 from torch import Tensor, nn
 
-# Channels of the convolutions of each block; a pooling by 2 stands between blocks.
+# Channels of the convolutions of each block. Between blocks there is a pooling by 2.
 BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# Of RGB in 0..1, over ImageNet: what networks that start from VGG16 subtract and divide by.
+# Mean and deviation of RGB in 0..1 over ImageNet, by which networks based on VGG16 normalise.
 IMAGENET_MEAN: Final = (0.485, 0.456, 0.406)
 IMAGENET_STD: Final = (0.229, 0.224, 0.225)
 
 
 def channels(width: float) -> list[int]:
-    """Output channels of the five blocks. ``width`` 1 is VGG16; other networks are slimmer."""
+    """Return the output channels of the five blocks. ``width`` 1 is VGG16; less is slimmer."""
     return [round(block[-1] * width) for block in BLOCKS]
 
 
 def vgg16_blocks(width: float = 1.0, extra: int = 0) -> list[list[nn.Module]]:
-    """The five blocks, each a list of 3x3 convolutions with their ReLUs, without the poolings.
+    """Make the five blocks, each a list of 3x3 convolutions with ReLUs, without the poolings.
 
-    With every pooling put between them, their order is that of torchvision's ``vgg16().features``,
-    so that weights of networks built on it can be read by position.
+    With poolings between them, the order of layers is that of torchvision's ``vgg16().features``,
+    so that weights of networks built on it can be loaded by position.
 
     Args:
-        width: of every convolution, in parts of VGG16's.
-        extra: further convolutions in each of the last three blocks; 1 makes it VGG19.
+        width: number of channels as a share of VGG16's.
+        extra: number of additional convolutions in each of the last three blocks; 1 makes VGG19.
     """
     blocks: list[list[nn.Module]] = []
     previous = 3
@@ -41,7 +41,7 @@ def vgg16_blocks(width: float = 1.0, extra: int = 0) -> list[list[nn.Module]]:
 
 
 def vgg16_encoder(width: float = 1.0, extra: int = 0) -> nn.ModuleList:
-    """The five blocks of ``vgg16_blocks`` as modules; each but the first begins with its pooling.
+    """Make the blocks of ``vgg16_blocks`` as modules. All but the first begin with a pooling.
 
     Parameters are named ``BLOCK.LAYER``, as in PixLoc's encoder.
     """
@@ -52,11 +52,11 @@ def vgg16_encoder(width: float = 1.0, extra: int = 0) -> nn.ModuleList:
 
 
 def encode(encoder: nn.ModuleList, image: Tensor) -> list[Tensor]:
-    """What each of the encoder's blocks makes of images, fine to coarse: strides 1 to 16.
+    """Return the outputs of the encoder's blocks, fine to coarse, strides 1 to 16.
 
     Args:
-        encoder: see ``vgg16_encoder``.
-        image: (B, 3, H, W) RGB in 0..1; ImageNet's mean and deviation are taken off here.
+        encoder: result of ``vgg16_encoder``.
+        image: images (B, 3, H, W), RGB in 0..1. They are normalised by ImageNet's statistics here.
     """
     mean, std = image.new_tensor([IMAGENET_MEAN, IMAGENET_STD])[..., None, None]
     blocks = [(image - mean) / std]
@@ -66,7 +66,7 @@ def encode(encoder: nn.ModuleList, image: Tensor) -> list[Tensor]:
 
 
 def keep_variance(network: nn.Module) -> None:
-    """Begin convolutions wider than one cell so that, through ReLUs alone, variance is kept."""
+    """Initialise convolutions wider than one cell so that they keep the variance through ReLUs."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d) and module.kernel_size != (1, 1):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

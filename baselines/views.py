@@ -82,7 +82,7 @@ class WarpedImage:
         camera: the camera that would have taken it.
         view_from_camera: (3, 3) rotation from the photograph's camera frame.
         affine: (2, 3) pixels of the view from pixels of the photograph.
-        size: (2,) of the photograph, width and height.
+        size: size (2,) of the photograph, width and height.
     """
 
     picture: NDArray[np.uint8]

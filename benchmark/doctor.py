@@ -83,7 +83,7 @@ class Diagnosis:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing needed is missing."""
+        """Return whether nothing is missing that is needed."""
         return all(check.state != "missing" for check in self.checks)
 
     def as_dict(self) -> dict[str, Any]:
@@ -221,13 +221,13 @@ def _load(module: str) -> _Loaded:
 
 
 def _python() -> Check:
-    found = f"{platform.python_version()} ({sys.executable}), {platform.platform()}"
+    version = f"{platform.python_version()} ({sys.executable}), {platform.platform()}"
     if sys.version_info >= _PYTHON:
-        return Check("python", "ok", found)
+        return Check("python", "ok", version)
     needed = ".".join(map(str, _PYTHON))
     debian = _apt([f"python{needed}-venv"])
     fix = f"install Python {needed} (on Debian: {debian}), then run the doctor with it"
-    return Check("python", "missing", f"{found}; {needed} or newer is needed", fix)
+    return Check("python", "missing", f"{version}; {needed} or newer is needed", fix)
 
 
 def _machine() -> Iterator[Check]:
@@ -238,12 +238,12 @@ def _machine() -> Iterator[Check]:
     yield Check("memory", "ok", "unknown" if memory is None else f"{memory / 1e9:.1f} GB")
     for name, folder in (("disk here", Path.cwd()), ("disk temporary", _temporary())):
         free = shutil.disk_usage(folder).free
-        found = f"{free / 1e9:.1f} GB free in {folder}"
+        space = f"{free / 1e9:.1f} GB free in {folder}"
         if free < _LEAST_FREE:
             fix = "free some, or " + ("set TMPDIR" if "temp" in name else "work elsewhere")
-            yield Check(name, "missing", found, fix)
+            yield Check(name, "missing", space, fix)
         else:
-            yield Check(name, "ok", found)
+            yield Check(name, "ok", space)
 
 
 def _cores() -> int:
@@ -309,9 +309,9 @@ def _rendering(installed: bool) -> Iterator[Check]:
             fix = f"with Python 3.11, for which alone it is made: {fix}"
         yield Check("bpy", "absent", "not installed: rendering is not possible", fix)
     if packages:
-        found = f"without {', '.join(packages)}"
+        lacking = f"without {', '.join(packages)}"
         yield Check(
-            "Blender's libraries", "missing" if installed else "absent", found, _apt(packages)
+            "Blender's libraries", "missing" if installed else "absent", lacking, _apt(packages)
         )
     else:
         yield Check("Blender's libraries", "ok", "all there")
@@ -338,8 +338,8 @@ def _testing(requirements: list[_Requirement]) -> Iterator[Check]:
         yield Check("tests", "ok", "all packages there")
     browser = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
     if browser is None:
-        found = "none: the leaderboard's page cannot be tested"
-        yield Check("Chromium", "absent", found, _apt(["chromium"]))
+        effect = "none: the leaderboard's page cannot be tested"
+        yield Check("Chromium", "absent", effect, _apt(["chromium"]))
     else:
         yield Check("Chromium", "ok", browser)
 

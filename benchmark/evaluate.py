@@ -172,7 +172,7 @@ class _Run:
 
     @cached_property
     def sparse_map(self) -> SparseMap:
-        """The map of the data set."""
+        """Return the map of the data set."""
         return self._dataset.load_map()
 
     def prepare(self) -> float:

@@ -43,7 +43,8 @@ class Journal(Generic[Entry]):
     def __init__(
         self, path: Path, key: str, model: type[Entry], parts: Mapping[str, str] | None = None
     ) -> None:
-        """
+        """Describe a journal; entering its context opens the file.
+
         Args:
             path: path of the file.
             key: digest of everything that decides the results.

@@ -74,7 +74,7 @@ class Located:
 
     @property
     def found(self) -> bool:
-        """Whether the photograph was localized; a fallback pose does not count."""
+        """Return whether the photograph was localized; a fallback pose does not count."""
         return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
 
 

@@ -88,11 +88,11 @@ def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
     """
     with LOCALIZERS.blame(name, "cannot be made"):
         localizer = LOCALIZERS.load(name, "cannot be made")(dict(overrides))
-    found = LOCALIZERS.entry_point(name)
+    entry_point = LOCALIZERS.entry_point(name)
     lacking = [part for part in _PROTOCOL if not hasattr(localizer, part)]
-    if found is not None and lacking:
+    if entry_point is not None and lacking:
         raise InputError(
-            f"method {name!r} ({found.value}) is no localizer: it lacks {', '.join(lacking)}"
+            f"method {name!r} ({entry_point.value}) is no localizer: it lacks {', '.join(lacking)}"
         )
     return localizer
 

@@ -79,7 +79,7 @@ class Method(_File):
 
     @property
     def is_external(self) -> bool:
-        """Whether the poses came from another program."""
+        """Return whether the poses came from another program."""
         return set(self.config) == {_POSES}
 
 

@@ -81,18 +81,19 @@ def dense(
 ) -> DenseReport:
     """Estimate a depth map for every photograph of the map, fuse them, and measure the result.
 
-    Writes ``dense/`` into the scene, in the layout of COLMAP's workspaces. It grows in a hidden
-    folder, map by map; an interrupted run goes on with the next map, to the same bytes.
+    The result is the folder ``dense/`` of the scene, in the layout of COLMAP's workspaces. It is
+    made map by map in a hidden folder. An interrupted run continues with the next map, and gives
+    the same bytes.
 
     Args:
-        path: of a finished scene with its map.
+        path: path of a finished scene with its map.
         size: longest side of the depth maps, pixels; photographs are never enlarged.
-        sources: photographs that each is matched with, at most.
+        sources: largest number of photographs with which each is matched.
         stereo: our own PatchMatch, or COLMAP's where pycolmap has CUDA.
-        seed: of every random choice; the same seed makes the same files.
-        cluster: whose cores make our own depth maps, see ``worker_pool``. Its nodes
-            see the scene under the path it has here, and write to it.
-        options: how depth maps are sought, and when they agree.
+        seed: seed of every random choice; the same seed makes the same files.
+        cluster: cluster that makes the depth maps of our PatchMatch, see ``worker_pool``. Its nodes
+            must see the scene at the same path and write to it.
+        options: options of the depth maps, and of their agreement.
 
     Returns:
         Its figures, against the truth where the scene has depth.
@@ -149,7 +150,7 @@ def _make(scene: Scene, asked: _Request, cluster: str | None) -> DenseReport:
     try:
         require_unchanged(files, photographs)
     except InputError:
-        shutil.rmtree(workspace.path)  # nobody knows which bytes it was made of
+        shutil.rmtree(workspace.path)  # it may contain some of the changed files
         raise
     _write_model(pinhole_map, workspace)
     workspace.write_lists(pairs)
@@ -218,18 +219,17 @@ def _resumable(folder: Path, key: dict[str, Any]) -> ResumableFolder:
 
 
 def owned(workspace: Workspace) -> set[str]:
-    """What we wrote into a folder, for ``atomic_folder``: photographs
-    and maps of every photograph that has a depth map."""
+    """Return the files of a workspace that we wrote, as ``atomic_folder`` takes them."""
     lists = [KEY, "stereo/patch-match.cfg", "stereo/fusion.cfg", "fused.ply", "fused.ply.vis"]
-    found = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
+    files = {*lists, *(f"sparse/{file}" for file in (*MODEL_FILES, *RIG_FILES))}
     for name in workspace.names():
-        found.add(f"images/{name}")
-        found |= {f"stereo/{kind}/{name}.{stage}.bin" for kind in KINDS for stage in _STAGES}
-    return found
+        files.add(f"images/{name}")
+        files |= {f"stereo/{kind}/{name}.{stage}.bin" for kind in KINDS for stage in _STAGES}
+    return files
 
 
 def _link_finished(whole: Path, unfinished: Path) -> None:
-    """What was finished before, under a second name: the folder itself stays as it is."""
+    """Link finished files into the unfinished folder. The old folder stays unchanged."""
     cloud, ours = Workspace(whole).cloud.name, owned(Workspace(whole))
     for path in sorted(whole.rglob("*")):
         name = path.relative_to(whole).as_posix()
@@ -335,7 +335,7 @@ class _Maps:
 
     @torch.inference_mode()
     def confirmations(self, name: str) -> NDArray[np.int64]:
-        """How many sources confirm each pixel of a finished map, (H, W)."""
+        """Return how many sources confirm each pixel of a finished depth map, (H, W)."""
         depth = torch.from_numpy(self._workspace.depth(name, "geometric")).to(self._device)
         inverse = torch.where(depth > 0, 1 / depth, 0)
         return self._confirmations(name, inverse).cpu().numpy()

@@ -1,4 +1,4 @@
-"""What a depth map and those of its sources agree on."""
+"""Consistency of a depth map with those of its sources."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def agreeing(
     inverse_of_sources: Sequence[Tensor],
     options: AgreementOptions = DEFAULTS.agreement,
 ) -> Tensor:
-    """How many sources' own maps confirm each pixel of the reference, (H, W) int64.
+    """Count the sources whose depth maps confirm each pixel of the reference, (H, W) int64.
 
     Args:
-        reference: the view.
-        sources: the others.
-        inverse: (H, W) inverse depths of the reference, 0 where unknown.
-        inverse_of_sources: (H, W) of each source, 0 where unknown.
-        options: when two maps agree.
+        reference: the reference view.
+        sources: the source views.
+        inverse: inverse depths (H, W) of the reference, 0 where unknown.
+        inverse_of_sources: inverse depths (H, W) of each source, 0 where unknown.
+        options: limits within which two maps agree.
     """
     x, y = reference.camera.pixel_grid(torch.float32).to(inverse.device).unbind(-1)
     count = torch.zeros(inverse.shape, dtype=torch.int64, device=inverse.device)

@@ -1,10 +1,10 @@
 """PatchMatch stereo of one view: planes spread from pixel to pixel and are refined at random.
 
-Red and black pixels of a checkerboard take turns, so that all of one colour are done at once
-(Galliani et al., Gipuma, ICCV 2015); a pixel asks the best of several neighbours in each of four
-regions (after Xu and Tao, ACMH, CVPR 2019). Coarse to fine: the first planes are found in a small
-picture, from the points of the sparse map and from chance. The points are tried again in every
-larger one: what is a few pixels wide is not seen in the small ones.
+Red and black pixels of a checkerboard alternate, so that all pixels of one colour are processed at
+once (Galliani et al., Gipuma, ICCV 2015). A pixel tries the best of several neighbours in each of
+four regions (after Xu and Tao, ACMH, CVPR 2019). The search runs from coarse to fine. The first
+planes come from the points of the sparse map and from random numbers, in a small picture. The
+points are tried again at every larger size, because small pictures lose objects a few pixels wide.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from dense.photometry import Photometry, Window
 from dense.planes import moved, planes_at_nearest, planes_through, resized
 from dense.warp import StereoView
 
-# Pixels done at once: their windows stay in the processor's cache.
+# Number of pixels processed at once, whose windows fit into the processor's cache.
 _CHUNK = 16384
 
 
 def _regions() -> tuple[tuple[tuple[int, int], ...], ...]:
-    """Neighbours (dx, dy) of the other colour to each of four sides: a wedge and a line."""
+    """Return neighbours (dx, dy) of the other colour to each of four sides: a wedge and a line."""
     side = [(0, -1), (-1, -2), (1, -2), (-2, -3), (2, -3), (0, -3), (0, -5), (0, -7)]
     regions = []
     for _ in range(4):
@@ -55,14 +55,14 @@ def first_estimate(
     generator: torch.Generator,
     options: SearchOptions = DEFAULTS.search,
 ) -> Estimate:
-    """Planes from photographs alone.
+    """Estimate planes from photographs alone.
 
     Args:
         reference: the view whose planes are sought.
         sources: other views of the same surface.
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of map points in the reference.
-        generator: of every random choice.
-        options: how planes are sought.
+        generator: generator of every random choice.
+        options: options of the search.
     """
     shrink = [1]
     while max(reference.grey.shape) / shrink[-1] > options.coarsest_px:
@@ -97,15 +97,15 @@ def consistent_estimate(
     generator: torch.Generator,
     options: SearchOptions = DEFAULTS.search,
 ) -> Estimate:
-    """Planes refined against the first estimates of the sources.
+    """Refine planes for consistency with the first estimates of the sources.
 
     Args:
         reference: the view whose planes are sought.
         sources: other views of the same surface.
         planes: (3, H, W) first estimate of the reference.
         inverse_depths: (H, W) first estimates of the sources.
-        generator: of every random choice.
-        options: how planes are sought.
+        generator: generator of every random choice.
+        options: options of the search.
     """
     search = _Search(reference, sources, planes[0], inverse_depths, generator, options)
     return search.run(search.evaluate(planes), options.rounds, 0.5)
@@ -138,7 +138,7 @@ class _Search:
         self._shape = reference.grey.shape
         centres = [np.linalg.inv(v.cam_from_world)[:3, 3] for v in (reference, *sources)]
         baseline = float(np.median([np.linalg.norm(c - centres[0]) for c in centres[1:]]))
-        # Inverse depth of one pixel of disparity.
+        # The change of inverse depth for one pixel of disparity.
         self._pixel = 1 / (reference.camera.focal[0] * baseline)
         height, width = self._shape
         rows, columns = torch.meshgrid(
@@ -152,7 +152,7 @@ class _Search:
         ]
 
     def begin(self, fitted: Tensor, nearest: Tensor) -> Estimate:
-        """The best of four guesses per pixel: planes (3, H, W) from the seeds, and from chance."""
+        """Return the best of four guesses at each pixel, from seeds and at random, (3, H, W)."""
         inverse = nearest[0]
         margin = self._options.margin
         low, high = float(inverse.min()) * (1 - margin), float(inverse.max()) * (1 + margin)
@@ -165,14 +165,14 @@ class _Search:
         return self.best_of(guesses)
 
     def best_of(self, guesses: Sequence[Tensor]) -> Estimate:
-        """The cheapest of some planes (3, H, W) at each pixel."""
+        """Return the cheapest of several planes at each pixel, (3, H, W)."""
         tried = [self.evaluate(guess) for guess in guesses]
         cost, which = torch.stack([estimate.cost for estimate in tried]).min(0)
         planes = torch.stack([estimate.planes for estimate in tried])
         return Estimate(planes.gather(0, which.expand(1, 3, -1, -1))[0], cost)
 
     def evaluate(self, planes: Tensor) -> Estimate:
-        """The cost of one plane per pixel."""
+        """Return the cost of one plane at each pixel."""
         cost = torch.empty(self._shape, device=self._device)
         for colour in self._colours:
             for rows, columns in _chunks(colour):
@@ -181,7 +181,7 @@ class _Search:
         return Estimate(planes.clone(), cost)
 
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
-        """Spread and refine, ``rounds`` times over both colours."""
+        """Propagate and refine planes, ``rounds`` times over both colours."""
         step_px, step_slope = self._options.step_px, self._options.step_slope
         for k in range(rounds):
             for colour in self._colours:
@@ -240,11 +240,11 @@ def _from_neighbour(
     rows: Tensor,
     columns: Tensor,
 ) -> Tensor:
-    """The plane of the cheapest neighbour in a region, carried to each pixel (n,)."""
+    """Return the plane of the cheapest neighbour in a region, moved to each pixel (n,)."""
     dx, dy = torch.tensor(region, device=rows.device).T[..., None]
     costs = cost[rows + dy + _REACH, columns + dx + _REACH]
     which = costs.argmin(0)
-    # A neighbour outside the picture wins only among its like: the pixel's own plane is as good.
+    # Where all neighbours are outside the picture, the pixel's own plane is taken.
     inside = torch.isfinite(costs.gather(0, which[None])[0])
     dx, dy = (torch.where(inside, d[which, 0], 0) for d in (dx, dy))
     return moved(planes[:, rows + dy, columns + dx], -dx, -dy)

@@ -1,8 +1,8 @@
-"""How well a plane carries the window around a pixel over into the other views.
+"""The photometric cost of a plane: the difference of windows in the reference and other views.
 
-Bilaterally weighted normalised cross-correlation, as Gipuma and COLMAP measure it: the cost is
-1 - NCC, 0 where two windows are equal up to gain and offset. Within its small window the warp is
-taken for affine, so that one division serves all samples.
+It is bilaterally weighted normalised cross-correlation, as in Gipuma and COLMAP. The cost is
+1 - NCC, which is 0 where two windows are equal up to gain and offset. Within the small window the
+warp is approximated as affine, which needs one division for all samples.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from dense.options import DEFAULTS, CostOptions
 from dense.warp import StereoView, Warp, round_trip
 
 WORST = 2.0
-"""Cost of the opposite picture, and of a view that does not see the plane at all."""
+"""Cost of an inverted picture, and of a view that does not see the plane."""
 
-# Every second pixel of a window of 9 x 9, as the method is defined.
+# Offsets of samples: every second pixel of a window of 9 x 9, which is part of the method.
 _STEPS = (-4, -2, 0, 2, 4)
-# A numerical guard. Variance (of grey in 0..1) that is only noise: windows without texture match
-# nothing.
+# Numerical guard.
+# Variance (of grey in 0..1) of noise. Windows with less have no texture and match nothing.
 _NOISE = 1e-5
 
 
@@ -31,11 +31,11 @@ class Window(NamedTuple):
     """Samples around each of n pixels of the reference view, S per pixel.
 
     Attributes:
-        rows: (n,) of the pixel.
-        columns: (n,) of the pixel.
-        weights: (S, n), of sum one.
-        correlator: (S, n); times another window and summed, their covariance in units of this
-            one's standard deviation.
+        rows: row (n,) of the pixel.
+        columns: column (n,) of the pixel.
+        weights: weights (S, n) of the samples, whose sum is one.
+        correlator: factors (S, n). The sum of their products with another window is the
+            covariance of both windows over the standard deviation of this one.
     """
 
     rows: Tensor
@@ -49,12 +49,13 @@ class Photometry:
 
     Args:
         reference: the view whose planes are sought.
-        sources: the others.
-        expected: (H, W) inverse depths that say which sources have each pixel in their picture; a
-            plane that flees from one of them costs, and one outside all along does not count.
-        inverse_depths: of the sources, (H, W), 0 where unknown; with them a plane costs more where
-            a source's own map contradicts it.
-        options: the weights.
+        sources: the source views.
+        expected: inverse depths (H, W) by which each pixel is or is not in the picture of a source.
+            A plane that leaves the picture of such a source is penalised; a source that never
+            shows the pixel is ignored.
+        inverse_depths: inverse depth maps (H, W) of the sources, 0 where unknown. With them, a
+            plane costs more where a source's map contradicts it.
+        options: weights of the costs.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class Photometry:
         x, y = grid.unbind(-1)
         self._seen = torch.stack([warp(x, y, expected).seen for warp in self._there])
         count = self._seen.sum(0)
-        # An occluded view is outvoted: the better half counts, but two where there are two.
+        # The better half of the views counts, and at least two, so that occluded views are ignored.
         self._best = torch.maximum((count + 1) // 2, count.clamp_max(2))
         reach, device = _STEPS[-1], reference.grey.device
         self._padded = pad(reference.grey[None, None], (reach,) * 4, mode="replicate")[0, 0]
@@ -86,7 +87,7 @@ class Photometry:
         self._near = torch.exp(-(dx**2 + dy**2) / (2 * options.sigma_px**2)).reshape(-1, 1)
 
     def window(self, rows: Tensor, columns: Tensor) -> Window:
-        """The windows around pixels (n,) of the reference."""
+        """Return the windows around pixels (n,) of the reference."""
         grey = self._padded.view(-1)[self._offsets + rows * self._padded.shape[1] + columns]
         difference = (grey - self._grey[rows, columns]).abs()
         weights = self._near * torch.exp(difference / -self._options.sigma_grey)
@@ -96,7 +97,7 @@ class Photometry:
         return Window(rows, columns, weights, weights * central / deviation)
 
     def cost(self, window: Window, planes: Tensor) -> Tensor:
-        """Cost of a plane at each pixel: mean over the better half of the sources that see it.
+        """Return the cost of a plane at each pixel, the mean over the better half of its sources.
 
         Args:
             window: around n pixels.
@@ -116,7 +117,7 @@ class Photometry:
         x, y = window.columns + 0.5, window.rows + 0.5
         at = warp(x, y, w)
         ux, uy, vx, vy = warp.slopes(at, gx, gy)
-        # In grid_sample's units, in which -1 and 1 are the picture's edges.
+        # In grid_sample's units, -1 and 1 are the edges of the picture.
         side = len(_STEPS)
         grid = torch.empty(side, side, len(w), 2, device=w.device)
         step = self._steps[:, None]
@@ -126,7 +127,7 @@ class Photometry:
             columns = step * (along_x * (2 / size)) + (centre * (2 / size) - 1)
             rows = step * (along_y * (2 / size))
             torch.add(rows[:, None], columns[None], out=grid[..., axis])
-        # As a batch: torch spreads batches over the cores, single pictures it does not.
+        # A batch, because torch parallelises over batches and not within single pictures.
         grey = grid_sample(
             self._sources[k].expand(side, -1, -1, -1),
             grid,

@@ -28,7 +28,7 @@ def draw_maps(
     truth: Mapping[str, Truth],
     path: Path,
 ) -> None:
-    """A row per photograph: it, its depth, confirming sources, and true depth and error if known.
+    """Draw a row per photograph: picture, depth, confirmations, and true depth and error if known.
 
     Raises:
         InputError: the folder cannot be written.
@@ -61,12 +61,12 @@ def draw_maps(
 
 
 def draw_cloud(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], path: Path) -> None:
-    """The cloud from above and from the side, nearer points before farther ones.
+    """Draw the cloud from above and from the side, with nearer points in front of farther ones.
 
     Args:
         xyz: (M, 3) world metres.
-        rgb: (M, 3).
-        path: of the picture.
+        rgb: colours (M, 3).
+        path: file of the picture.
 
     Raises:
         InputError: the folder cannot be written.
@@ -83,7 +83,7 @@ def draw_cloud(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], path: Path) -> 
 def _splatted(
     xyz: NDArray[np.float64], rgb: NDArray[np.uint8], elevation: float, bearing: float
 ) -> NDArray[np.uint8]:
-    """An orthographic picture, (H, W, 3), white where there is nothing."""
+    """Return an orthographic picture (H, W, 3), which is white where there are no points."""
     e, b = np.radians([elevation, bearing])
     right = np.array([np.cos(b), -np.sin(b), 0])
     ahead = np.array([np.sin(b) * np.cos(e), np.cos(b) * np.cos(e), -np.sin(e)])
@@ -94,7 +94,7 @@ def _splatted(
     flat = np.stack([xyz @ right, -xyz @ up], 1)
     low, high = np.percentile(flat, [0.5, 99.5], axis=0)
     scale = (_SIDE - 1) / max(float((high - low).max()), 1e-9)
-    order = np.argsort(-(xyz @ ahead), kind="stable")  # farthest first, nearer ones over it
+    order = np.argsort(-(xyz @ ahead), kind="stable")  # farthest first, nearer on top
     place = np.round((flat - 0.5 * (low + high)) * scale + 0.5 * _SIDE).astype(int)[order]
     for dx in range(2):
         for dy in range(2):

@@ -1,9 +1,9 @@
-"""Slanted planes as PatchMatch holds them: inverse depth at a pixel, and its slope.
+"""Slanted planes of PatchMatch, represented by the inverse depth at a pixel and its slope.
 
-Over a plane the inverse depth is linear in the pixel, 1/z(x, y) = w + gx dx + gy dy. So a plane is
-three numbers (w in 1/m, gx and gy in 1/m per pixel), to move it to a neighbour is one product, and
-where it lands in another view is linear in it before the division. Any such plane with w > 0 faces
-the camera.
+On a plane the inverse depth is linear in the pixel, 1/z(x, y) = w + gx dx + gy dy. A plane is
+therefore three numbers (w in 1/m, gx and gy in 1/m per pixel). Moving it to a neighbouring pixel
+takes one product, and its projection into another view is linear in them before the division. Any
+such plane with w > 0 faces the camera.
 """
 
 from __future__ import annotations
@@ -16,22 +16,24 @@ from torch import Tensor
 
 from scene.geometry.camera import Camera
 
-# Seeds that a first guess of a plane goes through; the search changes it.
+# Number of nearest seeds through which the first guess of a plane is fitted. Fewer do not
+# determine a slope.
 _NEIGHBOURS = 8
-# Numerical guards. Holds the slope back where the seeds lie on a line.
+# Numerical guards.
+# Regularisation of the slope, for seeds that lie on a line.
 _RIDGE = 1e-2
-# Pixels times seeds whose distances are held at once.
+# The most distances (pixels times seeds) in memory at once.
 _DISTANCES = 1 << 23
 
 
 def moved(planes: Tensor, dx: Tensor | float, dy: Tensor | float) -> Tensor:
-    """The same planes seen from ``dx``, ``dy`` pixels away. (3, ...) -> (3, ...)."""
+    """Return planes (3, ...) moved by ``dx``, ``dy`` pixels."""
     w, gx, gy = planes
     return torch.stack([w + gx * dx + gy * dy, gx, gy])
 
 
 def resized(planes: Tensor, height: int, width: int) -> Tensor:
-    """Planes of the same picture at another size. (3, H, W) -> (3, height, width)."""
+    """Resize planes (3, H, W) to those of the picture at another size, (3, height, width)."""
     sy, sx = planes.shape[1] / height, planes.shape[2] / width
     y = (torch.arange(height, device=planes.device) + 0.5) * sy
     x = (torch.arange(width, device=planes.device) + 0.5) * sx
@@ -42,7 +44,7 @@ def resized(planes: Tensor, height: int, width: int) -> Tensor:
 
 
 def normals_of(planes: Tensor, camera: Camera) -> Tensor:
-    """Unit normals in the camera's frame, turned towards it. (3, H, W) -> (3, H, W)."""
+    """Return the unit normals of planes, (3, H, W), in the camera's frame and towards it."""
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     x, y = camera.pixel_grid(planes.dtype).to(planes.device).unbind(-1)
     ahead, gx, gy = moved(planes, cx - x, cy - y)
@@ -50,7 +52,7 @@ def normals_of(planes: Tensor, camera: Camera) -> Tensor:
 
 
 def planes_of(depth: Tensor, normals: Tensor, camera: Camera) -> Tensor:
-    """Planes of depth (H, W) > 0 and of normals (3, H, W) as ``normals_of`` gives them."""
+    """Return the planes of depths (H, W) > 0 and normals (3, H, W) as those of ``normals_of``."""
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     x, y = camera.pixel_grid(depth.dtype).to(depth.device).unbind(-1)
     nx, ny, nz = normals
@@ -63,8 +65,8 @@ def planes_at_nearest(seeds: NDArray[np.float64], height: int, width: int) -> Te
 
     Args:
         seeds: (M, 3) x, y (pixels) and inverse depth (1/m) of M >= 1 points.
-        height: of the picture.
-        width: of the picture.
+        height: height of the picture.
+        width: width of the picture.
 
     Returns:
         planes: (3, height, width) float32.

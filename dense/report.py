@@ -1,4 +1,4 @@
-"""Report on depth maps: their figures against the truth of the scene."""
+"""The report on depth maps: their errors against the truth of the scene."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from scene.runtime.progress import progress_bar
 WITHIN = 0.005
 """A depth this close to the truth (relative) is right."""
 
-# A pixel is judged when so many photographs of the map see its surface, its own among them.
+# A pixel is evaluated when at least this many photographs, including its own, see its surface.
 _VIEWS = 3
-# Another photograph sees the surface when its depth there is so close (relative) to the point's.
+# Another photograph sees a point when its depth there differs by less than this (relative).
 _SAME = 0.01
 GROUPS = ("all", "ground", "small", "medium", "large")
-"""What accuracy is told of: everything, and its parts."""
+"""The groups of pixels of which accuracy is reported: all pixels, and parts of them."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Truth:
     """Rendered truth as the camera of a depth map sees it.
 
     Attributes:
-        depth: (H, W) metres, 0 where there is no surface.
-        instance: (H, W) object identifiers, 0 for the ground.
-        views: (H, W) photographs of the map that see the surface, this one among them.
+        depth: depth (H, W), metres, 0 where there is no surface.
+        instance: object ids (H, W), 0 for the ground.
+        views: number (H, W) of photographs of the map that see the surface, including this one.
     """
 
     depth: NDArray[np.float32]
@@ -43,20 +43,20 @@ class Truth:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Pixels of surfaces seen often enough."""
+        """Return which pixels are evaluated: those whose surface enough photographs see."""
         return (self.depth > 0) & (self.views >= _VIEWS)
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Depth over some of the judged pixels.
+    """Accuracy of the depth of a group of evaluated pixels.
 
     Attributes:
-        pixels: judged.
+        pixels: number of evaluated pixels.
         complete: share of them with any depth.
         right: share of them with a depth within 0.5 % of the truth.
-        right_of_complete: the same of those with a depth.
-        median_error: relative, of those with a depth; None where there are none.
+        right_of_complete: share of the pixels with a depth that are within 0.5 % of the truth.
+        median_error: relative median error of the pixels with a depth; None where there are none.
     """
 
     pixels: int
@@ -71,13 +71,13 @@ class DenseReport:
     """Figures of a dense reconstruction.
 
     Attributes:
-        photographs: of the map.
-        maps: depth maps made of them.
-        points: of the fused cloud.
-        cpu_seconds_per_map: spent on 512 x 512 pixels of the maps made in this run; None when
-            it made none.
-        accuracy: over all pixels judged, those of the ground, and those of objects by size class;
-            empty where the scene has no true depth.
+        photographs: number of photographs of the map.
+        maps: number of depth maps.
+        points: number of points of the fused cloud.
+        cpu_seconds_per_map: processor time for 512 x 512 pixels of the depth maps made in this run;
+            None when it made none.
+        accuracy: accuracy of all evaluated pixels, those of the ground, and those of objects by
+            size class; empty where the scene has no true depth.
     """
 
     photographs: int
@@ -109,7 +109,7 @@ class DenseReport:
 
 
 def read_truth(scene: Scene, sparse_map: SparseMap) -> dict[str, Truth]:
-    """Truth of every photograph of a map (with undistorted cameras) that the scene has depth of."""
+    """Return the truth of every photograph of a map, with undistorted cameras, that has depth."""
     sampled: dict[str, tuple[NDArray[np.float32], NDArray[np.uint16]]] = {}
     for session in scene.sessions:
         frames = scene.frames(session)
@@ -133,7 +133,7 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> dict[str, Truth]:
 
 
 def _nearest(camera: Camera, pinhole: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Row and column of the photograph at every pixel of the pinhole."""
+    """Return the row and column in the photograph for every pixel of the pinhole picture."""
     rays, _ = pinhole.unproject(pinhole.pixel_grid())
     column, row = camera.project(rays).xy.floor().long().unbind(-1)
     return row.clamp(0, camera.height - 1).numpy(), column.clamp(0, camera.width - 1).numpy()
@@ -162,10 +162,10 @@ class Fused:
     """Depth maps and the cloud that was fused from them.
 
     Attributes:
-        workspace: of the depth maps.
+        workspace: folder of the depth maps.
         names: photographs that have a depth map.
-        points: of the fused cloud.
-        cpu_seconds: spent on 512 x 512 pixels of depth maps, or None.
+        points: number of points of the fused cloud.
+        cpu_seconds: processor time for 512 x 512 pixels of depth maps, or None.
     """
 
     workspace: Workspace
@@ -178,10 +178,10 @@ def report(scene: Scene, photographs: int, fused: Fused, truth: Mapping[str, Tru
     """Measure depth maps.
 
     Args:
-        scene: its objects have size classes.
-        photographs: how many photographs the map has.
-        fused: the depth maps.
-        truth: by photograph, empty where there is none.
+        scene: scene whose objects have size classes.
+        photographs: number of photographs of the map.
+        fused: the depth maps and their cloud.
+        truth: truth by photograph, empty where there is none.
     """
     workspace, names = fused.workspace, fused.names
     groups = Groups(scene) if truth else None
@@ -197,7 +197,7 @@ def report(scene: Scene, photographs: int, fused: Fused, truth: Mapping[str, Tru
         parts["all"].append(error[judged])
         for k, label in enumerate(GROUPS[1:]):
             parts[label].append(error[judged][group == k])
-    errors = {label: np.concatenate(found) for label, found in parts.items() if found}
+    errors = {label: np.concatenate(arrays) for label, arrays in parts.items() if arrays}
     return DenseReport(
         photographs=photographs,
         maps=len(names),
@@ -208,7 +208,7 @@ def report(scene: Scene, photographs: int, fused: Fused, truth: Mapping[str, Tru
 
 
 class Groups:
-    """Pixels by what they show: 0 the ground, then the size classes in order."""
+    """Group numbers of pixels: 0 for the ground, then the size classes of objects in order."""
 
     def __init__(self, scene: Scene) -> None:
         self._table = np.zeros(1 << 16, np.uint8)
@@ -216,7 +216,7 @@ class Groups:
             self._table[item.id] = GROUPS.index(item.size_class) - 1
 
     def of(self, instance: NDArray[np.uint16]) -> NDArray[np.uint8]:
-        """Rows of ``GROUPS[1:]`` of identifiers, of any shape."""
+        """Return the rows in ``GROUPS[1:]`` of object ids of any shape."""
         return np.asarray(self._table[instance])
 
 

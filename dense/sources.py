@@ -1,4 +1,4 @@
-"""Which photographs to match a photograph with."""
+"""The choice of source photographs for the depth map of a photograph."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from scene.maps.sparse_map import SparseMap
 
 
 def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
-    """Map points in a photograph, (M, 3): x, y (pixels) and inverse depth (1/m).
+    """Return the map points in a photograph, (M, 3): x, y (pixels) and inverse depth (1/m).
 
-    Those it observes, and those that no photograph observes: points that were not triangulated but
-    added to the map by other means.
+    They are the points that it observes, and those that no photograph observes because they were
+    not triangulated but added to the map by other means.
     """
     image = sparse_map.images[name]
     wanted = sparse_map.track_length == 0
@@ -34,19 +34,19 @@ def choose_sources(
     count: int,
     options: SourceOptions = DEFAULTS.sources,
 ) -> list[str]:
-    """Up to ``count`` photographs that together see all of one at good angles, best first.
+    """Choose photographs that together see all of a photograph at good angles, best first.
 
     Args:
-        sparse_map: with undistorted cameras.
-        name: of the photograph to be matched.
-        seeds: in it, as ``seeds_in`` gives them.
-        count: at most so many.
-        options: which photographs see the same, and which angles are good.
+        sparse_map: map with undistorted cameras.
+        name: the photograph to be matched.
+        seeds: its map points, as those of ``seeds_in``.
+        count: largest number of sources.
+        options: options of the choice: common points, coverage and angles.
     """
     image = sparse_map.images[name]
     observed = image.point_rows[image.point_rows >= 0]
     width, height = image.camera.width, image.camera.height
-    # Planes at the centres of a coarse grid stand for the surface everywhere in the picture.
+    # Planes at the centres of a coarse grid approximate the surface in the picture.
     grid = options.grid
     scale = np.array([grid / width, grid / height, 1.0])
     inverse = planes_at_nearest(seeds * scale, grid, grid)[0].double().reshape(-1, 1)

@@ -1,4 +1,4 @@
-"""Photographs and maps without distortion, as stereo needs them."""
+"""Undistortion of photographs and maps for stereo."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _QUALITY = 98
 
 
 def pinhole_of(camera: Camera, size: int) -> Camera:
-    """The PINHOLE camera whose whole picture lies inside that of ``camera``.
+    """Return the PINHOLE camera whose whole picture lies inside that of a camera.
 
     Args:
-        camera: any.
-        size: longest side allowed, pixels; a picture is never enlarged.
+        camera: the camera of photographs.
+        size: longest side of the picture, pixels; pictures are never enlarged.
 
     Raises:
-        InputError: the camera sees so wide that no pinhole does it justice.
+        InputError: the camera's view is too wide for a pinhole.
     """
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     zoom = 1.0
@@ -55,7 +55,7 @@ def pinhole_of(camera: Camera, size: int) -> Camera:
 
 
 def undistorted_map(sparse_map: SparseMap, cameras: Mapping[Camera, Camera]) -> SparseMap:
-    """The map as the ``cameras`` without distortion see it, by the cameras with it."""
+    """Return the map for undistorted cameras, which ``cameras`` gives by the distorted ones."""
 
     def undistorted(image: MapImage) -> MapImage:
         camera = cameras[image.camera]
@@ -68,7 +68,7 @@ def undistorted_map(sparse_map: SparseMap, cameras: Mapping[Camera, Camera]) -> 
 
 
 def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Path) -> None:
-    """Write a photograph as the pinhole sees it; one that needs no change is copied.
+    """Write a photograph as the pinhole sees it. Without distortion, it is copied.
 
     Raises:
         InputError: it is missing, damaged or not of its camera's size, or cannot be written.
@@ -84,10 +84,10 @@ def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Pa
 
 
 def _remapped(rgb: NDArray[np.uint8], camera: Camera, pinhole: Camera) -> NDArray[np.uint8]:
-    """Resampled at the photograph's own fineness first, so that shrinking averages."""
+    """Resample a photograph at its own resolution first, and average it to a smaller size then."""
     full = pinhole.resized(camera.width, camera.height)
     rays, _ = full.unproject(full.pixel_grid())
-    # OpenCV counts pixels from the centre of the first.
+    # OpenCV counts pixels from the centre of the first pixel.
     x, y = (camera.project(rays).xy - 0.5).float().unbind(-1)
     straight = cv2.remap(rgb, x.numpy(), y.numpy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     size = (pinhole.width, pinhole.height)

@@ -20,9 +20,9 @@ class StereoView:
     """A photograph without distortion.
 
     Attributes:
-        grey: (H, W) float32 in 0..1.
-        camera: PINHOLE of that size.
-        cam_from_world: (4, 4) float64.
+        grey: grey values (H, W) float32 in 0..1.
+        camera: PINHOLE camera of that size.
+        cam_from_world: pose (4, 4) float64.
     """
 
     grey: Tensor
@@ -31,13 +31,16 @@ class StereoView:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its values."""
+        """Return the number of bytes of its values."""
         return self.grey.nbytes
 
 
 class Warped(NamedTuple):
-    """Pixels ``u``, ``v`` of another view, ``z``: depth there over depth here (at least a
-    millionth), and whether the point is in front of that view and in its picture."""
+    """Pixels ``u``, ``v`` of another view and the ratio ``z`` of depths, there over here.
+
+    ``z`` is at least a millionth. The last field tells whether the point is in front of the other
+    view and in its picture.
+    """
 
     u: Tensor
     v: Tensor
@@ -50,10 +53,10 @@ class Warp:
     """The homogeneous pixel ``rotation @ (x, y, 1) + w * translation``, linear in w = 1/z.
 
     Attributes:
-        rotation: (3, 3).
-        translation: (3,).
-        height: of the other view.
-        width: of the other view.
+        rotation: matrix (3, 3).
+        translation: vector (3,).
+        height: height of the other view, pixels.
+        width: width of the other view, pixels.
     """
 
     rotation: tuple[tuple[float, ...], ...]
@@ -74,7 +77,7 @@ class Warp:
         )
 
     def __call__(self, x: Tensor, y: Tensor, w: Tensor) -> Warped:
-        """Pixels and inverse depths of any one shape."""
+        """Warp pixels with inverse depths, all of one shape."""
         a, b, c = (
             row[0] * x + row[1] * y + (row[2] + shift * w)
             for row, shift in zip(self.rotation, self.translation, strict=True)
@@ -85,7 +88,7 @@ class Warp:
         return Warped(u, v, z, inside & (c > _MIN_DEPTH))
 
     def slopes(self, at: Warped, gx: Tensor, gy: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """du/dx, du/dy, dv/dx, dv/dy along a plane whose inverse depth has the slope gx, gy."""
+        """Return du/dx, du/dy, dv/dx, dv/dy on a plane whose inverse depth has the slope gx, gy."""
         (a0, a1, _), (b0, b1, _), (c0, c1, _) = self.rotation
         ta, tb, tc = self.translation
         zx, zy = c0 + tc * gx, c1 + tc * gy
@@ -100,19 +103,19 @@ class Warp:
 def round_trip(
     there: Warp, back: Warp, inverse_depth: Tensor, x: Tensor, y: Tensor, w: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Go to another view, take the depth its own map has, come back.
+    """Warp pixels to another view, take the depth of its map there, and warp them back.
 
     Args:
-        there: to the other view.
-        back: from it.
-        inverse_depth: (H, W) of the other view, 0 where unknown.
-        x: pixels here.
-        y: pixels here.
-        w: inverse depths here.
+        there: warp to the other view.
+        back: warp from the other view.
+        inverse_depth: inverse depth map (H, W) of the other view, 0 where unknown.
+        x: columns of the pixels here.
+        y: rows of the pixels here.
+        w: inverse depths of the pixels here.
 
     Returns:
-        Pixels from where it began, and depth there as carried over the depth of the map minus one;
-        both infinite where the other view does not see the point or knows no depth.
+        The distance in pixels between start and end, and the warped depth over the map's depth
+        minus one. Both are infinite where the other view does not show the point or has no depth.
     """
     at = there(x, y, w)
     column = at.u.long().clamp(0, there.width - 1)

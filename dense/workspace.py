@@ -1,4 +1,4 @@
-"""The folder dense stereo works in, laid out as COLMAP's own, so that COLMAP opens it.
+"""The workspace of dense stereo, a folder in COLMAP's layout.
 
 https://colmap.github.io/format.html#dense-reconstruction
 """
@@ -20,7 +20,7 @@ Stage = Literal["photometric", "geometric"]
 Kind = Literal["depth_maps", "normal_maps"]
 KINDS: Final[tuple[Kind, ...]] = ("depth_maps", "normal_maps")
 _HEADER_BYTES = 64
-# A fused cloud as COLMAP writes it.
+# The first lines of a fused cloud that COLMAP writes.
 _PLY = ["ply", "format binary_little_endian 1.0"]
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
 
@@ -30,38 +30,38 @@ class Workspace:
     """Paths and arrays of one workspace.
 
     Attributes:
-        path: of the folder.
+        path: the folder.
     """
 
     path: Path
 
     @property
     def images(self) -> Path:
-        """Undistorted photographs, by name."""
+        """Return the folder of undistorted photographs."""
         return self.path / "images"
 
     @property
     def sparse(self) -> Path:
-        """The map with undistorted cameras."""
+        """Return the folder of the map with undistorted cameras."""
         return self.path / "sparse"
 
     @property
     def cloud(self) -> Path:
-        """The fused cloud."""
+        """Return the file of the fused cloud."""
         return self.path / "fused.ply"
 
     def names(self) -> list[str]:
-        """Photographs that have a map or were begun, in alphabetical order."""
-        found = set()
+        """Return the photographs with a finished or begun depth map, in alphabetical order."""
+        names = set()
         for kind in KINDS:
             folder = self.path / "stereo" / kind
             for path in folder.rglob("*.bin"):
                 name = path.relative_to(folder).as_posix().removesuffix(".bin")
-                found.add(name.rpartition(".")[0])
-        return sorted(found - {""})
+                names.add(name.rpartition(".")[0])
+        return sorted(names - {""})
 
     def has(self, name: str, stage: Stage) -> bool:
-        """Whether the depth map of a photograph is done; it is written after its normals."""
+        """Return whether a depth map is finished. It is written after its normals."""
         return self._file(name, stage, "depth_maps").is_file()
 
     def write(
@@ -76,18 +76,26 @@ class Workspace:
         write_array(self._file(name, stage, "depth_maps"), depth[None])
 
     def depth(self, name: str, stage: Stage) -> NDArray[np.float32]:
-        """(H, W) metres, 0 where unknown; InputError when missing or damaged."""
+        """Read a depth map (H, W), metres, 0 where unknown.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
         return read_array(self._file(name, stage, "depth_maps"), 1).squeeze(0)
 
     def normals(self, name: str, stage: Stage) -> NDArray[np.float32]:
-        """(3, H, W) in the camera's frame; InputError when missing or damaged."""
+        """Read a normal map (3, H, W) in the camera's frame.
+
+        Raises:
+            InputError: the file is missing or damaged.
+        """
         return read_array(self._file(name, stage, "normal_maps"), 3)
 
     def read_cloud(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Points (M, 3), world metres, and colours (M, 3) of the fused cloud.
+        """Read the points (M, 3), world metres, and colours (M, 3) of the fused cloud.
 
         Raises:
-            InputError: missing or damaged.
+            InputError: the file is missing or damaged.
         """
         require_readable(self.cloud, "cloud")
         try:
@@ -102,7 +110,7 @@ class Workspace:
         return table["xyz"].astype(np.float64), table["rgb"].copy()
 
     def write_lists(self, sources: dict[str, list[str]]) -> None:
-        """Write which photographs were matched with which, and which are fused."""
+        """Write the lists of sources of each photograph and of the photographs to fuse."""
         stereo = self.path / "stereo"
         pairs = "".join(f"{name}\n{', '.join(others)}\n" for name, others in sources.items())
         write_text(stereo / "patch-match.cfg", pairs)
@@ -128,7 +136,7 @@ def read_array(path: Path, channels: int) -> NDArray[np.float32]:
     """Read what ``write_array`` or COLMAP wrote, (C, H, W).
 
     Raises:
-        InputError: missing, not such a file, of other channels, or not as long as it claims.
+        InputError: the file is missing or damaged, or has another number of channels.
     """
     require_readable(path, "depth map")
     try:
@@ -137,9 +145,9 @@ def read_array(path: Path, channels: int) -> NDArray[np.float32]:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
     words = data[:_HEADER_BYTES].split(b"&", 3)
     if len(words) == 4 and all(word.isdigit() for word in words[:3]):
-        width, height, found = (int(word) for word in words[:3])
+        width, height, planes = (int(word) for word in words[:3])
         start = sum(len(word) + 1 for word in words[:3])
-        if found == channels and len(data) - start == 4 * width * height * channels:
+        if planes == channels and len(data) - start == 4 * width * height * channels:
             values = np.frombuffer(data, "<f4", offset=start)
             return values.reshape(channels, height, width).astype(np.float32)
     raise InputError(f"{path} is damaged: remove it and run dense again")

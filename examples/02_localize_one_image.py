@@ -1,4 +1,4 @@
-"""Find the pose of one photograph in a map, and hold it against the truth.
+"""Find the pose of one photograph in a map, and compare it with the truth.
 
 python examples/02_localize_one_image.py [SCENE]    (after 01_map.py)
 """

@@ -1,1 +1,1 @@
-"""A folder of photographs becomes a scene."""
+"""Making scenes of folders of photographs."""

@@ -24,7 +24,7 @@ from scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
-# Standard deviation of an altitude that counts for nothing (m).
+# Standard deviation of an altitude that is ignored (m).
 _NO_ALTITUDE = 1e4
 
 

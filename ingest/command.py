@@ -1,4 +1,4 @@
-"""Making a scene of a folder of photographs; an interrupted run is resumed."""
+"""The command ``ingest``, which makes a scene of photographs and resumes interrupted runs."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _DEFAULTS: Final = IngestOptions()
 
 
 class _Plan(BaseModel):
-    """What was asked for: a folder that was begun with another plan is refused."""
+    """The request of a run. A folder that was begun with another request is refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -107,25 +107,25 @@ def ingest(
     every: int = 4,
     options: IngestOptions = _DEFAULTS,
 ) -> IngestReport:
-    """Turn a folder of geotagged JPEGs into a scene, or go on where an interrupted run stopped.
+    """Make a scene of a folder of geotagged JPEGs, or continue an interrupted run.
 
-    Poses come from structure from motion of all photographs together, placed by GPS; the map is
-    triangulated anew from its own photographs.
+    Poses come from structure from motion of all photographs together, georegistered by GPS. The map
+    is triangulated again from its own photographs.
 
     Args:
-        photographs: folder, looked through with the folders in it.
-        out: folder, new or left by a run of the same photographs and options.
+        photographs: folder of the photographs, with sub-folders.
+        out: new folder, or one left by a run of the same photographs and options.
         gps: table of positions instead of those in EXIF, see ``with_positions``.
         camera: calibration of all photographs; None takes it from EXIF.
-        size: longest side of the photographs in the scene, pixels; larger ones are made smaller.
+        size: longest side of the photographs in the scene, pixels; larger ones are reduced.
         mapper: "incremental" or "global" structure from motion.
         split: queries are every ``every``-th "photo" or flight "line", or "none".
         every: see ``split``.
         options: which photographs are matched, and when GPS and gimbals are believed.
 
     Raises:
-        InputError: fewer than three photographs, or positions, or photographs that hang together;
-            ``out`` holds something else, cannot be written or is written by another run.
+        InputError: fewer than three photographs can be read, have positions or overlap; ``out``
+            holds other files, cannot be written or is being written by another run.
     """
     if photographs.resolve() in (out.resolve(), *out.resolve().parents):
         raise InputError(f"{out} lies in the folder of photographs: choose one outside it")
@@ -161,9 +161,9 @@ def _ingest(
     try:
         report = _build(out, _Source(photographs, flight, taken, fixes, queries, plan))
     except WriteError:
-        raise  # the same command goes on when there is room
+        raise  # the same command continues when there is room
     except InputError:
-        # These photographs make no scene: nothing of ours is left to go on with.
+        # These photographs make no scene, so nothing is kept for a later run.
         remove_owned(out, _owned(flight))
         raise
     finish_scene(out, _manifest(plan, origin))
@@ -224,7 +224,7 @@ def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
         where = georegister(raw, fixes, options.placement)
         turned = turned_over(raw, where, placed.images, options.max_attitude_error_deg)
         if turned:
-            # Their features are of the pictures as they were: all begins anew.
+            # Their features belong to the unturned pictures, so the reconstruction starts again.
             for name in turned:
                 (out / "sessions" / name).unlink()
             for path in (out / _WORK).glob(f"{_DATABASE.stem}*"):

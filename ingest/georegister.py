@@ -26,7 +26,7 @@ _CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 
 @dataclass(frozen=True)
 class Georegistration:
-    """Where a model is in the world.
+    """The position, rotation and scale of a model in the world.
 
     Attributes:
         world_from_model: Similarity (3, 4).

@@ -25,7 +25,7 @@ _DEFAULTS: Final = IngestOptions()
 
 @dataclass(frozen=True)
 class Motion:
-    """How the aircraft moved at a photograph.
+    """The motion of the aircraft at a photograph.
 
     Attributes:
         line: Number of the flight line.

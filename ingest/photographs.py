@@ -43,7 +43,7 @@ class FlightImage:
 
     @property
     def lens(self) -> str:
-        """What all photographs of one lens have in common, as a text."""
+        """Return a text that all photographs of one lens have in common."""
         focal = f"{self.exif.focal_35mm:.2f} mm" if self.exif.focal_35mm else "focal length unknown"
         maker = f"{self.exif.make} {self.exif.model}".strip() or "unknown camera"
         return f"{maker}, {self.size[0]} x {self.size[1]}, {focal}"
@@ -79,8 +79,8 @@ def read_flight(folder: Path) -> Flight:
     """
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
-    found = list_files(folder, _ENDINGS, depth=None)
-    files = sorted(path.relative_to(folder).as_posix() for path in found)
+    paths = list_files(folder, _ENDINGS, depth=None)
+    files = sorted(path.relative_to(folder).as_posix() for path in paths)
     if not files:
         raise InputError(f"{folder} holds no photograph ({', '.join(_ENDINGS)})")
     images: dict[str, FlightImage] = {}

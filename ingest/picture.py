@@ -26,7 +26,7 @@ def draw(
     the order the photographs were taken.
 
     Args:
-        path: of the picture.
+        path: path of the picture.
         title: above it.
         adjusted: the model in the world; fixes that it did not use are not drawn.
         order: names of its photographs as taken.

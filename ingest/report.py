@@ -1,4 +1,4 @@
-"""What came of a folder of photographs, in figures."""
+"""The report of ``ingest``: figures of a scene made of photographs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SHOWN = 6
 
 
 class Residuals(BaseModel):
-    """Distances of cameras from their fixes, metres; vertical ones without sign."""
+    """Statistics of the distances between cameras and their fixes, metres, without sign."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -30,7 +30,7 @@ class Residuals(BaseModel):
     vertical_rms: float
 
     def text(self) -> str:
-        """For a person."""
+        """Return the figures as text."""
         return (
             f"horizontal {self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms; "
             f"vertical {self.vertical_median:.2f} m median, {self.vertical_rms:.2f} m rms"
@@ -38,7 +38,7 @@ class Residuals(BaseModel):
 
 
 class Lens(BaseModel):
-    """One lens: its photographs in the model, its camera for them, and where that comes from."""
+    """A lens: the number of its photographs, its camera, and the origin of the camera's values."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -52,24 +52,25 @@ class IngestReport(BaseModel):
     """Figures of an ingested flight.
 
     Attributes:
-        photographs: JPEGs found.
-        left_out: of them, by file, why they are not in the scene.
-        registered: photographs in the scene.
-        points: of the model of all of them.
+        photographs: number of JPEGs in the folder.
+        left_out: reasons why files are not in the scene, by file.
+        registered: number of photographs in the scene.
+        points: number of points in the model of all photographs of the scene.
         track_length: mean number of photographs that observe a point.
-        reprojection_error_px: mean over observations.
-        lenses: cameras found.
-        level: what says which way is up: "gps" or the "ground".
-        fixes: photographs in the scene whose GPS position was used.
-        blunders: by file, metres from the camera of fixes that were not.
-        wrong_attitudes: by file, degrees from the camera of gimbal attitudes that were not used.
-        turned: files that someone had turned by 180 degrees; in the scene they are turned back.
-        gps: residuals of the fixes that were, as the camera wrote them.
-        lag_s: seconds that fixes are behind their photographs; 0 where they do not tell.
-        gps_without_lag: residuals of the fixes without this lag; None without one.
-        map_images: photographs of the map.
-        map_points: points of the map, triangulated from its photographs alone.
-        queries: photographs left for queries.
+        reprojection_error_px: mean reprojection error over all observations, pixels.
+        lenses: the cameras.
+        level: what defines the vertical: "gps" or the "ground".
+        fixes: number of photographs whose GPS position was used.
+        blunders: distance from the camera of each fix that was not used, metres, by file.
+        wrong_attitudes: angle between each gimbal attitude that was not used and its camera,
+            degrees, by file.
+        turned: files whose pictures were turned by 180 degrees and are turned back in the scene.
+        gps: residuals of the fixes that were used, as the camera wrote them.
+        lag_s: delay of the fixes behind their photographs, seconds; 0 where none was estimated.
+        gps_without_lag: residuals of the fixes after this delay is removed; None without a delay.
+        map_images: number of photographs of the map.
+        map_points: number of points of the map, triangulated from its photographs alone.
+        queries: number of photographs that are queries.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -94,7 +95,7 @@ class IngestReport(BaseModel):
     queries: int
 
     def text(self) -> str:
-        """For a person."""
+        """Return the report as text."""
         up = {
             "gps": "up is where GPS says",
             "ground": "up is across the ground: GPS altitudes cannot tell",
@@ -131,13 +132,13 @@ def _listed(what: str, reasons: Mapping[str, str]) -> list[str]:
 def residuals(
     model: SparseMap, fixes: Mapping[str, NDArray[np.float64]], names: Sequence[str]
 ) -> NDArray[np.float64]:
-    """Fix minus camera centre of some photographs, (N, 3) metres."""
+    """Return fix minus camera centre of some photographs, (N, 3) metres."""
     off = [fixes[name] - model.images[name].centre for name in names]
     return np.array(off).reshape(-1, 3)
 
 
 def summary(off: NDArray[np.float64]) -> Residuals:
-    """Figures of residuals (N, 3)."""
+    """Return statistics of residuals (N, 3)."""
     horizontal, vertical = np.linalg.norm(off[:, :2], axis=1), np.abs(off[:, 2])
     return Residuals(
         horizontal_median=float(np.median(horizontal)),
@@ -148,12 +149,12 @@ def summary(off: NDArray[np.float64]) -> Residuals:
 
 
 def lenses_of(photographs: Sequence[Photograph], adjusted: Adjusted) -> tuple[Lens, ...]:
-    """Cameras of a model by lens, in the order of the photographs."""
+    """Return the cameras of a model by lens, in the order of the photographs."""
     images = adjusted.model.images
-    found: dict[str, list[Photograph]] = {}
+    by_lens: dict[str, list[Photograph]] = {}
     for photograph in photographs:
         if photograph.name in images:
-            found.setdefault(photograph.lens, []).append(photograph)
+            by_lens.setdefault(photograph.lens, []).append(photograph)
     return tuple(
         Lens(
             name=lens,
@@ -161,7 +162,7 @@ def lenses_of(photographs: Sequence[Photograph], adjusted: Adjusted) -> tuple[Le
             camera=str(images[taken[0].name].camera),
             origin=_origin(taken[0], images[taken[0].name].camera, lens in adjusted.focal),
         )
-        for lens, taken in found.items()
+        for lens, taken in by_lens.items()
     )
 
 
@@ -203,15 +204,15 @@ def make_report(
     sparse_map: SparseMap,
     findings: AttitudeFindings,
 ) -> IngestReport:
-    """Figures of a finished flight.
+    """Make the report of a finished flight.
 
     Args:
-        photographs: given to structure from motion.
+        photographs: photographs that structure from motion received.
         flight: photographs of the model, and the files that were left out with reasons.
         adjusted: the model of all photographs in the world.
         fixes: measured positions by name, world metres.
-        sparse_map: of the map's photographs.
-        findings: what the gimbals show.
+        sparse_map: the map of the map's photographs.
+        findings: attitudes that were not used, and photographs that are turned back.
     """
     model, placed = adjusted.model, adjusted.placed
     files = {image.name: image.file for image in flight.images}

@@ -44,24 +44,24 @@ def build_map(
 ) -> MapReport:
     """Build the map of a finished scene from its map frames and record it in the manifest.
 
-    An older map is replaced once the new one is whole. The model is in world metres; the features
-    it was built from lie beside it. Called again after an interruption, it goes on from the
-    features and matches that were done, to the same map.
+    The model is in world metres, and its features are stored beside it. An older map is replaced
+    when the new one is complete. After an interruption, a second call continues with the finished
+    features and matches and builds the same map.
 
     Args:
-        path: of the scene.
-        method: triangulation with the exact poses, or structure from motion that finds its own and
-            is then aligned to them.
-        cluster: whose cores find the features, see ``worker_pool``. Its nodes see
-            the scene under the path it has here.
-        options: which photographs and features are matched, and which are outliers.
+        path: folder of the scene.
+        method: triangulation with the exact poses, or structure from motion, whose own poses are
+            then aligned to them.
+        cluster: cluster that extracts the features, see ``worker_pool``. Its nodes must see the
+            scene at the same path.
+        options: options of pairs, of matches and of outliers.
 
     Returns:
         The map's figures against the truth.
 
     Raises:
-        InputError: not a finished scene, one that another run is writing, a damaged photograph, or
-            no map came of it.
+        InputError: the scene is not finished, is being written by another run, has a damaged
+            photograph, or gives no map.
     """
     scene = Scene.open(path)
     with write_lock(path):
@@ -132,12 +132,12 @@ def _digest(
 def choose_pairs(
     overlap: NDArray[np.float64], flights: Sequence[str], options: PairOptions = _DEFAULTS.pairs
 ) -> list[tuple[int, int]]:
-    """Choose pairs of frames worth matching, each once: neighbours in space, and in time.
+    """Choose the pairs of frames to match, each once: neighbours in space and in time.
 
     Args:
-        overlap: (N, N) share of each other's surface that frames see, symmetric.
-        flights: of each frame; frames of one flight follow each other in time.
-        options: how much they must overlap, and how many others each one is matched with.
+        overlap: symmetric (N, N) share of each other's surface that frames see.
+        flights: flight of each frame; frames of one flight are in the order of time.
+        options: least overlap, and number of frames with which each one is matched.
     """
     pairs = set()
     for i, shares in enumerate(overlap):

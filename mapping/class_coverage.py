@@ -1,7 +1,8 @@
-"""How pixels, keypoints and map points spread over what a place is made of.
+"""The shares of kinds of surfaces in pixels, keypoints and map points.
 
-A map whose points all lie on the ground says little about everything else, and photographs do not
-look so: where texture is as rich as outdoors, each kind of surface has keypoints as it has pixels.
+In real photographs, each kind of surface has about as large a share of the keypoints as of the
+pixels. Rendered surfaces must have enough texture for this, or else most map points would be on the
+ground.
 """
 
 from __future__ import annotations
@@ -19,13 +20,12 @@ from scene.maps.features import Features
 from scene.maps.sparse_map import SparseMap
 
 KINDS = ("ground", "buildings", "vegetation", "other things")
-"""Kinds of surfaces; the sky is none of them."""
+"""Kinds of surfaces. The sky belongs to none."""
 
 
 @dataclass(frozen=True)
 class KindShare:
-    """Shares 0..1 of one kind of surface in the map frames' pixels and keypoints, and in the map's
-    points."""
+    """Shares 0..1 of a kind of surface in the map frames' pixels and keypoints, and map points."""
 
     pixels: float
     keypoints: float
@@ -35,14 +35,15 @@ class KindShare:
 def class_coverage(
     scene: Scene, sparse_map: SparseMap, features: Mapping[str, Features]
 ) -> dict[str, KindShare]:
-    """The share of each of ``KINDS``.
+    """Measure the share of each of ``KINDS``.
 
-    A keypoint is of the kind its pixel shows, a point of the kind most of its observations show.
+    The kind of a keypoint is that of its pixel, and the kind of a point that of most of its
+    observations.
 
     Args:
-        scene: whose semantic layer tells.
-        sparse_map: of the scene.
-        features: of the map's photographs, by name.
+        scene: scene with a semantic layer.
+        sparse_map: map of the scene.
+        features: features of the map's photographs, by name.
 
     Raises:
         InputError: a session is missing or damaged.
@@ -68,7 +69,7 @@ def class_coverage(
 
 
 def _kind_of_label() -> NDArray[np.int64]:
-    """Index into KINDS by semantic label; one past its end for the sky."""
+    """Return the index into KINDS by semantic label; the sky has the index after the last."""
     kind = np.full(256, 3)
     kind[:FIRST_OBJECT_LABEL] = 0
     kind[CLASSES["sky"]] = len(KINDS)
@@ -78,7 +79,7 @@ def _kind_of_label() -> NDArray[np.int64]:
 
 
 def _at(kind: NDArray[np.int64], xy: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
-    """Values of a raster (H, W) under COLMAP pixels (N, 2)."""
+    """Return the values of a raster (H, W) at COLMAP pixels (N, 2)."""
     column, row = np.floor(xy).astype(int).T
     height, width = kind.shape
     return np.asarray(kind[row.clip(0, height - 1), column.clip(0, width - 1)])

@@ -1,4 +1,4 @@
-"""Report on a map: its figures against the truth of the scene it was built in."""
+"""The report on a map: its errors against the truth of its scene."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scene.maps.sparse_map import SparseMap
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """Mean, root mean square and worst of some errors."""
+    """Mean, root mean square and maximum of errors."""
 
     mean: float
     rms: float
@@ -42,16 +42,16 @@ class MapReport:
     """Figures of a map.
 
     Attributes:
-        images: photographs given.
-        registered: photographs that the map has.
-        pairs: pairs of photographs that were matched.
-        points: triangulated points.
-        reprojection_error_px: mean over observations.
+        images: number of photographs that were given.
+        registered: number of photographs in the map.
+        pairs: number of pairs of photographs that were matched.
+        points: number of triangulated points.
+        reprojection_error_px: mean reprojection error over all observations, pixels.
         track_length: mean number of photographs that observe a point.
-        position_m: distance of the camera centres from the truth.
-        rotation_deg: of the rotations from the truth.
-        objects: by size class, of those seen in the map's photographs.
-        small_objects: the small ones by their class.
+        position_m: distances of the camera centres from the truth, metres.
+        rotation_deg: angles between the rotations and the truth, degrees.
+        objects: coverage of the objects in the map's photographs, by size class.
+        small_objects: coverage of the small objects, by class.
         kinds: shares of each kind of surface.
         options: what the map was built with, see ``mapping.options``.
     """
@@ -96,11 +96,11 @@ class MapReport:
 
 @dataclass(frozen=True)
 class ObjectTruth:
-    """Which objects the photographs of a map show, and which its points lie on.
+    """The objects that the photographs of a map show, and those on which its points lie.
 
     Attributes:
         objects: the objects that the photographs show.
-        owners: (M,) identifier of the object that each point of the map lies on.
+        owners: id (M,) of the object on which each point of the map lies.
     """
 
     objects: Sequence[SceneObject]
@@ -118,12 +118,12 @@ def report(
     """Measure a map.
 
     Args:
-        sparse_map: built from the images of ``truth``, or from some of them.
-        truth: every photograph given, with its exact pose.
-        objects: the objects in view, and what the points lie on.
-        pairs: how many pairs of photographs were matched.
-        kinds: see ``mapping.class_coverage``.
-        options: what the map was built with.
+        sparse_map: map of all or some of the images of ``truth``.
+        truth: all photographs that were given, with their exact poses.
+        objects: the objects in view, and those on which the points lie.
+        pairs: number of pairs of photographs that were matched.
+        kinds: result of ``mapping.class_coverage``.
+        options: options with which the map was built.
     """
     mapped = [image for image in truth if image.name in sparse_map.images]
     estimated = np.stack([sparse_map.images[image.name].cam_from_world for image in mapped])

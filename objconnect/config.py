@@ -32,28 +32,31 @@ class SegmentOptions(Config):
 
 
 class ObjConnectNetConfig(Config):
-    """Every block of the method can be switched off. Levels run from coarse to fine.
+    """The configuration of the network. Each block of the method can be switched off.
+
+    Levels run from coarse to fine.
 
     Attributes:
-        width: channels of the encoder in parts of VGG16's.
-        decoder: how coarse features come to finer levels: ``fpn``, the paper's feature pyramid, or
-            ``unet``, PixLoc's.
-        pyramid: channels of the feature pyramid.
-        steps: channels of the U-Net, from stride 8 to stride 1.
-        strides: of the levels, pixels of the image per cell.
-        dims: channels of the features of each level.
-        segmentation: what objects are made by. ``slic`` and ``felzenszwalb`` follow the picture,
-            ``grid`` is squares that know nothing of it, ``given`` expects label maps, and ``none``
-            makes no objects.
-        segments: N, the most objects of a picture.
-        segment_side: pixels; pictures too small for N objects of this side have fewer.
-        segmenter: how the picture is segmented.
-        finest_object_stride: finest level that has objects, pixels per cell. Objects on finer
-            levels cost as much as the rest of the network and say nothing new, because their cells
-            lie within one object almost everywhere.
-        attention: equations (1) to (3), features enriched by their object's.
-        object_graph: equations (4) and (5), a graph over the points of each object.
-        scene_graph: a graph over all objects.
+        width: number of channels of the encoder as a share of VGG16's.
+        decoder: decoder that combines coarse and fine features: ``fpn`` is the paper's feature
+            pyramid and ``unet`` that of PixLoc.
+        pyramid: number of channels of the feature pyramid.
+        steps: numbers of channels of the U-Net, from stride 8 to stride 1.
+        strides: strides of the levels, pixels of the image per cell.
+        dims: numbers of channels of the features of each level.
+        segmentation: method that makes the objects. ``slic`` and ``felzenszwalb`` segment the
+            image, ``grid`` makes squares that do not depend on it, ``given`` expects label maps,
+            and ``none`` makes no objects.
+        segments: largest number N of objects of an image.
+        segment_side: typical side of an object, pixels; images too small for N objects of this side
+            have fewer.
+        segmenter: options of the segmentation.
+        finest_object_stride: finest stride of levels with objects, pixels per cell. On finer levels
+            the object blocks would cost as much as the rest of the network and add nothing, because
+            nearly all neighbouring cells share an object.
+        attention: switches equations (1) to (3), which add features of the object to each cell.
+        object_graph: switches equations (4) and (5), a graph over the points of each object.
+        scene_graph: switches a graph over all objects.
     """
 
     width: float = Field(1.0, gt=0, le=2)

@@ -12,10 +12,10 @@ from baselines.vgg import channels
 
 
 class FeaturePyramid(nn.Module):
-    """I_l: a picture's features at several strides, each of which has seen the coarser ones.
+    """The feature maps I_l of an image at several strides.
 
-    Lateral 1x1 convolutions bring the encoder's blocks to one number of channels, coarser steps are
-    added to finer ones bilinearly, and what is used is smoothed by a 3x3 convolution.
+    Lateral 1x1 convolutions bring the encoder's blocks to the same number of channels. Coarser maps
+    are resized bilinearly and added to finer ones. A 3x3 convolution smooths each level's map.
 
     Attributes:
         sizes: channels of each level, coarse to fine.
@@ -38,11 +38,13 @@ class FeaturePyramid(nn.Module):
         )
 
     def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
-        """What the encoder's blocks made, fine to coarse -> per level (B, C, h, w), coarse to fine,
-        each made when it is asked for.
+        """Yield the map (B, C, h, w) of each level, coarse to fine, computed on demand.
 
-        Cells are ``stride`` pixels from the top left corner on; what an image has beyond a multiple
-        of 16 pixels is cut off.
+        Cells are ``stride`` pixels wide and start at the top left corner. The part of an image
+        beyond a multiple of 16 pixels is cut off.
+
+        Args:
+            blocks: outputs of the encoder's blocks, fine to coarse.
         """
         smooth = dict(zip(self._wanted, self.smooth, strict=True))
         step = self.lateral[0](blocks[-1])

@@ -1,8 +1,8 @@
 """Graphs over the points of an object, and over the objects of a scene.
 
-The points of an object are taken to be the cells of its region, not the cloud's points that the
-current pose throws into it: features then follow from the picture alone, so that they can be kept,
-and shared by any number of hypotheses about the pose.
+The points of an object are the cells of its region, and not the cloud's points that the current
+pose projects into it. The features then depend on the image alone. They can be cached and shared by
+any number of pose hypotheses.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ _TINY = 1e-6
 
 
 class PointConvolution(nn.Module):
-    """G: a graph convolution over points that are joined to all points of their object.
+    """The graph convolution G over points, each of which is connected to all points of its object.
 
-    Of a point's own feature and of the mean of those it is joined to (Hamilton et al., "Inductive
-    Representation Learning on Large Graphs", NIPS 2017), which is dense within an object at the
-    cost of one mean.
+    It combines a point's own feature with the mean of its neighbours' features (Hamilton et al.,
+    "Inductive Representation Learning on Large Graphs", NIPS 2017). The graph is complete within an
+    object, and costs one mean.
     """
 
     def __init__(self, size: int) -> None:
@@ -30,14 +30,14 @@ class PointConvolution(nn.Module):
         self.others = nn.Linear(size, size, bias=False)
 
     def forward(self, points: Tensor, objects: Occupancy) -> Tensor:
-        """Points (B, h w, C) -> the same, not negative."""
+        """Convolve points (B, h w, C); the result has the same shape and is not negative."""
         around = self.others(objects.mean(points).to(points.dtype))
         joined: Tensor = (self.own(points) + objects.paint(around)).relu()
         return joined
 
 
 class ObjectGraph(nn.Module):
-    """Equations (4) and (5): which channels matter to an object, and points that hear of it."""
+    """Equations (4) and (5): channel weights of each object, and the graph over its points."""
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -45,30 +45,31 @@ class ObjectGraph(nn.Module):
         self.out = small(nn.Linear(size, size))
 
     def forward(self, points: Tensor, objects: Occupancy) -> Tensor:
-        """Points (B, h w, C) -> the same, with what the graph found added."""
+        """Return points (B, h w, C) with the output of the graph added."""
         channels = self.weights(points, objects)
-        found = self.convolution(points * objects.paint(channels).to(points.dtype), objects)
-        # Cells of no object have nobody to hear from.
+        message = self.convolution(points * objects.paint(channels).to(points.dtype), objects)
+        # Cells without an object have no neighbours.
         inside = objects.paint(torch.ones_like(channels[..., :1])).to(points.dtype)
-        added: Tensor = points + inside * self.out(found)
+        added: Tensor = points + inside * self.out(message)
         return added
 
     def weights(self, points: Tensor, objects: Occupancy) -> Tensor:
-        """Equation (4), f_c = GAP(G(F_P; zeta)) * f_c, from the affinities on: (B, N, C) float32.
+        """Return f_c (B, N, C) float32 by equation (4), f_c = GAP(G(F_P; zeta)) * f_c.
 
-        Both factors are brought to a mean square of one: products of features would grow without
-        bound.
+        The initial f_c are the affinities. Both factors are scaled to a mean square of one, because
+        products of features would grow without bound.
         """
         pooled = objects.mean(self.convolution(points, objects))
         return _unit(pooled) * _unit(affinity(objects, points))
 
 
 class SceneGraph(nn.Module):
-    """The graph over the objects: those alike and near are merged softly, what differs is kept.
+    """The graph over the objects. It merges similar near objects softly and keeps differences.
 
-    Edges are ``a_ij = softmax_j(alpha cos(f_i, f_j) - beta |c_i - c_j| / s)`` with s the side of
-    a mean object. An object's vector becomes H(m_i (+) (f_i - m_i)), with m_i the sum of a_ij f_j:
-    what it shares with others, and what tells it from them. It goes back into the object's cells.
+    The edges are ``a_ij = softmax_j(alpha cos(f_i, f_j) - beta |c_i - c_j| / s)``, where s is the
+    side of a mean object. The vector of an object becomes H(m_i (+) (f_i - m_i)), where m_i is the
+    sum of a_ij f_j. m_i is what the object shares with others, and f_i - m_i is the difference. The
+    vector is added to the object's cells.
     """
 
     def __init__(self, size: int) -> None:
@@ -79,14 +80,14 @@ class SceneGraph(nn.Module):
         self.out = small(nn.Linear(size, size))
 
     def forward(self, rows: Tensor, objects: Occupancy) -> Tensor:
-        """Rows (B, h w, C) -> the same, with what the graph found added."""
+        """Return rows (B, h w, C) with the output of the graph added."""
         vectors = affinity(objects, rows)
         merged = self.edges(vectors, objects) @ vectors
         joined = self.join(torch.cat([merged, vectors - merged], -1)).relu()
         return rows + objects.paint(self.out(joined)).to(rows.dtype)
 
     def edges(self, vectors: Tensor, objects: Occupancy) -> Tensor:
-        """(B, N, N) float32, rows of sum one; 0 to and from objects that are not there."""
+        """Return the edges (B, N, N) float32. Rows sum to one; edges of absent objects are 0."""
         direction = functional.normalize(vectors.float(), dim=-1)
         alike = (direction @ direction.transpose(1, 2)).float()
         place = centres(objects)
@@ -95,10 +96,10 @@ class SceneGraph(nn.Module):
         apart = torch.cdist(place, place) / side[:, None, None]
         score = self.alpha * alike - self.beta * apart
         both = present[:, :, None] & present[:, None]
-        # A finite value: rows without any object must not become NaN.
+        # A finite value, because rows without any object would become NaN.
         return score.masked_fill(~both, -1e9).softmax(-1) * both
 
 
 def _unit(vectors: Tensor) -> Tensor:
-    """Vectors (..., C) of mean square one, or near zero where they are."""
+    """Scale vectors (..., C) to a mean square of one; vectors near zero stay near zero."""
     return vectors * (vectors.square().mean(-1, keepdim=True) + _TINY).rsqrt()

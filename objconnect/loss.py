@@ -25,19 +25,20 @@ from scene.geometry.pose import Pose
 def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
     """Equation (7), L_2d-f: mean over levels and points of |F_2(project(X)) - F_1(X)|.
 
-    Taken at the true pose of image 2. The predicted one, of the paper, is the same at the end of
-    training; at its beginning it would teach that wrong places look alike.
+    It is computed at the true pose of image 2. The paper uses the predicted pose, which equals it
+    at the end of training. At the beginning, the predicted pose would make features of wrong places
+    similar.
 
     Args:
         levels: features of unit length.
-        batch: with ``xy_b``, the projections by the true pose.
+        batch: pairs, whose ``xy_b`` are the projections by the true pose.
     """
     count = batch.valid.sum().clamp(min=1)
     distances = []
     for level in levels:
         assert not isinstance(level.stride, tuple)
         features_b = functional.normalize(sample(level.features, batch.xy_b / level.stride), dim=-1)
-        # The root has no slope at zero.
+        # The square root has no derivative at zero.
         squared = (features_b - level.reference).square().sum(-1)
         distances.append(((squared + 1e-8).sqrt() * batch.valid).sum() / count)
     return torch.stack(distances).mean()
@@ -51,13 +52,14 @@ def pose_distance(
 ) -> tuple[Tensor, list[Tensor]]:
     """Equation (8), L_3d-d: mean over levels of the Huber distance of projections by two poses.
 
-    The smooth Huber function, up to a limit, and of a finer level only where the coarser one came
-    near: as PixLoc is trained, so that the two differ in their features alone.
+    It is the smooth Huber function up to ``pose_clamp_px``, and a finer level counts only where the
+    coarser one ended near the truth. PixLoc is trained in the same way, so that the two methods
+    differ in their features alone.
 
     Args:
         by_level: predicted poses after each level, coarse to fine.
-        strides: of the levels.
-        batch: with the true pose.
+        strides: strides of the levels.
+        batch: pairs with the true poses.
         options: the limits, see ``pose_loss``.
 
     Returns:
@@ -70,7 +72,7 @@ def pose_distance(
 def total(
     contrast: Tensor, features: Tensor, poses: Tensor | None, options: LossOptions = LOSSES
 ) -> Tensor:
-    """Equation (6): the weighted sum of (7) and (8), and the contrastive loss beside it.
+    """Return the loss of equation (6), the weighted sum of (7) and (8), plus the contrastive loss.
 
     Both losses are about one once features have begun to tell places apart.
 
@@ -91,20 +93,20 @@ def kept_together(
     count: int,
     min_points: int = LOSSES.min_object_points,
 ) -> tuple[Tensor, Tensor]:
-    """Measure how well each object of image a is one object of image b too.
+    """Measure how well each object of image a corresponds to an object of image b.
 
-    This is the target of the confidence: the intersection over union of the points of an object
-    with those of the object of image b that shares most of them.
+    The measure is the target of the confidence. It is the intersection over union of the points of
+    an object and those of the object of image b that shares the most points with it.
 
     Args:
-        labels_a: (B, P) the object of each point in image a, negative for none.
-        labels_b: likewise in b.
-        valid: (B, P) points that are there.
-        count: N.
-        min_points: objects with fewer do not have enough points.
+        labels_a: object (B, P) of each point in image a, negative for none.
+        labels_b: object (B, P) of each point in image b, negative for none.
+        valid: (B, P) bool, which points are valid.
+        count: number N of objects.
+        min_points: objects with fewer points do not have enough.
 
     Returns:
-        The measure (B, N) in 0..1, and (B, N) which objects have enough points for it.
+        The measure (B, N) in 0..1, and whether each object has enough points for it, (B, N) bool.
     """
     batch = len(labels_a)
     used = valid & (labels_a >= 0) & (labels_b >= 0)
@@ -117,8 +119,8 @@ def kept_together(
 
 
 def trust_loss(confidence: Tensor, kept: Tensor, counts: Tensor) -> Tensor:
-    """Cross entropy of the objects' confidence (B, N) against ``kept_together``."""
-    # Not in half precision: one minus a small number would be one.
+    """Return the cross entropy between the confidence (B, N) and ``kept_together``."""
+    # In half precision, one minus a small number would be one.
     p = confidence.float().clamp(1e-4, 1 - 1e-4)
     entropy = -(kept * p.log() + (1 - kept) * (1 - p).log())
     return (entropy * counts).sum() / counts.sum().clamp(min=1)

@@ -1,4 +1,4 @@
-"""Objects that a person gives: label pictures, and masks in COCO's run-length form."""
+"""Readers of given objects: label pictures, and masks in COCO's run-length encoding."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from objconnect.segmentation import NOTHING, Labels, keep_largest
 from scene.errors import InputError
 from scene.storage.files import parse_json, read_text, require_readable
 
-# More objects than a label picture of 16 bits can tell apart.
+# A number of objects that no label picture of 16 bits exceeds.
 _ALL = 1 << 16
-# 33 megapixels: numbers for the pixels of more would take a gigabyte.
+# The most pixels of a label picture (33 megapixels). Arrays of more would take a gigabyte.
 _MOST_PIXELS = 1 << 25
 _GREY = ("1", "L", "P", "I", "I;16")
 
 
 def read_label_png(path: Path, count: int) -> Labels:
-    """Labels of a picture of one channel: 0 is no object, every other value is one.
+    """Read the labels of a picture of one channel. 0 is no object; other values are objects.
 
     Args:
-        path: PNG of 8 or 16 bits; values of a palette are taken, not its colours.
-        count: N, the most objects; the largest are kept.
+        path: PNG of 8 or 16 bits. For a palette, the labels are the indices and not the colours.
+        count: largest number N of objects; the largest objects are kept.
 
     Returns:
-        (H, W) int64, 0 to N - 1, or ``NOTHING``.
+        Labels (H, W) int64, 0 to N - 1, or ``NOTHING``.
 
     Raises:
-        InputError: missing, damaged, too large, or a picture of colours.
+        InputError: the file is missing, damaged or too large, or has colours.
     """
     if os.path.lexists(path):
         require_readable(path, "label picture")
@@ -42,7 +42,8 @@ def read_label_png(path: Path, count: int) -> Labels:
             _check_size(image.width, image.height, f"label picture {path}")
             if not image.tile:
                 raise InputError(f"label picture {path} is damaged: it has no pixels")
-            # Chunks claim up to 4 GB, and what decodes them asks for it at once.
+            # A damaged chunk may claim 4 GB, which decoders allocate at once; this checks chunks
+            # first.
             image.verify()
         with Image.open(path, formats=("PNG",)) as image:
             mode, values = image.mode, np.asarray(image)
@@ -51,7 +52,7 @@ def read_label_png(path: Path, count: int) -> Labels:
     except InputError:
         raise
     except UnidentifiedImageError:
-        raise InputError(f"{path} is no PNG") from None
+        raise InputError(f"{path} is not a PNG file") from None
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"label picture {path} is damaged: {error}") from None
     if mode not in _GREY:
@@ -64,41 +65,44 @@ def read_label_png(path: Path, count: int) -> Labels:
 def _check_size(width: int, height: int, what: str) -> None:
     if width * height > _MOST_PIXELS:
         raise InputError(
-            f"{what} has {width} x {height} pixels, {_MOST_PIXELS} in all are the most: make it "
-            "smaller"
+            f"{what} has {width} x {height} pixels, and at most {_MOST_PIXELS} pixels are read: "
+            "make it smaller"
         )
 
 
 def read_coco(path: Path, image: str, count: int) -> Labels:
-    """Labels of one photograph in a file of COCO annotations with run-length masks.
+    """Read the labels of one photograph from COCO annotations with run-length masks.
 
-    Where masks overlap, the smaller lies on top.
+    Where masks overlap, the smaller mask is on top.
 
     Args:
         path: JSON with ``images`` (``id``, ``file_name``) and ``annotations`` (``image_id``,
-            ``segmentation`` of ``size`` and ``counts``, in numbers or as COCO's string).
+            ``segmentation`` with ``size`` and ``counts``, in numbers or as COCO's string).
         image: ``file_name`` of the photograph.
-        count: N, the most objects; those of the most visible pixels are kept.
+        count: largest number N of objects; those with the most visible pixels are kept.
 
     Returns:
-        (H, W) int64, 0 to N - 1, or ``NOTHING``.
+        Labels (H, W) int64, 0 to N - 1, or ``NOTHING``.
 
     Raises:
-        InputError: unreadable file, a photograph it does not have, or a mask that does not fit.
+        InputError: the file cannot be read, does not have the photograph, or has a mask that does
+            not fit.
     """
     try:
         content = parse_json(read_text(path, "COCO annotations"))
         ids = [entry["id"] for entry in content["images"] if entry["file_name"] == image]
-        found = [a["segmentation"] for a in content["annotations"] if a["image_id"] in ids]
+        segmentations = [a["segmentation"] for a in content["annotations"] if a["image_id"] in ids]
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} is not a file of COCO annotations: {error!r}") from None
     if not ids:
         raise InputError(f"{path} has no image {image!r}")
-    if not found:
+    if not segmentations:
         raise InputError(f"{path} has no masks of {image!r}")
-    masks = [_mask(segmentation, f"{path}, mask {k}") for k, segmentation in enumerate(found)]
+    masks = [
+        _mask(segmentation, f"{path}, mask {k}") for k, segmentation in enumerate(segmentations)
+    ]
     if len({mask.shape for mask in masks}) > 1:
         raise InputError(f"{path}: the masks of {image!r} have several sizes")
     labels = np.full(masks[0].shape, NOTHING, np.int64)
@@ -108,7 +112,7 @@ def read_coco(path: Path, image: str, count: int) -> Labels:
 
 
 def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
-    """Runs of zeros and ones, in turn, down the columns of a picture."""
+    """Decode a mask from lengths of alternating runs of zeros and ones, column by column."""
     if not isinstance(segmentation, dict):
         raise InputError(f"{where} is a polygon: convert masks to run lengths (RLE)")
     try:
@@ -125,8 +129,12 @@ def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
 
 
 def _runs(text: str) -> list[int]:
-    """COCO's string: five bits a character from 48 on, the sixth says that more follow, the last's
-    fifth is the sign; from the fourth number on, differences to the number before the last."""
+    """Decode the run lengths of COCO's string.
+
+    A character minus 48 holds five bits of a number, and a sixth bit that is set when more
+    characters follow. The fifth bit of the last character is the sign. From the fourth number on,
+    the string holds differences to the number two places before.
+    """
     runs: list[int] = []
     position = 0
     while position < len(text):
@@ -147,18 +155,18 @@ def _runs(text: str) -> list[int]:
 
 
 def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Labels]]:
-    """The label map of every photograph that has one, with all its objects.
+    """Yield the name and the label map of every photograph that has masks, with all objects.
 
     Args:
         source: folder of label pictures, NAME.png for the photograph NAME.jpg, or a file of COCO
             annotations.
-        names: photographs; also found by the last part of their name alone.
+        names: names of the photographs. The last part of a name is tried too.
 
     Raises:
-        InputError: as the readers, or it has masks of none of them.
+        InputError: as the readers, or the source has masks of none of the photographs.
     """
     listed = _coco_names(source) if source.is_file() else frozenset()
-    found = False
+    any_masks = False
     for name in names:
         for called in (name, name.rpartition("/")[2]):
             picture = source / Path(called).with_suffix(".png")
@@ -168,10 +176,10 @@ def given_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Label
                 labels = read_label_png(picture, _ALL)
             else:
                 continue
-            found = True
+            any_masks = True
             yield name, labels
             break
-    if not found:
+    if not any_masks:
         raise InputError(f"{source} has masks of none of the map's photographs")
 
 

@@ -1,4 +1,4 @@
-"""The object-connect network: a feature pyramid whose features know their objects."""
+"""The object-connect network: a feature pyramid whose features depend on the image's objects."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from scene.config import load_config
 from scene.errors import InputError
 
 _ENCODER: Final = "encoder."
-# What only a configuration of this network says.
+# A key that only configurations of this network have.
 _OURS: Final = "segmentation"
 
 Level = tuple[Tensor, Tensor]
 
 
 class ObjectBlocks(nn.Module):
-    """The blocks of one level that are switched on, each adding to the features."""
+    """The object blocks of one level that are switched on. Each adds to the features."""
 
     def __init__(self, config: ObjConnectNetConfig, size: int) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ class ObjectBlocks(nn.Module):
         self.blocks = nn.ModuleList(block(size) for on, block in switches if on)
 
     def forward(self, maps: Tensor, objects: Occupancy) -> Tensor:
-        """O of equation (3) and what the graphs add: maps (B, C, h, w) -> the same."""
+        """Return O of equation (3) plus the outputs of the graphs, (B, C, h, w), for such maps."""
         if not len(self.blocks):
             return maps
         _, _, height, width = maps.shape
@@ -54,17 +54,17 @@ class ObjectBlocks(nn.Module):
 
 
 class ObjConnectNet(nn.Module):
-    """See the module. Also holds the damping that was learned with the features.
+    """The object-connect network, with the damping of the aligner that is trained with it.
 
     Attributes:
-        config: what it is made of.
-        damping: of each level, coarse to fine; called, it gives factors (6,).
+        config: configuration of the network.
+        damping: a module for each level, coarse to fine, that returns damping factors (6,).
     """
 
     def __init__(self, config: ObjConnectNetConfig) -> None:
         super().__init__()
         self.config = config
-        # Named as PixLoc's, which can be taken over.
+        # The names are PixLoc's, so that its weights can be loaded.
         self.encoder = vgg16_encoder(config.width)
         self.decoder = (
             FeaturePyramid(config.width, config.pyramid, config.strides)
@@ -85,17 +85,18 @@ class ObjConnectNet(nn.Module):
     def forward(
         self, image: Tensor, labels: Tensor | None = None, levels: int | None = None
     ) -> list[Level]:
-        """Features, not normalised, and confidences in 0..1, from coarse to fine.
+        """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
 
         Args:
-            image: (B, 3, H, W) RGB in 0..1; H and W at least 16.
-            labels: (B, _, _) int64 label maps of any size that cover the picture, see
-                ``objconnect.segmentation``; None to segment it as configured.
-            levels: how many, from the coarsest; all if None.
+            image: images (B, 3, H, W), RGB in 0..1; H and W are at least 16.
+            labels: int64 label maps (B, _, _) of any size that cover the image, see
+                ``objconnect.segmentation``; None segments the image as configured.
+            levels: number of levels from the coarsest on; None stands for all.
 
         Returns:
-            Per level (B, C, h, w) and (B, 1, h, w). Cells are ``stride`` pixels from the top left
-            corner on; what an image has beyond a multiple of 16 pixels is cut off.
+            Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
+            pixels wide and start at the top left corner. The part of an image beyond a multiple of
+            16 pixels is cut off.
 
         Raises:
             InputError: the configuration expects label maps, and there are none.
@@ -103,11 +104,11 @@ class ObjConnectNet(nn.Module):
         return self.describe(image, labels, levels)[0]
 
     def objects(self, image: Tensor, labels: Tensor | None = None) -> Objects:
-        """The objects of pictures, on the finest level that has objects.
+        """Return the objects of images, on the finest level that has objects.
 
         Args:
-            image: as of ``forward``.
-            labels: likewise.
+            image: images, as ``forward`` takes them.
+            labels: label maps, as ``forward`` takes them.
 
         Raises:
             InputError: the network was made without objects, or label maps are missing.
@@ -120,35 +121,38 @@ class ObjConnectNet(nn.Module):
     def describe(
         self, image: Tensor, labels: Tensor | None = None, levels: int | None = None
     ) -> tuple[list[Level], Objects | None]:
-        """What ``forward`` gives and what ``objects`` does, None without objects, at once."""
+        """Return the results of both ``forward`` and ``objects`` in one pass.
+
+        The objects are None where the network has none. Arguments are those of ``forward``.
+        """
         if not self._with_objects:
             labels = None
         elif labels is None:
             labels = segment(image, self.config)
-        made: list[Level] = []
+        levels_made: list[Level] = []
         objects = None
         decoded = self.decoder(encode(self.encoder, image))
         for number, maps in enumerate(islice(decoded, levels)):
             if labels is not None and number < self._with_objects:
                 stride = self.config.strides[number]
                 here = at_level(labels, image, maps, stride)
-                found = occupancy(here, self.config.segments)
-                maps = self.objects_of[number](maps, found)
+                objects_here = occupancy(here, self.config.segments)
+                maps = self.objects_of[number](maps, objects_here)
                 if number == self._with_objects - 1:
-                    objects = self._as_points(maps, found, stride)
-            # The sign is PixLoc's.
+                    objects = self._as_points(maps, objects_here, stride)
+            # PixLoc's head predicts the uncertainty, hence the sign.
             trust = torch.sigmoid(-self.confidence[number](maps))
-            made.append((self.features[number](maps), trust))
-        return made, objects
+            levels_made.append((self.features[number](maps), trust))
+        return levels_made, objects
 
-    def _as_points(self, maps: Tensor, found: Occupancy, stride: int) -> Objects:
-        """The set V: o_i, the features O at the centres c_i."""
+    def _as_points(self, maps: Tensor, occupied: Occupancy, stride: int) -> Objects:
+        """Return the paper's set V: the vectors o_i are the features O at the centres c_i."""
         assert self.trust is not None
-        cells = centres(found)
+        cells = centres(occupied)
         vectors = sample(maps, cells)
-        # The head judges the features; it must not bend them.
+        # The features are detached, so that the confidence head does not change them.
         confidence = torch.sigmoid(self.trust(vectors.detach()).float())[..., 0]
-        return Objects(cells * stride, vectors, confidence, found.present)
+        return Objects(cells * stride, vectors, confidence, occupied.present)
 
 
 def _head(size: int, dims: int) -> nn.Conv2d:
@@ -156,31 +160,32 @@ def _head(size: int, dims: int) -> nn.Conv2d:
 
 
 def read_network(path: Path) -> tuple[ObjConnectNet, str]:
-    """The network in a file of weights, ready for use, and the file's digest.
+    """Read a network from a file of weights; return it with the digest of the file.
 
     Raises:
-        InputError: there is no such file, or it is damaged or not of this network.
+        InputError: the file does not exist, is damaged, or belongs to another network.
     """
     weights = read_weights(path)
     if _OURS not in weights.config:
         raise InputError(f"{path} holds no weights of objconnect")
     network = ObjConnectNet(load_config(ObjConnectNetConfig, None, weights.config))
     load_into(network, weights.tensors, path)
-    # torch's annotations do not know this argument.
+    # torch's annotations lack this argument.
     fast = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return fast, weights.sha256
 
 
 def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
-    """A network that goes on from weights, to be trained.
+    """Make a network to be trained from weights of this network or of PixLoc.
+
+    All weights that fit the settings are loaded. With another decoder, these are the encoder's.
 
     Args:
-        path: weights of this network or of PixLoc's, of which everything is taken that the settings
-            leave; with another decoder, the encoder alone.
-        settings: of ``ObjConnectNetConfig``; they win over those of the file.
+        path: file of weights.
+        settings: fields of ``ObjConnectNetConfig``, which replace those of the file.
 
     Raises:
-        InputError: there is no such file, or nothing in it fits.
+        InputError: the file does not exist, or none of its weights fit.
     """
     weights = read_weights(path)
     tensors, config = weights.tensors, weights.config

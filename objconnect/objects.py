@@ -1,8 +1,8 @@
-"""Objects in a feature map: where they are, which channels are theirs, and features that know it.
+"""Objects in a feature map: occupancies, affinities, attention and centres.
 
-Maps are rows of cells here, (B, h w, C): a convolution of size one is then a linear layer. An
-occupancy is never written out as N x h w numbers; each cell knows its object, and sums over objects
-are sums by index.
+Maps are rows of cells here, (B, h w, C), so that a 1x1 convolution is a linear layer. An occupancy
+is not stored as N x h w numbers. Instead, each cell has the index of its object, and sums over
+objects are sums by index.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class Occupancy:
     """F_D of equation (1): which cells each of N objects occupies.
 
     Attributes:
-        index: (B, h w) int64, the object of each cell; N for cells of none.
-        area: (B, N) cells, float; 0 for objects that are not there.
-        width: cells in a row of the map.
+        index: object (B, h w) of each cell, int64; N for cells without an object.
+        area: number (B, N) of cells of each object, float; 0 for absent objects.
+        width: number of cells in a row of the map.
     """
 
     index: Tensor
@@ -35,16 +35,16 @@ class Occupancy:
 
     @property
     def present(self) -> Tensor:
-        """(B, N) which objects have a cell at all."""
+        """Return which objects (B, N) have a cell."""
         return self.area > 0
 
     def mean(self, rows: Tensor) -> Tensor:
-        """Mean of rows (B, h w, C) over each object -> (B, N, C) float32; 0 for absent ones."""
+        """Average rows (B, h w, C) over each object, (B, N, C) float32; 0 for absent objects."""
         total = _summed(rows, self.index, self.area.shape[1])
         return total / self.area.clamp(min=1)[..., None]
 
     def paint(self, vectors: Tensor) -> Tensor:
-        """Each object's vector (B, N, C) in all of its cells -> (B, h w, C); 0 outside objects."""
+        """Copy each object's vector (B, N, C) to its cells, (B, h w, C); 0 outside objects."""
         batch, count, size = vectors.shape
         table = torch.cat([vectors, vectors.new_zeros(batch, 1, size)], 1).flatten(0, 1)
         picked = table.index_select(0, _flat(self.index, count))
@@ -52,11 +52,11 @@ class Occupancy:
 
 
 def occupancy(labels: Tensor, count: int) -> Occupancy:
-    """Equation (1), F_D = S(H(I_l); N): labels of a level's cells as occupancies.
+    """Return F_D = S(H(I_l); N) of equation (1): the occupancies of a level's labels.
 
     Args:
-        labels: (B, h, w) int64; ``NOTHING``, and labels from ``count`` on, are no object.
-        count: N.
+        labels: labels (B, h, w) int64; ``NOTHING`` and labels of ``count`` or more are no object.
+        count: number N of objects.
     """
     index = labels.flatten(1)
     index = torch.where((index <= NOTHING) | (index >= count), count, index)
@@ -65,9 +65,9 @@ def occupancy(labels: Tensor, count: int) -> Occupancy:
 
 
 def affinity(objects: Occupancy, rows: Tensor) -> Tensor:
-    """Equation (2), F_A = F_D x H(I_l): how much of each channel an object has, (B, N, C).
+    """Return F_A = F_D x H(I_l) of equation (2): the mean of each channel over each object.
 
-    Divided by the object's area, so that it does not grow with size.
+    F_A (B, N, C) is divided by the object's area, so that it does not grow with size.
     """
     return objects.mean(rows)
 
@@ -75,8 +75,8 @@ def affinity(objects: Occupancy, rows: Tensor) -> Tensor:
 class Attention(nn.Module):
     """Equation (3), O = H{(F_A x F_D) (+) H(I_l)}.
 
-    Affinities go back to the cells of their object, beside the cells' own features, and a
-    convolution makes one of both. What it finds is added to the features.
+    The affinities of an object are copied to its cells and concatenated with the cells' own
+    features. The output of a convolution over both is added to the features.
     """
 
     def __init__(self, size: int) -> None:
@@ -85,7 +85,7 @@ class Attention(nn.Module):
         self.out = small(nn.Linear(size, size))
 
     def forward(self, rows: Tensor, objects: Occupancy) -> Tensor:
-        """Rows (B, h w, C) -> the same."""
+        """Return rows (B, h w, C) with the output added."""
         back = objects.paint(affinity(objects, rows)).to(rows.dtype)
         joined = self.join(torch.cat([back, rows], -1)).relu()
         added: Tensor = rows + self.out(joined)
@@ -93,9 +93,9 @@ class Attention(nn.Module):
 
 
 def centres(objects: Occupancy) -> Tensor:
-    """c_i, the first moments of F_D: where objects are, (B, N, 2) x y.
+    """Return the centres c_i of objects, the first moments of F_D, (B, N, 2) x y.
 
-    In cells, the centre of the first being (0.5, 0.5); (0, 0) for objects that are not there.
+    They are in cells, and the centre of the first cell is (0.5, 0.5). Absent objects have (0, 0).
     """
     cell = torch.arange(objects.index.shape[1], device=objects.index.device)
     xy = torch.stack([cell % objects.width, cell // objects.width], -1) + 0.5
@@ -103,13 +103,13 @@ def centres(objects: Occupancy) -> Tensor:
 
 
 class Objects(NamedTuple):
-    """The set V of a picture: its objects as points.
+    """The set V of an image: its objects as points.
 
     Attributes:
-        centres: (B, N, 2) x y, pixels.
-        vectors: (B, N, C) float32, the features O at the centres.
-        confidence: (B, N) in 0..1, whether another picture would show the same object.
-        present: (B, N) which of the N are there.
+        centres: centres (B, N, 2) x y, pixels.
+        vectors: features O at the centres, (B, N, C) float32.
+        confidence: probability (B, N) that another image would show the same object.
+        present: (B, N) bool, which of the N objects exist.
     """
 
     centres: Tensor
@@ -119,7 +119,7 @@ class Objects(NamedTuple):
 
 
 def small(layer: nn.Linear) -> nn.Linear:
-    """The last layer of a block that adds to what it was given: untrained, it adds little."""
+    """Initialise the last layer of a residual block so that the untrained block adds little."""
     with torch.no_grad():
         layer.weight *= _SMALL
         nn.init.zeros_(layer.bias)
@@ -127,15 +127,15 @@ def small(layer: nn.Linear) -> nn.Linear:
 
 
 def _flat(index: Tensor, count: int) -> Tensor:
-    """Objects of a batch numbered one after another, with a last one for cells of none."""
+    """Number the objects of a batch consecutively, with an extra one for cells of none."""
     first = torch.arange(len(index), device=index.device) * (count + 1)
     return (index + first[:, None]).flatten()
 
 
 def _summed(rows: Tensor, index: Tensor, count: int) -> Tensor:
-    """Sums of rows (B, h w, C) over each of ``count`` objects, (B, N, C) float32."""
+    """Sum rows (B, h w, C) over each of ``count`` objects, (B, N, C) float32."""
     batch, _, size = rows.shape
-    # Half precision cannot add up the cells of a large object.
+    # Half precision is too inexact for sums over the cells of a large object.
     total = torch.zeros(batch * (count + 1), size, device=rows.device)
     total = total.index_add(0, _flat(index, count), rows.flatten(0, 1).float())
     return total.view(batch, count + 1, size)[:, :count]

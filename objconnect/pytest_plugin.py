@@ -19,14 +19,14 @@ from typing import Final
 
 import pytest
 
-# Where our packages lie side by side: in a checkout, or among what is installed.
+# The folder of our packages: a checkout, or that of installed packages.
 _OURS: Final = Path(__file__).resolve().parents[1]
-# The exit code that says so, and nothing else.
+# The exit code of a regression, and of nothing else.
 _REGRESSION: Final = 1
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """The option that records."""
+    """Add the option ``--update-recall``, which records results as the baseline."""
     parser.addoption(
         "--update-recall",
         action="store_true",
@@ -36,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.fixture
 def no_recall_drop(request: pytest.FixtureRequest) -> Callable[[Path, Path], None]:
-    """Compares a folder that ``evaluate`` wrote with a recorded one; see ``objconnect regress``."""
+    """Return a function that compares results with recorded ones like ``objconnect regress``."""
 
     def check(results: Path, baseline: Path) -> None:
         __tracebackhide__ = True
@@ -55,7 +55,7 @@ def no_recall_drop(request: pytest.FixtureRequest) -> Callable[[Path, Path], Non
 
 
 def _regress(words: list[str]) -> subprocess.CompletedProcess[str]:
-    """Run ``objconnect regress``, whatever else is called like our packages.
+    """Run ``objconnect regress``, even beside packages with the names of ours.
 
     ``-P`` keeps the working folder off the path; ``PYTHONPATH`` puts ours before all others.
     """

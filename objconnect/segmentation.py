@@ -1,4 +1,4 @@
-"""Objects of a picture: which segment each pixel belongs to. No gradient passes here."""
+"""Segmentation of images into objects. No gradient passes through it."""
 
 from __future__ import annotations
 
@@ -27,18 +27,19 @@ Picture = NDArray[np.float32]
 
 
 def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
-    """S of equation (1): the segments of each picture.
+    """Segment images; this is S of equation (1).
 
     Args:
-        images: (B, 3, H, W) RGB in 0..1.
-        config: ``segmentation``, ``segments``, ``segment_side`` and ``segmenter`` of it.
+        images: images (B, 3, H, W), RGB in 0..1.
+        config: configuration, of which ``segmentation``, ``segments``, ``segment_side`` and
+            ``segmenter`` count.
 
     Returns:
-        (B, h, w) int64 on the device of the images, at most ``segmenter.long_side`` cells a side
-        and each standing for an equal part of the picture; labels are 0 to N - 1, or ``NOTHING``.
+        Labels (B, h, w) int64 on the device of the images, 0 to N - 1 or ``NOTHING``. The label
+        maps have at most ``segmenter.long_side`` cells a side and cover the images.
 
     Raises:
-        InputError: the configuration expects label maps to be given, or wants none.
+        InputError: the configuration expects given label maps, or has no objects.
     """
     if config.segmentation in ("given", "none"):
         raise InputError(
@@ -57,23 +58,23 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
     def one(picture: Picture) -> Labels:
         return keep_largest(find(picture, count, config.segmenter), count)
 
-    # A segmentation is one thread's work, and most of it lets others run.
+    # A segmentation runs in one thread and releases the interpreter's lock most of the time.
     labels = list(_pool().map(one, pictures))
     return torch.from_numpy(np.stack(labels)).to(images.device)
 
 
 def reduced_size(height: int, width: int, long_side: int) -> tuple[int, int]:
-    """Height and width at which a picture is segmented: half its own, ``long_side`` at most."""
+    """Return the height and width of segmentation: half the image's, at most ``long_side``."""
     factor = min(0.5, long_side / max(height, width))
     return max(1, round(height * factor)), max(1, round(width * factor))
 
 
 def keep_largest(labels: Labels, count: int) -> Labels:
-    """Labels renumbered from 0, by decreasing area; beyond ``count`` they become ``NOTHING``.
+    """Renumber labels from 0 by decreasing area; beyond ``count`` they become ``NOTHING``.
 
     Args:
-        labels: (h, w), negative where there is no object.
-        count: of objects to keep.
+        labels: labels (h, w), negative where there is no object.
+        count: number of objects to keep.
     """
     nothing = labels < 0
     areas = np.bincount(labels[~nothing], minlength=1)
@@ -86,12 +87,12 @@ def keep_largest(labels: Labels, count: int) -> Labels:
 
 
 def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tensor:
-    """The label at the centre of each cell of a level, (B, h, w).
+    """Return the label at the centre of each cell of a level, (B, h, w).
 
     Args:
-        labels: (B, _, _) that cover the picture.
-        image: (..., H, W) the picture.
-        level: (..., h, w) the level, which may end before the picture does.
+        labels: label maps (B, _, _) of any size that cover the image.
+        image: image (..., H, W).
+        level: map (..., h, w) of the level, which may cover less than the image.
         stride: pixels per cell.
     """
     rows, columns = (
@@ -104,12 +105,12 @@ def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tenso
 
 
 def at_pixels(labels: Tensor, image: Tensor, xy: Tensor) -> Tensor:
-    """The label under each pixel, (B, P).
+    """Return the label at each pixel, (B, P).
 
     Args:
-        labels: (B, _, _) that cover the picture.
-        image: (..., H, W) the picture.
-        xy: (B, P, 2) pixels; those outside take the border's label.
+        labels: label maps (B, _, _) of any size that cover the image.
+        image: image (..., H, W).
+        xy: pixels (B, P, 2); those outside take the label at the border.
     """
     height, width = labels.shape[1:]
     column = (xy[..., 0] * (width / image.shape[-1])).long().clamp(0, width - 1)
@@ -123,9 +124,9 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def _slic(picture: Picture, count: int, options: SegmentOptions) -> Labels:
-    """Achanta et al., "SLIC superpixels", PAMI 2012."""
-    found: Callable[..., Labels] = slic
-    return found(
+    """Segment by SLIC (Achanta et al., "SLIC superpixels", PAMI 2012)."""
+    algorithm: Callable[..., Labels] = slic
+    return algorithm(
         picture,
         n_segments=count,
         compactness=options.slic_compactness,
@@ -136,10 +137,10 @@ def _slic(picture: Picture, count: int, options: SegmentOptions) -> Labels:
 
 
 def _felzenszwalb(picture: Picture, count: int, options: SegmentOptions) -> Labels:
-    """Felzenszwalb and Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004."""
+    """Segment by the graph-based method of Felzenszwalb and Huttenlocher (IJCV 2004)."""
     least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
-    found: Callable[..., Labels] = felzenszwalb
-    return found(
+    algorithm: Callable[..., Labels] = felzenszwalb
+    return algorithm(
         picture,
         scale=options.felzenszwalb_scale,
         sigma=options.felzenszwalb_blur,
@@ -149,7 +150,7 @@ def _felzenszwalb(picture: Picture, count: int, options: SegmentOptions) -> Labe
 
 
 def _squares(height: int, width: int, count: int) -> Tensor:
-    """(1, height, width): at most ``count`` rectangles, as square as they come."""
+    """Return labels (1, height, width) of at most ``count`` rectangles, as square as possible."""
     rows = max(1, min(count, math.floor(math.sqrt(count * height / width))))
     columns = max(1, count // rows)
     row = torch.arange(height) * rows // height

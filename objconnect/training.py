@@ -1,4 +1,4 @@
-"""The object-connect network as what the training loop trains."""
+"""The object-connect network for the training loop."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from scene.errors import InputError
 
 
 class ObjConnectTraining:
-    """Implements ``baselines.training.loop.Trainable``: trained like PixLoc, with (7) added.
+    """Implements ``baselines.training.loop.Trainable``. It trains like PixLoc, with (7) added.
 
     ``TrainConfig.network`` takes the switches of ``ObjConnectNetConfig``. ``TrainConfig.weights``
-    may be this network's, with other switches too, or PixLoc's, whose encoder is taken.
+    may be weights of this network, also with other switches, or weights of PixLoc.
     """
 
     def __init__(self, config: TrainConfig) -> None:

@@ -1,4 +1,4 @@
-"""What every package of the project shares: cameras, poses, maps, queries, estimates, their files.
+"""Types that all packages share: cameras, poses, maps, queries, estimates, and their files.
 
 No module here imports another package of the project, and none imports ``bpy``. Importing a module
 loads neither pycolmap (but for ``scene.colmap``) nor Ray; opening a scene does not load torch.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prior:
-    """What the aircraft knows about its pose before the image is looked at.
+    """The aircraft's knowledge of its pose without the image.
 
     Attributes:
         position: camera centre, (3,) world metres (ENU).
@@ -87,7 +87,7 @@ def query_error(query: Query) -> str:
 
 
 class Status(StrEnum):
-    """How a localization ended."""
+    """The outcome of a localization."""
 
     OK = "ok"
     FALLBACK = "fallback"  # the pose is only that of the prior or of a reference: counts as wrong

@@ -1,4 +1,4 @@
-"""Registries: things that are chosen by name, of the project and of installed packages.
+"""Registries of entries that are chosen by name, of the project and of installed packages.
 
 A registry lists its built-in entries in a fixed order and imports one when it is first used. An
 installed package adds an entry by an entry point of the registry's group in its
@@ -65,7 +65,7 @@ class Registry(Mapping[str, T], Generic[T]):
     unknown: str = "unknown {kind} {name!r}: choose one of {names}"
 
     def __iter__(self) -> Iterator[str]:
-        added = {found.name for found in entry_points(group=self.group)} - self.built_in.keys()
+        added = {each.name for each in entry_points(group=self.group)} - self.built_in.keys()
         return iter((*self.built_in, *sorted(added)))
 
     def __len__(self) -> int:
@@ -91,7 +91,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """Return an entry and import it where that has not been done yet.
 
         Args:
-            name: of the entry.
+            name: name of the entry.
             failure: words of the error message when an entry point cannot be imported.
 
         Raises:
@@ -101,16 +101,16 @@ class Registry(Mapping[str, T], Generic[T]):
         if name in self.built_in:
             entry = self.built_in[name]
             return cast("T", entry.load()) if isinstance(entry, Lazy) else entry
-        found = self.entry_point(name)
-        if found is None:
+        entry_point = self.entry_point(name)
+        if entry_point is None:
             names = ", ".join(self)
             raise InputError(self.unknown.format(kind=self.kind, name=name, names=names))
         with self.blame(name, failure):
-            loaded = found.load()
+            loaded = entry_point.load()
         if not self.accepts(loaded):
             raise InputError(
-                f"{self.kind} {name!r} ({found.value}) {failure}: {found.value} is of type "
-                f"{type(loaded).__name__}"
+                f"{self.kind} {name!r} ({entry_point.value}) {failure}: {entry_point.value} is of "
+                f"type {type(loaded).__name__}"
             )
         return cast("T", loaded)
 
@@ -126,7 +126,7 @@ class Registry(Mapping[str, T], Generic[T]):
         Errors of built-in entries pass through: they are faults of this project.
 
         Args:
-            name: of the entry that is used within the ``with`` block.
+            name: name of the entry that is used within the ``with`` block.
             failure: words of the error message, for example "cannot be loaded".
 
         Raises:
@@ -138,9 +138,10 @@ class Registry(Mapping[str, T], Generic[T]):
         except InputError:
             raise
         except Exception as error:
-            found = self.entry_point(name)
-            if found is None:
+            entry_point = self.entry_point(name)
+            if entry_point is None:
                 raise
             raise InputError(
-                f"{self.kind} {name!r} ({found.value}) {failure}: {type(error).__name__}: {error}"
+                f"{self.kind} {name!r} ({entry_point.value}) {failure}: "
+                f"{type(error).__name__}: {error}"
             ) from error

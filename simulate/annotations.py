@@ -1,4 +1,4 @@
-"""What is known of a scene once all its frames are rendered: who sees what, and pixel digests."""
+"""Annotations of a scene that need all its frames: covisibility and pixel digests."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from scene.bundle.frames import LAYERS
 from scene.bundle.scene import Scene
 from scene.storage.images import read_rgb
 
-# Points on a side of the grid that stands for a frame's surface: shares come in steps of 1/256.
+# Points per side of the grid that samples a frame's surface, so shares are multiples of 1/256.
 _PER_SIDE = 16
 
 
 def measure_covisibility(scene: Scene) -> Covisibility:
-    """Share of every frame's surface that every other frame sees, of all sessions.
+    """Measure which share of every frame's surface each other frame sees, over all sessions.
 
     Raises:
         InputError: a session is missing or damaged.
@@ -35,7 +35,7 @@ def measure_covisibility(scene: Scene) -> Covisibility:
 
 
 def _depths(scene: Scene) -> Iterator[NDArray[np.float32]]:
-    """Depth of every frame, session by session."""
+    """Yield the depth of every frame, session by session."""
     for session in scene.sessions:
         with scene.dense(session) as dense:
             for k in range(len(scene.frames(session))):
@@ -43,10 +43,10 @@ def _depths(scene: Scene) -> Iterator[NDArray[np.float32]]:
 
 
 def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
-    """SHA-256 of the decoded pixels of every frame: its "image", and each layer it has.
+    """Return the SHA-256 of the pixels of every frame: of its "image" and of each layer.
 
-    Files differ between versions of the libraries that compress them; pixels say whether what
-    they hold differs too. The digest is of the array's bytes, rows first, little-endian.
+    Files differ between versions of the libraries that compress them, and pixels do not. The digest
+    is that of the array's bytes, row by row, little-endian.
 
     Raises:
         InputError: a photograph or a layer is damaged.

@@ -1,14 +1,14 @@
-"""Is the simulated camera the camera it says it is? A chessboard, rendered and calibrated.
+"""The command ``calibrate``, which checks the simulated camera by rendered views of a chessboard.
 
-What OpenCV recovers from pictures alone is held against the truth. Detected corners are moved by
-half a pixel from OpenCV's pixels (the first centre is 0, 0) to COLMAP's (0.5, 0.5), so that the
-recovered principal point is COLMAP's too.
+The camera that OpenCV recovers from the pictures is compared with the truth. Detected corners are
+shifted by half a pixel, from OpenCV's pixels (the first centre is 0, 0) to COLMAP's (0.5, 0.5), so
+that the recovered principal point is in COLMAP's pixels too.
 
-Corners are found twice. In a picture they are biased where the lens bends the edges that meet in
-them, and refined over few pixels where squares are small. So every view is warped to the board
-straight from the front by a first calibration, where edges are straight and squares symmetrical,
-and the corners found there are carried back (Datta, Kim and Kanade, "Accurate camera calibration
-using iterative refinement of control points", 2009).
+Corners are detected twice. In a picture their positions are biased, because the lens bends edges
+and small squares have few pixels. By a first calibration, every view is therefore warped to a
+frontal view of the board, in which edges are straight and squares symmetrical. The corners are
+refined there and mapped back (Datta, Kim and Kanade, "Accurate camera calibration using iterative
+refinement of control points", 2009).
 """
 
 from __future__ import annotations
@@ -41,36 +41,39 @@ Array = NDArray[np.float64]
 
 BOARD = Board(columns=7, rows=5, square_m=0.1)
 
-_SAMPLES = 64  # per pixel: edges are where corners are found
-_TRIES = 400  # of a pose at which the whole board is seen
+_SAMPLES = 64  # samples per pixel; corners need exact edges
+_TRIES = 400  # attempts to draw a pose from which the whole board is visible
 _BORDER_PX = 4.0
-# Boards seen straight from the front say nothing of the focal length. In 20 views of 320 x 240 with
-# noise as measured, it is found within 0.044 % (one sigma), with 10 to 40 degrees within 0.059 %.
+# Frontal views of a board do not determine the focal length. With these tilts, 20 views of 320 x
+# 240
+# and the measured noise give it within 0.044 % (one sigma); 10 to 40 degrees give 0.059 %.
 _TILT_DEG = (20.0, 50.0)
-# Half sides of the windows corners are refined in, over their spacing: in a picture a window sees
-# no other corner; from the front all are symmetrical, and a wider one averages more noise.
+# Half sides of the windows in which corners are refined, over the spacing of corners. In a picture
+# a
+# window must contain one corner; in the frontal view a wider window averages more noise.
 _WINDOW, _FRONT_WINDOW = 0.35, 0.6
-_FRONT_BLUR_PX = 1.0  # standard deviation; gradients of sharp edges are mostly noise
+_FRONT_BLUR_PX = 1.0  # standard deviation; gradients of unblurred edges are noisy
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-5)  # of corner refinement
 _PAD_PX = 4  # around a picture, for the kernel that resamples it
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What chessboard views say about a camera.
+    """The result of a calibration from V views of a chessboard.
 
     Attributes:
         truth: the simulated camera.
-        found: the camera OpenCV recovers, of the same model, COLMAP pixels.
-        cam_from_board: the board poses OpenCV recovers (V, 4, 4).
-        views: names of the views in which the board was found, V of them.
+        found: the camera that OpenCV recovers, of the same model, COLMAP pixels.
+        cam_from_board: the board poses (V, 4, 4) that OpenCV recovers.
+        views: names of the views in which the board was detected.
         corners: detected corners (V, K, 2), COLMAP pixels.
-        reprojected: the same corners under ``found`` and its board poses.
-        rms_px: of corners minus reprojected.
-        truth_rms_px: of corners minus the true projection: the error of rendering and detection.
-        rotation_deg: error of every recovered board pose (V,).
-        translation_m: error of every recovered board pose (V,).
-        distance_m: of the board from the camera (V,).
+        reprojected: projections (V, K, 2) of the corners by ``found`` and its board poses.
+        rms_px: root mean square distance between ``corners`` and ``reprojected``.
+        truth_rms_px: root mean square distance between ``corners`` and their true projections,
+            which is the error of rendering and detection.
+        rotation_deg: rotation error (V,) of each recovered board pose.
+        translation_m: translation error (V,) of each recovered board pose.
+        distance_m: distance (V,) of the board from the camera.
     """
 
     truth: Camera
@@ -86,7 +89,7 @@ class Calibration:
     distance_m: Array
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Return the figures as a dictionary for JSON."""
         names = MODELS[self.truth.model]
         return {
             "model": self.truth.model,
@@ -112,7 +115,7 @@ class Calibration:
         }
 
     def text(self) -> str:
-        """The table people read."""
+        """Return the figures as a table."""
         lines = [f"{self.truth.model} {self.truth.width} x {self.truth.height}"]
         lines.append(f"{'':4}{'truth':>14}{'found':>14}{'difference':>14}")
         for name, row in self.as_dict()["parameters"].items():
@@ -135,10 +138,11 @@ class Calibration:
 def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Calibration:
     """Render views of a chessboard, calibrate from them, and write pictures into ``out``.
 
-    Writes ``views/NNNNNN.png`` and ``corners.png``, the views with their corners.
+    The pictures are ``views/NNNNNN.png`` and ``corners.png``, which shows the views with their
+    corners.
 
     Raises:
-        InputError: a camera that cannot be rendered, too small for the board to be found, or
+        InputError: the camera cannot be rendered or is too small for the board to be detected, or
             ``out`` cannot be written.
     """
     corners_picture = out / "corners.png"
@@ -150,15 +154,15 @@ def calibrate(camera: Camera, out: Path, views: int = 20, seed: int = 0) -> Cali
     for name, picture in pictures.items():
         with atomic_write(out / "views" / name) as partial:
             Image.fromarray(picture).save(partial, "PNG", pnginfo=_ours())
-    found = {name: find_corners(picture, BOARD) for name, picture in pictures.items()}
-    kept = [k for k, corners in enumerate(found.values()) if corners is not None]
+    detected = {name: find_corners(picture, BOARD) for name, picture in pictures.items()}
+    kept = [k for k, corners in enumerate(detected.values()) if corners is not None]
     if len(kept) < 4:
         raise InputError(
             f"the chessboard was found in {len(kept)} of {views} views of {camera}: "
             "use a larger picture"
         )
     views_kept = [list(pictures)[k] for k in kept]
-    corners = np.stack([c for c in found.values() if c is not None])
+    corners = np.stack([c for c in detected.values() if c is not None])
     first = _solve(camera, views_kept, corners, poses[kept])
     corners = np.stack(
         [
@@ -179,14 +183,14 @@ def _ours() -> PngInfo:
 
 
 def board_points(board: Board) -> Array:
-    """Inner corners in the board's frame, row by row, (rows * columns, 3) metres."""
+    """Return the inner corners in the board's frame, row by row, (rows * columns, 3) metres."""
     y, x = np.mgrid[: board.rows, : board.columns]
     points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1)
     return np.asarray(board.square_m * points)
 
 
 def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
-    """A random `cam_from_board` (4, 4): anywhere in the picture, whole, tilted 20 to 50 degrees.
+    """Draw a ``cam_from_board`` (4, 4): wholly in the picture, tilted by 20 to 50 degrees.
 
     Raises:
         InputError: the camera never sees the whole board.
@@ -216,20 +220,23 @@ def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
 
 
 def find_corners(picture: NDArray[np.uint8], board: Board) -> Array | None:
-    """Inner corners (rows * columns, 2) of a chessboard in a picture (H, W, 3), COLMAP pixels, in
-    the order of ``board_points``; None when it is not found."""
+    """Detect the inner corners (rows * columns, 2) of a chessboard in a picture (H, W, 3).
+
+    They are in COLMAP pixels and in the order of ``board_points``; None when no board is detected.
+    """
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    found, corners = cv2.findChessboardCornersSB(
+    whole, corners = cv2.findChessboardCornersSB(
         grey, (board.columns, board.rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE
     )
-    if not found:
+    if not whole:
         return None
     grid = corners.reshape(board.rows, board.columns, 2)
     spacing = min(np.linalg.norm(np.diff(grid, axis=k), axis=-1).min() for k in (0, 1))
     window = max(2, int(_WINDOW * spacing))
     corners = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), _STOP)
     grid = corners.reshape(board.rows, board.columns, 2).astype(np.float64)
-    if grid[0, 0].sum() > grid[-1, -1].sum():  # boards roll little: the first is the upper left
+    # Boards roll little, so the first corner is the upper left.
+    if grid[0, 0].sum() > grid[-1, -1].sum():
         grid = grid[::-1, ::-1]
     return np.asarray(grid.reshape(-1, 2) + 0.5)
 
@@ -237,16 +244,20 @@ def find_corners(picture: NDArray[np.uint8], board: Board) -> Array | None:
 def refine_corners(
     picture: NDArray[np.uint8], camera: Camera, cam_from_board: Array, board: Board
 ) -> Array:
-    """Inner corners (rows * columns, 2) in a picture (H, W, 3), COLMAP pixels, found in the board
-    as seen from the front.
+    """Refine the inner corners of a chessboard in a frontal view of it.
 
     Args:
-        camera: roughly that of the picture.
-        cam_from_board: (4, 4), rough.
+        picture: the picture (H, W, 3).
+        camera: approximate camera of the picture.
+        cam_from_board: approximate pose (4, 4) of the board.
+        board: the chessboard.
+
+    Returns:
+        The corners (rows * columns, 2) in the picture, COLMAP pixels.
     """
     near = _project(camera, cam_from_board[None], board_points(board))
     steps = np.diff(near.reshape(board.rows, board.columns, 2), axis=1)
-    square_px = round(float(np.median(np.linalg.norm(steps, axis=-1))))  # as fine as the picture
+    square_px = round(float(np.median(np.linalg.norm(steps, axis=-1))))  # the picture's resolution
     y, x = np.mgrid[: (board.rows + 1) * square_px, : (board.columns + 1) * square_px]
     across, along = (board.square_m * ((axis + 0.5) / square_px - 1) for axis in (x, y))
     plane = np.stack([across, along, np.zeros(x.shape)], -1)
@@ -262,14 +273,14 @@ def refine_corners(
         grey, expected[:, None].astype(np.float32), (window, window), (-1, -1), _STOP
     )
     at = board.square_m * ((corners[:, 0].astype(np.float64) + 0.5) / square_px - 1)
-    found: Array = _project(camera, cam_from_board[None], np.insert(at, 2, 0.0, axis=1))[0]
-    return found
+    refined: Array = _project(camera, cam_from_board[None], np.insert(at, 2, 0.0, axis=1))[0]
+    return refined
 
 
 def _photographs(
     camera: Camera, poses: Array, seed: int, beside: Path
 ) -> dict[str, NDArray[np.uint8]]:
-    """The board as the camera sees it, (H, W, 3) by file name."""
+    """Render the board as the camera sees it, (H, W, 3) by file name."""
     pinhole, lens = rendered_through(camera)
     job = RenderJob(
         seed=seed,
@@ -297,7 +308,7 @@ def _photographs(
 
 
 def _solve(camera: Camera, views: list[str], corners: Array, poses: Array) -> Calibration:
-    """Calibrate the camera's own model from corners (V, K, 2); `poses` (V, 4, 4) are the truth."""
+    """Calibrate the camera's model from corners (V, K, 2); ``poses`` (V, 4, 4) are the truth."""
     size = (camera.width, camera.height)
     points = board_points(BOARD)
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
@@ -333,16 +344,16 @@ def _solve(camera: Camera, views: list[str], corners: Array, poses: Array) -> Ca
     values = dict(zip(("k1", "k2", "k3" if camera.is_fisheye else "p1"), d.ravel(), strict=False))
     values["k4" if camera.is_fisheye else "p2"] = d.ravel()[3]
     values |= {"f": k[0, 0], "fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
-    found = Camera(camera.model, *size, tuple(float(values[name]) for name in names))
+    estimated = Camera(camera.model, *size, tuple(float(values[name]) for name in names))
 
     recovered = np.tile(np.eye(4), (len(views), 1, 1))
     recovered[:, :3, :3] = [cv2.Rodrigues(r)[0] for r in rotations]
     recovered[:, :3, 3] = np.reshape(translations, (-1, 3))
     error = recovered @ np.linalg.inv(poses)
-    shown = _project(found, recovered, points)
+    shown = _project(estimated, recovered, points)
     return Calibration(
         truth=camera,
-        found=found,
+        found=estimated,
         cam_from_board=recovered,
         views=tuple(views),
         corners=corners,
@@ -356,18 +367,18 @@ def _solve(camera: Camera, views: list[str], corners: Array, poses: Array) -> Ca
 
 
 def _project(camera: Camera, poses: Array, points: Array) -> Array:
-    """Points (K, 3) of the board under poses (V, 4, 4), (V, K, 2) pixels."""
+    """Project points (K, 3) of the board by poses (V, 4, 4) to pixels (V, K, 2)."""
     local = points @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
     return np.asarray(camera.project(torch.from_numpy(local)).xy.numpy())
 
 
 def _rms(difference: Array) -> float:
-    """Root of the mean squared length of vectors (..., 2)."""
+    """Return the root mean square length of vectors (..., 2)."""
     return float(np.sqrt(np.square(difference).sum(-1).mean()))
 
 
 def _save_picture(result: Calibration, pictures: dict[str, NDArray[np.uint8]], path: Path) -> None:
-    """Views with detected (circles) and reprojected (crosses) corners."""
+    """Draw the views with detected (circles) and reprojected (crosses) corners."""
     columns = 4
     rows = -(-len(result.views) // columns)
     tall = result.truth.height / result.truth.width

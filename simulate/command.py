@@ -1,4 +1,4 @@
-"""From a configuration to a scene on disk, frame by frame and resumable."""
+"""The command ``simulate``, which renders a scene frame by frame and resumes interrupted runs."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ _Renderer = Callable[[RenderJob, Path, Callable[[int], None]], None]
 
 
 def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | None = None) -> Scene:
-    """Render a scene into ``out``, or go on where an interrupted run stopped.
+    """Render a scene into ``out``, or continue an interrupted run.
 
     Args:
-        config: of the scene.
-        out: folder, new or left by a run of the same configuration.
-        jobs: rendering processes, on this machine.
-        cluster: whose cores render instead, as `scene.runtime.cluster.worker_pool` takes it.
+        config: configuration of the scene.
+        out: new folder, or one left by a run of the same configuration.
+        jobs: number of rendering processes on this machine.
+        cluster: cluster that renders instead, as ``scene.runtime.cluster.worker_pool`` takes it.
 
     Returns:
         The finished scene, still without a map.
@@ -92,7 +92,7 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     base = preset(config.preset)(config.seed, config.area)
     worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
-    # All flights are planned before anything is written or rendered: one may be impossible.
+    # All flights are planned before anything is rendered, because one may be impossible.
     planned = [
         _plan(name, index, session, config, worlds[index])
         for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
@@ -117,7 +117,7 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
 
 @contextmanager
 def _renderer(jobs: int, cluster: str | None) -> Iterator[_Renderer]:
-    """What renders the missing frames of a job: processes of this machine, or of a cluster."""
+    """Return the function that renders missing frames, on this machine or on a cluster."""
     if cluster is None:
         yield lambda job, folder, on_frame: render(job, folder, jobs, on_frame)
         return
@@ -128,7 +128,7 @@ def _renderer(jobs: int, cluster: str | None) -> Iterator[_Renderer]:
 def _left(
     out: Path, names: Sequence[str], planned: Sequence[_Planned]
 ) -> dict[str, tuple[int, int]]:
-    """Frames that each unfinished session still has to render, and to pack."""
+    """Return the numbers of frames that each unfinished session has to render and to pack."""
     left = {}
     for name, flight in zip(names, planned, strict=True):
         folder, frames = out / "sessions" / name, len(flight.poses)
@@ -157,7 +157,7 @@ def _finished(out: Path, config: SimulateConfig) -> Scene | None:
             raise InputError(
                 f"{out} holds a scene of another configuration: choose another folder or remove it"
             )
-        unfinished.end()  # a run killed at its very end left its record
+        unfinished.end()  # left by a run that was killed at its very end
         return scene
     if not unfinished.resume(
         lambda difference: (
@@ -197,7 +197,7 @@ def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifes
     )
 
 
-def _objects(place: World, things: Sequence[WorldObject]) -> Objects:
+def _objects(place: World, items: Sequence[WorldObject]) -> Objects:
     def describe(item: WorldObject) -> SceneObject:
         size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
         return SceneObject(
@@ -211,7 +211,7 @@ def _objects(place: World, things: Sequence[WorldObject]) -> Objects:
 
     return Objects(
         classes=CLASSES,
-        objects=tuple(describe(item) for item in things),
+        objects=tuple(describe(item) for item in items),
         surroundings=tuple(
             Surroundings(name=part.name, outline=tuple((x, y) for x, y in part.outline.tolist()))
             for part in place.surroundings
@@ -237,9 +237,9 @@ def render_job(
     poses: NDArray[np.float64],
     first_new_id: int = 0,
 ) -> RenderJob:
-    """What the renderer is told of a session: poses (N, 4, 4) become frames 0 to N - 1.
+    """Return the render job of a session, whose poses (N, 4, 4) become frames 0 to N - 1.
 
-    `first_new_id` is that of the session's changed world.
+    ``first_new_id`` is that of the session's changed world.
     """
     pinhole, lens = rendered_through(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
@@ -267,11 +267,11 @@ def _make_session(
     planned: _Planned,
     renderer: _Renderer,
 ) -> None:
-    """Render and pack one session, unless its ``frames.h5``, written last, is there."""
+    """Render and pack a session, unless its ``frames.h5``, which is written last, exists."""
     folder = root / name
     rendered = folder / _RENDERED
     if (folder / "frames.h5").is_file():
-        shutil.rmtree(rendered, ignore_errors=True)  # left by a run killed before it could
+        shutil.rmtree(rendered, ignore_errors=True)  # left by a run that was killed
         return
     poses = planned.poses
     job = render_job(config, session, poses, planned.first_new_id)
@@ -296,8 +296,7 @@ def _make_session(
 
 
 class _Planned(NamedTuple):
-    """Poses of a session's frames, (N, 4, 4), where the ids of its changed world's new objects
-    start, and the generator of its further noise."""
+    """A planned session: poses (N, 4, 4), first id of new objects, and generator of its noise."""
 
     poses: NDArray[np.float64]
     first_new_id: int
@@ -307,8 +306,12 @@ class _Planned(NamedTuple):
 def _plan(
     name: str, index: int, session: SessionConfig, config: SimulateConfig, changed: ChangedWorld
 ) -> _Planned:
-    """Plan one session; InputError when it cannot be flown."""
-    # One generator per session: adding a session changes no other.
+    """Plan a session.
+
+    Raises:
+        InputError: the session cannot be flown.
+    """
+    # Each session has its own generator, so that adding a session changes no other.
     rng = np.random.default_rng([config.seed, index])
     camera = config.photo_camera(session)
     poses = plan_session(session, config, camera, changed.world, rng)
@@ -324,7 +327,7 @@ def _frames(
     config: SimulateConfig,
     rng: np.random.Generator,
 ) -> Frames:
-    """The session's frames with priors drawn from their stated noise."""
+    """Return the session's frames, with priors drawn from their stated noise."""
     n = len(poses)
     truth = Pose.from_matrix(poses)
     tilt = config.attitude_sigma_deg * rng.standard_normal((n, 3))
@@ -350,8 +353,10 @@ def _frames(
 
 
 def lasting_noise(count: int, memory: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Noise (count, 3) of unit variance at every time, correlated by `memory` from one row to the
-    next: a first-order Gauss-Markov process that has always been running."""
+    """Draw a stationary first-order Gauss-Markov process (count, 3) of unit variance.
+
+    ``memory`` is the correlation between successive rows.
+    """
     noise = rng.standard_normal((count, 3))
     for k in range(1, count):
         noise[k] = memory * noise[k - 1] + math.sqrt(1 - memory**2) * noise[k]
@@ -371,7 +376,8 @@ def _pack(
                 time=datetime.fromtimestamp(float(frames.time[k]), UTC),
                 focal_35mm=focal_35mm,
             )
-            # A generator per photograph: however it was rendered, it gets the same noise.
+            # Each photograph has its own generator, so its noise does not depend on the order of
+            # rendering.
             rng = np.random.default_rng([config.seed, *name.encode()])
             picture = expose(layers["rgb"], config.sensor, rng)
             write_jpeg(folder.parent / name, picture, exif, config.jpeg_quality)

@@ -1,4 +1,4 @@
-"""What a simulated scene is made from."""
+"""The configuration of a simulated scene."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import preset
 
-# Cycles takes no more.
+# The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
 NotNegative = Annotated[float, Field(ge=0)]
 Role = Literal["map", "query"]
@@ -40,11 +40,12 @@ class SessionConfig(Config):
     Attributes:
         condition: SEASON-LIGHT[-WEATHER], see ``simulate.look.conditions``.
         flight: kind of flight and its numbers, or the kind alone, as "nadir".
-        role: its frames build the map, or are queries.
-        frames: photographs; None takes the scene's ``frames``, or what the flight's overlaps need.
-        change: what stands elsewhere, is gone or is new since the place was built.
-        camera: of this session's photographs; None takes the scene's.
-        name: of its folder; None is condition-flight-role.
+        role: "map" if its frames build the map, or "query".
+        frames: number of photographs; None takes the scene's ``frames``, or as many as the flight's
+            overlaps need.
+        change: objects that are moved, removed or added since the place was built.
+        camera: camera of this session's photographs; None takes the scene's.
+        name: name of its folder; None is condition-flight-role.
     """
 
     condition: str
@@ -62,7 +63,7 @@ class SessionConfig(Config):
 
     @property
     def world_change(self) -> Change:
-        """The change asked for, and bare trees where the season has them."""
+        """Return the configured change, with bare trees where the season has them."""
         if not condition(self.condition).season.bare:
             return self.change
         return self.change.model_copy(update={"bare_trees": True})
@@ -75,8 +76,10 @@ class SessionConfig(Config):
 
 
 def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionConfig, ...]:
-    """A car's drive along the longest road with a camera to either side: two sessions, as each
-    has its own lens. Maps are driven there and back, queries back in another track."""
+    """Return the two sessions of a drive along the longest road, one for each side's camera.
+
+    Maps are driven there and back. Queries are driven back on another track.
+    """
     return tuple(
         SessionConfig(
             condition=condition,
@@ -98,15 +101,15 @@ def _drive(condition: str, role: Role, offset_m: float = 0.0) -> tuple[SessionCo
 
 @cache
 def _usual(preset: str) -> dict[str, Any]:
-    """Return the defaults of a kind of place where they differ from those of the others.
+    """Return the defaults of a preset that replace the general ones.
 
-    Made at first use, because checking a camera with a lens loads torch.
+    They are made at first use, because checking a camera with a lens loads torch.
     """
     if preset != "street":
         return {}
     return {
         "area": 300.0,
-        "frames": 120,  # of a map session: one every 4 m, both ways
+        "frames": 120,  # of a map session: one every 4 m in both directions
         "sessions": (
             *_drive("summer-noon", "map"),
             *_drive("summer-noon", "query", -0.5),
@@ -118,7 +121,8 @@ def _usual(preset: str) -> dict[str, Any]:
 class SimulateConfig(Config):
     """A scene: a place, a camera, and flights over it.
 
-    The place called street has its own usual area, frames and sessions: drives with two cameras.
+    The preset street has its own defaults for area, frames and sessions, which are drives with two
+    cameras.
 
     Attributes:
         preset: kind of place, such as town or farmland.
@@ -126,26 +130,26 @@ class SimulateConfig(Config):
         area: side of the square place, metres.
         size: long side of the photographs, pixels, unless the camera has its own size.
         fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
-        camera: of every photograph of sessions without their own; None is a square pinhole of
-            ``size`` and ``fov_deg``.
+        camera: camera of sessions without their own; None is a square pinhole of ``size`` and
+            ``fov_deg``.
         spp: rendering samples per pixel; the result is denoised.
-        frames: photographs of each session that gives no number of its own.
-        sessions: flights; on the command line "condition:flight[:role][:change]", where the first
-            is the map's and the others are queries unless they say.
-        map_plan: how map flights are flown.
-        query_plan: how query flights are flown.
-        position_jitter_m: wind, standard deviation per axis.
-        attitude_jitter_deg: wind, standard deviation per axis.
-        gps_sigma_m: white noise of the position prior: east, north, up.
-        gps_drift_m: its error that lasts, of zero mean over many flights and this standard
-            deviation: east, north, up.
-        attitude_sigma_deg: white noise of the attitude prior per axis.
-        attitude_drift_deg: its error that lasts, per axis.
-        drift_s: in which a lasting error forgets a share of 1 - 1/e.
-        interval_s: between exposures.
-        sensor: what lens and sensor do to the photographs.
-        jpeg_quality: of the photographs.
-        origin: where on earth the world's origin lies.
+        frames: number of photographs of sessions that give no number of their own.
+        sessions: flights; on the command line "condition:flight[:role][:change]", where by default
+            the first is a map session and the others are query sessions.
+        map_plan: numbers of map flights.
+        query_plan: numbers of query flights.
+        position_jitter_m: standard deviation of positions per axis by wind, metres.
+        attitude_jitter_deg: standard deviation of attitudes per axis by wind, degrees.
+        gps_sigma_m: standard deviation of the white noise of position priors: east, north, up.
+        gps_drift_m: standard deviation of the drift of position priors, which has zero mean over
+            many flights: east, north, up.
+        attitude_sigma_deg: standard deviation of the white noise of attitude priors per axis.
+        attitude_drift_deg: standard deviation of the drift of attitude priors per axis.
+        drift_s: time constant of both drifts, seconds.
+        interval_s: time between exposures, seconds.
+        sensor: effects of lens and sensor on the photographs.
+        jpeg_quality: quality of the JPEGs.
+        origin: geodetic coordinates of the world's origin.
     """
 
     preset: str = "town"
@@ -194,7 +198,7 @@ class SimulateConfig(Config):
     @field_validator("sessions", mode="before")
     @classmethod
     def _from_words(cls, sessions: object) -> object:
-        """The command line's "condition:flight[:role][:change]"."""
+        """Parse sessions of the command line, "condition:flight[:role][:change]"."""
         if not isinstance(sessions, list | tuple):
             return sessions
         return tuple(
@@ -232,7 +236,7 @@ class SimulateConfig(Config):
 
     @staticmethod
     def load(path: Path | None, overrides: Mapping[str, Any]) -> SimulateConfig:
-        """From a YAML file and overrides; see ``scene.config.load_config``.
+        """Load a configuration from a YAML file and overrides; see ``scene.config.load_config``.
 
         Raises:
             InputError: unreadable file, unknown key or bad value.
@@ -240,7 +244,7 @@ class SimulateConfig(Config):
         return load_config(SimulateConfig, path, overrides)
 
     def photo_camera(self, session: SessionConfig | None = None) -> Camera:
-        """The camera of a session's photographs, or of those of sessions without their own."""
+        """Return the camera of a session's photographs, or of sessions without their own camera."""
         camera = (session.camera if session is not None else None) or self.camera
         if camera is not None:
             return camera.build(self.size)

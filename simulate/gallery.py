@@ -1,4 +1,4 @@
-"""A page of pictures: every kind of place, and one place under every condition."""
+"""The command ``gallery``, which writes a page of all kinds of places and all conditions."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ from simulate.render.pool import RenderError, render
 PAGE, PICTURES = "gallery.md", "gallery"
 _LIGHT, _WEATHER = "light", "weather"
 _RENDERED = f"{TEMPORARY_PREFIX}gallery"
-# Stands near the beginning of every page.
+# Every page has this text near its beginning, by which it is recognised.
 _MARK = b"Every kind of place and every condition, as the simulator renders them."
-# From an orbit, from above and from the street, each with the exposures one is chosen from.
+# The views of a place, each with the number of exposures from which one is chosen.
 _VIEWS = ((ObliqueFlight(), 1), (NadirFlight(), 1), (StreetFlight(yaws_deg=(15,)), 40))
-_AHEAD_M = 40.0  # what lies there is in the middle of a picture from the street
-_INCH = 100  # pixels of a picture's inch
+_AHEAD_M = 40.0  # distance of the point at which a picture from the street is aimed
+_INCH = 100  # pixels per inch of a picture
 _JPEG_QUALITY = 82
 
 
 @dataclass(frozen=True)
 class _Picture:
-    """A table of photographs: one frame each of a job, in rows."""
+    """A picture that is a table of photographs, each of which is a frame of a render job."""
 
     name: str
     rows: tuple[str, ...]
@@ -53,23 +53,23 @@ class _Picture:
 
 
 def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") -> Path:
-    """Write a page of pictures, or go on where an interrupted run stopped.
+    """Write a page of pictures, or continue an interrupted run.
 
-    Every place is shown from an orbit, from above and from the street; then ``config.preset`` from
-    the orbit in every season, in every light and in every weather. New presets, seasons, lights and
-    weather come in by themselves.
+    The page shows every preset from an orbit, from above and from the street. Then it shows
+    ``config.preset`` from the orbit in every season with every light and with every weather. The
+    entries are those of the registries.
 
     Args:
-        config: seed, least area, camera and samples of all pictures, and the place shown under
-            every condition; its sessions are not used.
-        out: folder of ``gallery.md`` and of ``gallery/``, its pictures.
+        config: seed, least area, camera and samples of all pictures, and the place that is shown
+            under every condition; its sessions are not used.
+        out: folder of ``gallery.md`` and of the folder ``gallery/`` of its pictures.
         shown_in: condition of the pictures of every place.
 
     Returns:
         The page.
 
     Raises:
-        InputError: an unknown condition, a place without room for a view, rendering failed, or
+        InputError: the condition is unknown, a place has no room for a view, rendering failed, or
             ``out`` cannot be written.
     """
     shown_in = condition(shown_in, config.origin).name
@@ -104,9 +104,9 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
 
 
 def _claim(out: Path) -> None:
-    """Refuse a folder where the page or a picture of somebody else would be replaced."""
+    """Check that no file of another program would be replaced."""
     page = OutputFile(out / PAGE, _MARK)
-    # Beside a page of ours its pictures are ours.
+    # Pictures beside a page of ours are ours.
     mark = b"" if page.path.is_file() else JPEG_MARK
     names = (*PRESETS, _LIGHT, _WEATHER)
     check_outputs(
@@ -115,7 +115,7 @@ def _claim(out: Path) -> None:
 
 
 def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
-    """A place from every view."""
+    """Return the picture of a place from every view."""
     name = config.preset
     job = _job(config, shown_in, world, len(_VIEWS))
     shots = tuple((job, k) for k in range(len(_VIEWS)))
@@ -123,7 +123,7 @@ def _of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
 
 
 def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Picture]:
-    """A place from its orbit in every season: in every light, and in every weather at noon."""
+    """Return two pictures of a place: all seasons by all lights, and by all weathers at noon."""
 
     def picture(name: str, columns: Iterable[str], after_season: str) -> _Picture:
         names = [f"{season}-{after_season.format(word)}" for season in SEASONS for word in columns]
@@ -134,15 +134,15 @@ def _of_conditions(config: SimulateConfig, world: World) -> tuple[_Picture, _Pic
 
 
 def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> RenderJob:
-    """The first views of a place under a condition."""
+    """Return the job of the first ``views`` views of a place under a condition."""
     camera = config.photo_camera()
     poses = []
     for view, frames in _VIEWS[:views]:
         session = SessionConfig(condition=shown_in, flight=view, role="query", frames=frames)
         rng = np.random.default_rng(config.seed)
         planned = plan_session(session, config, camera, world, rng)
-        # The photograph of the place's middle, or what comes nearest to one.
-        middle = planned[:, :3, 3] - [0, 0, _AHEAD_M]  # as the camera sees it
+        # The photograph whose target is nearest to the middle of the place.
+        middle = planned[:, :3, 3] - [0, 0, _AHEAD_M]  # target of each camera
         pose = planned[[np.linalg.norm(middle, axis=1).argmin()]]
         check_flight(f"{config.preset} {view.kind}", pose, camera, world)
         poses.append(pose)
@@ -150,7 +150,7 @@ def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> Ren
 
 
 def _folder(job: RenderJob) -> str:
-    """Where a job's frames wait: another job has another folder, so that none is mistaken."""
+    """Return the name of the folder of a job's frames, which is a digest of the job."""
     return hashlib.sha256(job.model_dump_json().encode()).hexdigest()[:16]
 
 
@@ -183,7 +183,7 @@ def _photograph(folder: Path, frame: int) -> NDArray[np.uint8]:
 
 
 def _page(config: SimulateConfig, out: Path, shown_in: str, places: Mapping[str, World]) -> str:
-    """The Markdown of the page."""
+    """Return the Markdown of the page."""
     kinds = "\n".join(
         f"""
 ### {name}
@@ -195,7 +195,7 @@ def _page(config: SimulateConfig, out: Path, shown_in: str, places: Mapping[str,
     )
     return f"""# Gallery
 
-Every kind of place and every condition, as the simulator renders them. Made by
+Every kind of place and every condition, as the simulator renders them. This command made the page:
 
 ```sh
 objconnect gallery --out {for_terminal(out)} --preset {config.preset} --condition {shown_in} \\
@@ -204,26 +204,26 @@ objconnect gallery --out {for_terminal(out)} --preset {config.preset} --conditio
 
 ## Places in {shown_in}
 
-Seed {config.seed}, {config.area:g} m a side or the least a place needs: from an orbit, from above
-and from the street.
+All places have seed {config.seed} and a side of {config.area:g} m, or the smallest side that the
+place allows. Each is shown from an orbit, from above and from the street.
 {kinds}
 
 ## Conditions over {config.preset}
 
-Nothing moves between them but the leaves of broadleaved trees, which seasons without leaves
-declare. In every light, under a clear sky:
+No object moves between conditions. In seasons without leaves, broadleaved trees are bare, which
+sessions declare as a change. This picture shows every light under a clear sky:
 
 ![{config.preset} in every season and light]({PICTURES}/light.jpg)
 
-In every weather, at noon:
+This picture shows every weather at noon:
 
 ![{config.preset} in every season and weather]({PICTURES}/weather.jpg)
 """
 
 
 def _inventory(world: World) -> str:
-    """How many objects of each class, most first."""
-    counts = Counter(thing.class_name for thing in world.objects)
+    """Return the number of objects of each class as text, the most frequent first."""
+    counts = Counter(item.class_name for item in world.objects)
     return f"{len(world.objects)} objects: " + ", ".join(
         f"{name} {count}" for name, count in counts.most_common()
     )

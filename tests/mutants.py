@@ -114,7 +114,7 @@ MUTANTS: Final = (
         "the vectors of V are means over objects",
         "objconnect/network.py",
         "vectors = sample(maps, cells)",
-        "vectors = found.mean(maps.flatten(2).mT)",
+        "vectors = occupied.mean(maps.flatten(2).mT)",
         (f"{_NETWORK}::test_vectors_are_the_features_at_the_centre_not_their_mean",),
     ),
     Mutant(
@@ -292,8 +292,8 @@ MUTANTS: Final = (
     Mutant(
         "a few points that fit win over many",
         "baselines/align/hypotheses.py",
-        "gain = found.seen * (chance[:, None] - found.cost)",
-        "gain = -found.cost",
+        "gain = aligned.seen * (chance[:, None] - aligned.cost)",
+        "gain = -aligned.cost",
         (f"{_STARTS}::test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly",),
     ),
     Mutant(

@@ -27,13 +27,13 @@ _WHY: Final = (
 
 @dataclass(frozen=True)
 class Alignment:
-    """Poses found, batched (B) or (B, K) as the starting poses were.
+    """The result of an alignment, with the batch shape (B) or (B, K) of the starts.
 
     Attributes:
         pose: ``cam_from_world``, float64; where alignment failed, the last one before it did.
         by_level: the pose after each level, coarse to fine; the last is ``pose``.
-        covariance: (..., 6, 6) of the left tangent, rotation (rad) then translation (m); infinite
-            on the diagonal where the points do not determine it.
+        covariance: covariance (..., 6, 6) of the left tangent, rotation (rad) then translation (m);
+            infinite on the diagonal where the points do not determine it.
         cost: (...) mean robust cost of the points in view on the finest level.
         iterations: (...) steps tried, over all levels.
         seen: (...) points in view on the last level reached.
@@ -86,15 +86,15 @@ def align(problem: Problem) -> Alignment:
         >>> camera = Camera("PINHOLE", 32, 32, (32.0, 32.0, 16.0, 16.0))
         >>> reference = (camera.project(points[0].double()).xy - 0.5)[None].float() / 32
         >>> start = Pose(torch.eye(3)[None], torch.tensor([[0.1, -0.1, 0.0]]))
-        >>> found = align(
+        >>> aligned = align(
         ...     Problem(
         ...         [Level(features, 1.0, reference)], points, camera.intrinsics(), start,
         ...         [torch.full((6,), 1e-3)], Options(min_points=4, iterations=100),
         ...     )
         ... )
-        >>> bool(found.failed.any())
+        >>> bool(aligned.failed.any())
         False
-        >>> bool(found.pose.translation.abs().max() < 0.02)
+        >>> bool(aligned.pose.translation.abs().max() < 0.02)
         True
     """
     local, options = Local.of(problem), problem.options

@@ -117,15 +117,17 @@ def align_from_many(
         return align(problem)
     local, scale = Local.of(problem), problem.options.robust_scale
     coarsest = problem.coarsest()
-    found, iterations = _refined_on_coarsest(coarsest, local, radius, options)
+    aligned, iterations = _refined_on_coarsest(coarsest, local, radius, options)
     if problem.levels[1:]:
-        finalists = _best(found, problem.levels[0], scale, options.finalists, options.chance_cells)
+        finalists = _best(
+            aligned, problem.levels[0], scale, options.finalists, options.chance_cells
+        )
         finalists = _distinct(finalists, local, problem.levels[1], options.same_pose_cells)
-        found = align(problem.finer().starting_at(finalists.pose))
-        iterations = iterations + found.iterations.sum(-1)
-        failure = torch.where(finalists.failed, finalists.failure, found.failure)
-        found = replace(found, failure=failure, by_level=finalists.by_level + found.by_level)
-    winner = _best(found, problem.levels[-1], scale, 1, options.chance_cells)
+        aligned = align(problem.finer().starting_at(finalists.pose))
+        iterations = iterations + aligned.iterations.sum(-1)
+        failure = torch.where(finalists.failed, finalists.failure, aligned.failure)
+        aligned = replace(aligned, failure=failure, by_level=finalists.by_level + aligned.by_level)
+    winner = _best(aligned, problem.levels[-1], scale, 1, options.chance_cells)
     return replace(tree_map(lambda t: t[:, 0], winner), iterations=iterations)
 
 
@@ -162,8 +164,8 @@ def _refined_on_coarsest(
     count = starts.translation.shape[1]
     begun = _best(begun, level, solver.robust_scale, count, options.chance_cells)
     begun = _distinct(begun, local, level, options.same_pose_cells)
-    found = align(coarsest.starting_at(begun.pose).with_options(rough))
-    return found, iterations + found.iterations.sum(-1)
+    aligned = align(coarsest.starting_at(begun.pose).with_options(rough))
+    return aligned, iterations + aligned.iterations.sum(-1)
 
 
 def highest_gain(
@@ -188,34 +190,34 @@ def _grid(level: Level, local: Local, radius: SearchRadius, options: HypothesisO
 
 
 def _best(
-    found: Alignment, level: Level, robust_scale: float, count: int, chance_cells: int
+    aligned: Alignment, level: Level, robust_scale: float, count: int, chance_cells: int
 ) -> Alignment:
     """Keep, per query, the ``count`` alignments (B, K) with the highest gain over chance.
 
     Failures come last, and of equal ones the first comes first.
 
     Args:
-        found: alignments that ended on ``level``.
-        level: of the queries.
-        robust_scale: of the robust cost.
-        count: alignments to keep of each query.
+        aligned: alignments that ended on ``level``.
+        level: level of the queries.
+        robust_scale: scale of the robust cost.
+        count: number of alignments to keep for each query.
         chance_cells: cells of the level from which the cost by chance is taken.
     """
     chance = _cost_by_chance(level, robust_scale, chance_cells)
-    gain = found.seen * (chance[:, None] - found.cost)
-    gain = torch.where(found.failed, -torch.inf, gain)
+    gain = aligned.seen * (chance[:, None] - aligned.cost)
+    gain = torch.where(aligned.failed, -torch.inf, gain)
     kept = gain.argsort(dim=1, descending=True, stable=True)[:, :count]
     query = torch.arange(len(kept), device=kept.device)[:, None]
-    return tree_map(lambda t: t[query, kept], found)
+    return tree_map(lambda t: t[query, kept], aligned)
 
 
-def _distinct(found: Alignment, local: Local, level: Level, same_pose_cells: float) -> Alignment:
+def _distinct(aligned: Alignment, local: Local, level: Level, same_pose_cells: float) -> Alignment:
     """Drop alignments (B, K) that project the points where a better one already does.
 
     Alignments come best first. Distances are in cells of the level that they go on to. As many are
     left of every query as of the one with most.
     """
-    xy, seen = _projected(local, local.from_world(found.pose))
+    xy, seen = _projected(local, local.from_world(aligned.pose))
     cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
     both = seen[:, :, None] & seen[:, None]
     apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
@@ -226,7 +228,7 @@ def _distinct(found: Alignment, local: Local, level: Level, same_pose_cells: flo
     order = kept.long().argsort(dim=1, descending=True, stable=True)
     order = order[:, : int(kept.sum(-1).max())]
     query = torch.arange(len(order), device=order.device)[:, None]
-    return tree_map(lambda t: t[query, order], found)
+    return tree_map(lambda t: t[query, order], aligned)
 
 
 def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:

@@ -15,15 +15,15 @@ from scene.geometry.projection import Intrinsics
 
 @dataclass(frozen=True)
 class Local:
-    """What is aligned, moved to the origin so that far coordinates cost no precision.
+    """Points and starts relative to an origin of each query, to keep the precision of coordinates.
 
     Attributes:
-        points: (B, N, 3) metres from the origin of each query; zero where not usable.
-        usable: (B, N) finite and wanted.
-        intrinsics: in the precision of the points.
-        origin: (B, 3) where the first start of each query stands.
-        start: ``cam_from_local``, (B) or (B, K), float64.
-        finite: (B) or (B, K) whether the start was; if not it is the identity.
+        points: points (B, N, 3), metres from the origin of each query; zero where not usable.
+        usable: (B, N) bool, which points are finite and in the mask.
+        intrinsics: intrinsics in the precision of the points.
+        origin: position (B, 3) of the first start of each query.
+        start: starts ``cam_from_local``, batch shape (B,) or (B, K), float64.
+        finite: whether each start was finite; if not, it is replaced by the identity.
     """
 
     points: Tensor

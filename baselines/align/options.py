@@ -10,7 +10,7 @@ from scene.config import Config
 
 
 class SolverOptions(Config):
-    """How the cost of a level is minimised; part of a method's recorded configuration."""
+    """Options of the minimisation of a level, part of a method's recorded configuration."""
 
     border_cells: float = Field(
         1.0,
@@ -57,7 +57,7 @@ class Options(SolverOptions):
 
 
 class HypothesisOptions(Config):
-    """How starts around an uncertain prior are placed, compared and refined."""
+    """Options by which starts around an uncertain prior are placed, compared and refined."""
 
     spacing_cells: float = Field(
         1.7, gt=0, description="Cells of the coarsest level between neighbouring picture shifts."
@@ -101,7 +101,7 @@ class HypothesisOptions(Config):
 
 @dataclass(frozen=True)
 class SearchRadius:
-    """How far from the prior to look.
+    """The extent of the search around a prior.
 
     Attributes:
         metres: the largest error of position to expect, in any direction.

@@ -1,4 +1,4 @@
-"""An alignment problem: what the aligner needs to know of a batch of queries."""
+"""An alignment problem: the input of the aligner for a batch of queries."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class Problem:
     """Queries, the points they are aligned to, and the poses they start from.
 
     Attributes:
-        levels: of B queries, coarse to fine.
-        points: (B, N, 3) in the world, metres.
-        intrinsics: of the queries, batched (B), or one for all.
-        start: ``cam_from_world``, batched (B), or (B, K) for K starts of every query, which share
-            its features.
-        damping: (6,) of every level, rotation then translation: see ``damping.Damping``.
-        options: how each level is minimised.
-        mask: (B, N) points to use, or None for all.
+        levels: levels of B queries, coarse to fine.
+        points: points (B, N, 3), world metres.
+        intrinsics: intrinsics of the queries, batch shape (B,), or one camera for all.
+        start: starting poses ``cam_from_world``, batch shape (B,), or (B, K) for K starts of every
+            query, which share its features.
+        damping: factors (6,) of each level, rotation then translation: see ``damping.Damping``.
+        options: options of the minimisation.
+        mask: (B, N) bool, points to use, or None for all.
     """
 
     levels: Sequence[Level]

@@ -23,8 +23,8 @@ class Level:
             Channels-last in memory is fastest; bfloat16 is fine.
         stride: pixels of the query's camera per cell.
         reference: (B, N, C) features of the points.
-        confidence: (B, 1, h, w) of the query's cells, or None.
-        reference_confidence: (B, N) of the points, or None.
+        confidence: confidence (B, 1, h, w) of the query's cells, or None.
+        reference_confidence: confidence (B, N) of the points, or None.
     """
 
     features: Tensor
@@ -35,7 +35,7 @@ class Level:
 
 
 def robust_cost(squared: Tensor, scale: float) -> Tensor:
-    """Cost of squared residuals: quadratic below ``scale``, logarithmic above.
+    """Return the cost of squared residuals: quadratic below ``scale``, logarithmic above.
 
     Barron's general loss (CVPR 2019) at shape 0, times the squared scale.
     """
@@ -43,7 +43,7 @@ def robust_cost(squared: Tensor, scale: float) -> Tensor:
 
 
 def robust_weight(squared: Tensor, scale: float) -> Tensor:
-    """Derivative of ``robust_cost`` by the squared residual, in (0, 1]."""
+    """Return the derivative of ``robust_cost`` by the squared residual, in (0, 1]."""
     return 1 / (1 + squared / (2 * scale**2))
 
 
@@ -69,11 +69,11 @@ class Linearisation:
 
     @property
     def gradient(self) -> Tensor:
-        """Gradient of half the summed cost by the tangent of the pose, (M, 6)."""
+        """Return the gradient of half the summed cost by the tangent of the pose, (M, 6)."""
         return self.pull.sum(-2)
 
     def mean_cost(self) -> Tensor:
-        """Mean cost of the points seen, weighted by confidence, (M,); infinite without points."""
+        """Return the mean cost (M,) of the visible points, weighted; infinite without points."""
         total = self.weight.sum(-1)
         mean = (self.weight * self.cost).sum(-1) / total
         return torch.where(total > 0, mean, torch.inf)
@@ -92,9 +92,9 @@ class LevelCost:
         mask: (M, N) points to use.
         target: (M, N, 3, C) minus the features of the points, with two rows of zeros.
         target_trust: (M, N) confidence of the points, or None.
-        intrinsics: (M) of the queries, or one camera.
+        intrinsics: intrinsics (M) of the queries, or one camera.
         border: cells at the edge of the map in which points do not count; at least 1.
-        scale: of the robust cost.
+        scale: scale of the robust cost.
     """
 
     table: CellTable
@@ -124,9 +124,9 @@ class LevelCost:
             level: features of B queries and their points.
             points: (B, N, 3) in the frame of the poses.
             mask: (B, N) points to use.
-            intrinsics: of the queries, batched (B), or one for all.
+            intrinsics: intrinsics of the queries, batched (B), or one for all.
             border: cells at the edge of the map in which points do not count.
-            scale: of the robust cost.
+            scale: scale of the robust cost.
         """
         table = CellTable.of(level.features)
         exact = level.features.dtype == torch.float64

@@ -34,8 +34,8 @@ class CellTable:
 
     Attributes:
         cells: (B h w, C) in any floating type; a view where the map is channels-last in memory.
-        width: of a map.
-        height: of a map.
+        width: width of a map.
+        height: height of a map.
     """
 
     cells: Tensor
@@ -87,7 +87,7 @@ def stencil(cells: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Ten
 
     Args:
         cells: (M, N, 2), one cell or more from the border.
-        table: of the maps.
+        table: table of the maps.
         first: (M,) number of the first cell of each row's map.
 
     Returns:

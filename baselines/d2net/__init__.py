@@ -1,1 +1,1 @@
-"""D2-Net: one network describes and detects (Dusmanu et al., CVPR 2019)."""
+"""D2-Net, a network that detects and describes keypoints (Dusmanu et al., CVPR 2019)."""

@@ -1,4 +1,4 @@
-"""Keypoints where the dense features of D2-Net peak, over a pyramid of the image."""
+"""Detection of keypoints at the peaks of D2-Net's dense features, over an image pyramid."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from torch.nn import functional
 
 from baselines.d2net.network import D2Net
 
-# Numerical guards. Flatter peaks, relative to their height, are rounding errors of a picture
-# without contrast; a peak further from the centre of its cell belongs to another cell; smaller
-# images (px) have no cell with neighbours.
+# Numerical guards.
+# Least curvature of a peak relative to its height. Flatter peaks are rounding errors.
 _FLAT: Final = 1e-4
+# Largest offset (cells) of a peak from the centre of its cell. Beyond, it belongs to another cell.
 _MAX_OFFSET: Final = 0.5
+# Smallest side of an image (px). Smaller images have no cell with neighbours.
 _LEAST: Final = 16
 
 EDGE_RATIO: Final = 5.0
@@ -23,13 +24,13 @@ EDGE_RATIO: Final = 5.0
 
 
 class Keypoints(NamedTuple):
-    """Keypoints of one image and what they look like.
+    """Keypoints of one image with their descriptors.
 
     Attributes:
-        xy: (N, 2) COLMAP pixels.
-        scale: (N,) side of a pixel of the level they were found in, in pixels of the image.
-        scores: (N,) value of the feature that peaks, less the coarser the levels before.
-        descriptors: (N, C) of unit length.
+        xy: positions (N, 2), COLMAP pixels.
+        scale: (N,) size of a pixel of the pyramid level, in pixels of the image.
+        scores: (N,) value of the largest feature, divided by the number of levels so far.
+        descriptors: descriptors (N, C) of unit length.
     """
 
     xy: Tensor
@@ -41,21 +42,21 @@ class Keypoints(NamedTuple):
 def detect(
     network: D2Net, image: Tensor, scales: Sequence[float], edge_ratio: float = EDGE_RATIO
 ) -> Keypoints:
-    """Find and describe keypoints.
+    """Detect and describe keypoints.
 
-    The features of each level are added to those of the next, which may not find again what is
-    found already (section 3.4 of the paper).
+    The features of each level are added to those of the next level, which detects no keypoints
+    where a coarser level did (section 3.4 of the paper).
 
     Args:
-        network: in use, without gradients.
-        image: (3, H, W) float RGB in 0..1.
-        scales: sizes of the levels over the image's, coarse to fine. Levels too small to hold a
-            keypoint are left out.
-        edge_ratio: largest ratio of the two curvatures of a peak; beyond it lies an edge.
+        network: the network, without gradients.
+        image: image (3, H, W) float RGB in 0..1.
+        scales: sizes of the levels relative to the image, coarse to fine. Levels that are too small
+            for a keypoint are left out.
+        edge_ratio: largest ratio of the two curvatures of a peak. Beyond it the peak is an edge.
     """
     height, width = image.shape[1:]
     coarser = taken = None
-    found = [_none(network.channels, image)]
+    levels = [_none(network.channels, image)]
     for rank, scale in enumerate(scales, 1):
         size = (int(height * scale), int(width * scale))
         if min(size) < _LEAST:
@@ -78,14 +79,14 @@ def detect(
         last = exact.new_tensor([cells[1] - 1, cells[0] - 1])[:, None]
         kept = (offset.abs() < _MAX_OFFSET).all(0) & ((exact >= 0) & (exact <= last)).all(0)
         exact = exact[:, kept]
-        # Both corners of the image stay where they are between levels: centres of pixels, at 0.5.
+        # The centres of the corner pixels coincide in all levels, at (0.5, 0.5) for the first.
         shrunk = [(width - 1) / (size[1] - 1), (height - 1) / (size[0] - 1)]
         xy = (4 * exact.T + 3.5) * exact.new_tensor(shrunk) + 0.5
         sampled = functional.grid_sample(
             features[None], (2 * exact / last - 1).T[None, None], align_corners=True
         )[0, :, 0]
         strongest = features[:, rows[kept], columns[kept]].amax(0)
-        found.append(
+        levels.append(
             Keypoints(
                 xy,
                 torch.full_like(strongest, 1 / scale),
@@ -93,22 +94,22 @@ def detect(
                 functional.normalize(sampled, dim=0).T,
             )
         )
-    return Keypoints(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+    return Keypoints(*(torch.cat(parts) for parts in zip(*levels, strict=True)))
 
 
 def find_peaks(features: Tensor, edge_ratio: float = EDGE_RATIO) -> tuple[Tensor, Tensor]:
-    """Cells whose strongest channel peaks there, and where exactly it does.
+    """Find the cells at which the strongest channel has a peak, and the exact positions of peaks.
 
-    A peak is the largest of 3 x 3 cells and curved alike in all directions. Its exact place is that
-    of the parabola through those cells (Brown and Lowe, BMVC 2002).
+    A peak is the largest of 3 x 3 cells, and its curvatures are similar in all directions. Its
+    exact position is that of the parabola through those cells (Brown and Lowe, BMVC 2002).
 
     Args:
-        features: (C, h, w), not negative.
-        edge_ratio: see ``detect``.
+        features: features (C, h, w), not negative.
+        edge_ratio: the argument of ``detect``.
 
     Returns:
-        (h, w) bool, and (2, h, w) offsets of columns and rows in cells; outside peaks they mean
-        nothing.
+        Whether each cell has a peak, (h, w) bool, and offsets (2, h, w) of columns and rows in
+        cells, which have no meaning outside peaks.
     """
     _, h, w = features.shape
     channel = features.argmax(0)[None]
@@ -132,7 +133,7 @@ def find_peaks(features: Tensor, edge_ratio: float = EDGE_RATIO) -> tuple[Tensor
 
 
 def _resized(values: Tensor, size: Sequence[int]) -> Tensor:
-    """(B, C, H, W) at another size, corners kept."""
+    """Resize values (B, C, H, W) so that the corner cells stay at the corners."""
     return functional.interpolate(values, tuple(size), mode="bilinear", align_corners=True)
 
 

@@ -1,7 +1,7 @@
-"""D2-Net's keypoints against the nearest photographs of the map, 2D-3D lifting and PnP.
+"""The localizer ``d2net``: matches of D2-Net's keypoints with map photographs, lifting and PnP.
 
-The map was not built from these keypoints: they are lifted between its observations
-(``baselines.lifting``).
+The map was not built from these keypoints, so ``baselines.lifting`` interpolates their 3D points
+between the map's observations.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class D2NetConfig(StructureConfig):
     contrast_window_px: int = Field(
         33, ge=1, description="Side of the window in which that contrast is measured."
     )
-    # The authors match mutual nearest neighbours without a ratio test; it pays over repeated roofs.
+    # The authors use no ratio test. It helps where roofs repeat.
     ratio: float = Field(0.9, gt=0, le=1)
     max_error_px: float = Field(8.0, gt=0)
     max_features: int = Field(6000, ge=100)
@@ -74,7 +74,7 @@ class D2NetConfig(StructureConfig):
 
 
 class D2NetExtractor(Extractor):
-    """Keypoints of the network, the strongest ``max_features`` of an image."""
+    """Extracts the strongest ``max_features`` keypoints of an image."""
 
     name = "d2net"
     turned = False
@@ -97,19 +97,19 @@ class D2NetExtractor(Extractor):
         image = torch.from_numpy(rgb.astype(np.float32, order="C") / 255).permute(2, 0, 1)
         with torch.inference_mode():
             scales, ratio = self._scales(smaller.max()), self._config.max_edge_ratio
-            found = detect(self._network, image.to(self._device), scales, ratio)
-            strongest = found.scores.argsort(descending=True, stable=True)
+            keypoints = detect(self._network, image.to(self._device), scales, ratio)
+            strongest = keypoints.scores.argsort(descending=True, stable=True)
             xy, scale, descriptors = (
                 values[strongest].cpu().numpy()
-                for values in (found.xy, found.scale, found.descriptors)
+                for values in (keypoints.xy, keypoints.scale, keypoints.descriptors)
             )
         config = self._config
         clear = _has_contrast(rgb, xy, config.contrast_window_px, config.min_contrast)
         kept = np.flatnonzero(clear)[: config.max_features]
         xy, scale, descriptors = xy[kept], scale[kept], descriptors[kept]
-        # Resized edge to edge, so that pixels counted from the edge are multiplied.
+        # Resizing keeps the image's edges, so coordinates counted from the edge are multiplied.
         magnified = (size / smaller).astype(np.float32)
-        # Half precision moves a descriptor by less than a thousandth, and halves the cache.
+        # Half precision changes a descriptor by less than a thousandth and halves the cache.
         return Features(xy * magnified, scale * magnified.max(), descriptors.astype(np.float16))
 
     def _scales(self, edge: int) -> list[float]:
@@ -124,8 +124,8 @@ def _has_contrast(
 ) -> NDArray[np.bool_]:
     """Return which keypoints (N, 2) lie where the picture has contrast, (N,).
 
-    Where an image is plain, what peaks is the padding of the convolutions at its border: in the
-    same places in any two images, so that those matches agree on a pose.
+    In plain images, the padding of the convolutions causes peaks at the border. They are at the
+    same positions in any two images, so that matches between them would agree on a pose.
     """
     grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
     window = (window_px, window_px)
@@ -135,12 +135,13 @@ def _has_contrast(
 
 
 class D2NetLocalizer(StructureLocalizer):
-    """See the module."""
+    """The localizer ``d2net``; the module describes it."""
 
     def __init__(self, config: D2NetConfig) -> None:
-        """
+        """Read the weights and prepare the extractor.
+
         Raises:
-            InputError: there are no weights, or they are not of this network.
+            InputError: there are no weights, or they belong to another network.
         """
         network, digest = read_network(config.weights or shipped(SHIPPED))
         super().__init__(config, D2NetExtractor(network, digest, config), interpolate=True)

@@ -1,7 +1,7 @@
-"""What D2-Net is trained by: descriptors of one place alike and of others not, where detected.
+"""The loss of D2-Net (section 4 of the paper).
 
-A triplet margin loss whose every triplet weighs as much as the soft scores of its two ends
-(section 4 of the paper). Nothing but the better score of good matches teaches detection.
+It is a triplet margin loss. Each triplet is weighted by the product of the soft detection scores of
+its two keypoints, which also trains detection: good matches get higher scores.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from torch.nn import functional
 from baselines.training.contrastive import sample
 from baselines.training.options import LOSSES, LossOptions
 
-# Numerical guards. More than any squared distance of unit vectors.
+# Numerical guards.
+# A value above any squared distance of unit vectors.
 _FAR: Final = 10.0
 _TINY: Final = 1e-12
 
 
 class TripletLoss(NamedTuple):
-    """The loss of a pair of images and what to watch beside it, all scalars.
+    """The loss of a pair of images and figures for the log, all scalars.
 
     Attributes:
         loss: mean hinge of margin + positive - negative, weighted by the scores.
         positive: mean squared distance of corresponding descriptors.
-        negative: mean squared distance to the hardest other one.
-        right: share of correspondences nearer to each other than to all others.
+        negative: mean squared distance to the hardest negative.
+        right: share of correspondences that are nearer to each other than to any negative.
     """
 
     loss: Tensor
@@ -37,13 +38,13 @@ class TripletLoss(NamedTuple):
 
 
 class Described(NamedTuple):
-    """One image of a pair, and the places in it that correspond to places of the other.
+    """One image of a pair, and the points in it that correspond to points of the other.
 
     Attributes:
-        features: (C, h, w) of either sign and any length.
-        scores: (h, w) soft detection scores.
-        cells: (N, 2) columns and rows of the places, in cells: the centre of the first is
-            (0.5, 0.5). Descriptors and scores between centres are interpolated. N > 0.
+        features: features (C, h, w), of either sign and any length.
+        scores: soft detection scores (h, w).
+        cells: columns and rows (N, 2) of the points, N > 0. The centre of the first cell is
+            (0.5, 0.5). Descriptors and scores are interpolated.
     """
 
     features: Tensor
@@ -66,7 +67,7 @@ def triplet_loss(
     score_a, score_b = (_at(each.scores[None], each.cells)[:, 0] for each in (image_a, image_b))
     weight = score_a * score_b
     hinge = functional.relu(options.triplet_margin + positive - negative)
-    # Scores are of the order of one over the number of cells: their products are small.
+    # Scores are about one over the number of cells, so their products are small.
     weight = weight / weight.sum().clamp_min(_TINY)
     return TripletLoss(
         (weight * hinge).sum(),
@@ -77,7 +78,7 @@ def triplet_loss(
 
 
 def _at(values: Tensor, cells: Tensor) -> Tensor:
-    """Values (C, h, w) at places (N, 2), in float32. (N, C)."""
+    """Sample values (C, h, w) at cells (N, 2); returns (N, C) float32."""
     return sample(values[None], cells[None])[0]
 
 
@@ -86,13 +87,14 @@ def _descriptors(features: Tensor, cells: Tensor) -> Tensor:
 
 
 def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor, safe_radius: int) -> Tensor:
-    """Squared distance of each descriptor to the nearest of another image away from its place.
+    """Return the squared distance (N,) of each descriptor to its hardest negative.
 
     Args:
-        descriptors: (N, C).
-        features: (C, h, w) of the other image.
-        cells: (N, 2) where each descriptor belongs in it.
-        safe_radius: descriptors within so many cells (Chebyshev) of that place do not count.
+        descriptors: descriptors (N, C) of one image.
+        features: features (C, h, w) of the other image.
+        cells: position (N, 2) in the other image of each descriptor's true match.
+        safe_radius: descriptors within this many cells (Chebyshev distance) of the true match are
+            no negatives.
     """
     others = functional.normalize(features.float().flatten(1), dim=0)
     index = torch.arange(others.shape[1], device=cells.device)

@@ -1,8 +1,8 @@
 """The network of D2-Net: VGG16 up to conv4_3 at two strides, and the soft detection score.
 
-Dusmanu et al., "D2-Net: A Trainable CNN for Joint Description and Detection of Local Features",
-CVPR 2019. Parameters carry the names of the authors' checkpoints,
-``dense_feature_extraction.model.N``: those can be read as they are.
+Source: Dusmanu et al., "D2-Net: A Trainable CNN for Joint Description and Detection of Local
+Features", CVPR 2019. Parameters have the names of the authors' checkpoints,
+``dense_feature_extraction.model.N``, so that these can be loaded.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from scene.config import Config, load_config
 from scene.errors import InputError
 
 STRIDE: Final = 8
-"""Pixels from cell to cell in training."""
-# What trained weights expect of the input: blue, green and red in 0..255 less these, as for the
-# authors' VGG16.
+"""Pixels per cell in training."""
+# Means of blue, green and red in 0..255, which the authors' VGG16 and trained weights expect to be
+# subtracted.
 _MEANS: Final = (103.939, 116.779, 123.68)
-# About the standard deviation of what is left.
+# Approximate standard deviation after this subtraction.
 _SPREAD: Final = 60.0
 _FIRST: Final = "dense_feature_extraction.model.0.weight"
 _TINY: Final = 1e-12
 
 
 class D2NetNetConfig(Config):
-    """What the network is made of.
+    """The configuration of the network.
 
     Attributes:
-        width: channels in parts of VGG16's; 1 is the authors' network.
+        width: number of channels as a share of VGG16's; 1 is the authors' network.
     """
 
     width: float = Field(1.0, gt=0, le=1)
 
 
 class D2Net(nn.Module):
-    """Features of images, cell by cell.
+    """A network that computes a feature for each cell of an image.
 
     Attributes:
-        config: what it is made of.
-        channels: of the features.
+        config: configuration of the network.
+        channels: number of channels of the features.
     """
 
     def __init__(self, config: D2NetNetConfig) -> None:
@@ -58,10 +58,10 @@ class D2Net(nn.Module):
         layers: list[nn.Module] = []
         for block in first:
             layers += [*block, nn.MaxPool2d(2)]
-        # The features are conv4_3's own values: its ReLU is left to those who want it.
+        # The features are conv4_3's values without the ReLU, which callers can apply.
         model = nn.Sequential(*layers, *last[:-1])
         self.dense_feature_extraction = nn.Sequential(OrderedDict(model=model))
-        # Where training starts without weights: activations near one at every layer.
+        # Without weights, training starts with activations near one in every layer.
         convolutions = [layer for layer in model if isinstance(layer, nn.Conv2d)]
         for layer in convolutions:
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
@@ -71,29 +71,29 @@ class D2Net(nn.Module):
             convolutions[0].weight /= _SPREAD
 
     def forward(self, images: Tensor) -> Tensor:
-        """Features as trained: cell (x, y) stands for the pixel (8x + 4, 8y + 4).
+        """Return the features for training. The centre of cell (x, y) is (8x + 4, 8y + 4).
 
         Args:
             images: (B, 3, H, W) float RGB in 0..1, at least 8 x 8.
 
         Returns:
-            (B, C, H // 8, W // 8), of either sign.
+            Features (B, C, H // 8, W // 8), of either sign.
         """
         features: Tensor = self.dense_feature_extraction(_caffe(images))
         return features
 
     def dense(self, images: Tensor) -> Tensor:
-        """Features as used: cell (x, y) stands for the pixel (4x + 4, 4y + 4).
+        """Return the features for localization. The centre of cell (x, y) is (4x + 4, 4y + 4).
 
-        The third pooling averages and does not stride, and the convolutions after it are dilated to
-        see as far as in training. An average of 2 x 2 cells lies where they meet: half a cell
-        further than the authors' code reports.
+        The third pooling is an average with stride 1, and the convolutions after it are dilated, so
+        that their receptive field is that of training. The average of 2 x 2 cells belongs to the
+        corner between them, which is half a cell further than the authors' code reports.
 
         Args:
             images: (B, 3, H, W) float RGB in 0..1, at least 8 x 8.
 
         Returns:
-            (B, C, H // 4 - 1, W // 4 - 1), not negative.
+            Features (B, C, H // 4 - 1, W // 4 - 1), not negative.
         """
         values = _caffe(images)
         poolings = 0
@@ -111,15 +111,15 @@ class D2Net(nn.Module):
 
 
 def read_network(path: Path) -> tuple[D2Net, str]:
-    """A network with the weights of a file, ready for use, and the digest of the file.
+    """Read a network from a file of weights; return it with the digest of the file.
 
-    Takes what training here writes, and the checkpoints of the authors.
+    The file is one that our training wrote or a checkpoint of the authors.
 
     Raises:
-        InputError: missing or damaged file, or weights of another network.
+        InputError: the file is missing or damaged, or its weights belong to another network.
     """
     weights = read_weights(path)
-    # The authors' checkpoints do not say their width; its first layer does.
+    # The authors' checkpoints do not state the width, which is that of the first layer.
     first = weights.tensors.get(_FIRST)
     if first is None or not first.ndim:
         raise InputError(f"{path} lacks {_FIRST}: it holds no weights of D2-Net")
@@ -130,16 +130,19 @@ def read_network(path: Path) -> tuple[D2Net, str]:
 
 
 def soft_scores(features: Tensor) -> Tensor:
-    """How much each cell stands out: among its neighbours, and by one channel among the others.
+    """Return the soft detection score of each cell.
+
+    The score is high where a channel is larger than in the neighbouring cells and larger than the
+    other channels of the cell.
 
     Args:
         features: (B, C, h, w), of either sign.
 
     Returns:
-        (B, h, w) float32, not negative, of sum one per image. An image without a positive feature
-        has scores of zero.
+        Scores (B, h, w) float32, not negative, whose sum is one for each image. An image without a
+        positive feature has scores of zero.
     """
-    # Half precision would lose most of the exponentials.
+    # The exponentials need single precision.
     positive = functional.relu(features.float())
     largest = positive.amax((1, 2, 3), keepdim=True).clamp_min(_TINY)
     exponential = torch.exp(positive / largest)
@@ -153,6 +156,6 @@ def soft_scores(features: Tensor) -> Tensor:
 
 
 def _caffe(images: Tensor) -> Tensor:
-    """RGB in 0..1 as BGR in 0..255, less its mean. (B, 3, H, W)."""
+    """Convert RGB (B, 3, H, W) in 0..1 to BGR in 0..255 with the means subtracted."""
     means = images.new_tensor(_MEANS).view(3, 1, 1)
     return images.flip(1) * 255 - means

@@ -1,4 +1,4 @@
-"""D2-Net as what the training loop trains."""
+"""D2-Net for the training loop."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from scene.errors import InputError
 class D2NetTraining:
     """Implements ``baselines.training.loop.Trainable``.
 
-    The authors begin with VGG16 as trained on ImageNet and tune its last layer. Here all layers
-    learn, from nothing or from PixLoc's encoder, and by a contrastive loss too. It comes first, for
-    the hardest negative of a network that knows nothing teaches it to make all descriptors equal;
-    and it stays, for the triplets do not ask for a place more exact than four cells.
+    The authors start from VGG16 trained on ImageNet and fine-tune its last layer. Here all layers
+    are trained, from random weights or from PixLoc's encoder, and a contrastive loss is added. At
+    first it is the only loss, because with hardest negatives an untrained network learns to make
+    all descriptors equal. It then remains, because the triplet loss accepts errors of four cells.
     """
 
     def __init__(self, config: TrainConfig) -> None:
@@ -42,17 +42,18 @@ class D2NetTraining:
         self._warm_up, self._losses = config.warm_up, config.losses
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
-        """All parameters alike."""
+        """Return all parameters with the same learning rate."""
         return [{"params": list(self.network.parameters()), "lr": rate}]
 
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
-        """Contrastive, then also the mean triplet loss over pairs with enough correspondences.
+        """Return the contrastive loss, plus the mean triplet loss after the warm-up.
 
-        Enough are ``triplet_min_points``, or half of what the batch has room for if that is less.
+        The triplet loss is the mean over the pairs with at least ``triplet_min_points``
+        correspondences, or half of the number that the batch has room for if that is less.
 
         Returns:
-            the loss and figures: ``contrastive``, the fields of ``TripletLoss`` where a pair has
-            enough, and ``pairs`` that have.
+            The loss, and figures: ``contrastive``, the fields of ``TripletLoss`` if any pair has
+            enough correspondences, and ``pairs``, the number of such pairs.
         """
         count, room = batch.valid.shape
         images = torch.cat([batch.image_a, batch.image_b])
@@ -70,7 +71,7 @@ class D2NetTraining:
         if progress < self._warm_up:
             return contrast, figures
         scores = soft_scores(features)
-        found = [
+        triplets = [
             triplet_loss(
                 Described(features[i], scores[i], cells[0][i, valid[i]]),
                 Described(features[count + i], scores[count + i], cells[1][i, valid[i]]),
@@ -79,18 +80,18 @@ class D2NetTraining:
             for i in range(count)
             if int(valid[i].sum()) >= min(self._losses.triplet_min_points, room // 2)
         ]
-        if not found:
+        if not triplets:
             return contrast, {**figures, "pairs": 0.0}
-        means = TripletLoss(*(torch.stack(column).mean() for column in zip(*found, strict=True)))
+        means = TripletLoss(*(torch.stack(column).mean() for column in zip(*triplets, strict=True)))
         figures |= {name: float(value.detach()) for name, value in means._asdict().items()}
-        return contrast + means.loss, {**figures, "pairs": float(len(found))}
+        return contrast + means.loss, {**figures, "pairs": float(len(triplets))}
 
 
 def start_from(path: Path) -> D2Net:
-    """A network that goes on from weights, to be trained: its own, or PixLoc's encoder.
+    """Make a network to be trained from the weights of D2-Net or of PixLoc's encoder.
 
     Raises:
-        InputError: there is no such file, or it is of neither network.
+        InputError: the file does not exist, or its weights belong to neither network.
     """
     tensors = read_weights(path).tensors
     if not any(name.startswith("encoder.") for name in tensors):
@@ -102,13 +103,14 @@ def start_from(path: Path) -> D2Net:
     with torch.no_grad():
         for mine, other in zip(ours, theirs, strict=False):
             mine.load_state_dict(other.state_dict())
-        # They see red, green and blue in units of their spread, we blue, green and red in 0..255.
+        # PixLoc takes red, green, blue in units of their deviation; D2-Net blue, green, red in
+        # 0..255.
         spread = torch.tensor(IMAGENET_STD).view(1, 3, 1, 1) * 255
         ours[0].weight.copy_((theirs[0].weight / spread).flip(1))
     return network
 
 
 def _inside(xy: Tensor, images: Tensor) -> Tensor:
-    """Which pixels (B, N, 2) lie in images, (B, N); NaN does not."""
+    """Return which pixels (B, N, 2) lie in images, (B, N). NaN lies in none."""
     size = xy.new_tensor([images.shape[3], images.shape[2]])
     return ((xy >= 0) & (xy <= size)).all(-1)

@@ -1,1 +1,1 @@
-"""PixLoc (Sarlin et al., "Back to the Feature", CVPR 2021): learned features, aligned directly."""
+"""PixLoc, which aligns learned features (Sarlin et al., "Back to the Feature", CVPR 2021)."""

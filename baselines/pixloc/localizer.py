@@ -1,4 +1,4 @@
-"""PixLoc as a localizer: its network, aligned to the nearest photographs of the map."""
+"""The localizer ``pixloc``, which aligns its features to the nearest photographs of the map."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
 
 
 class PixlocConfig(FeaturemetricConfig):
-    """Options of the pixloc localizer: aligned once, to the map's own points, as by its authors.
+    """Options of the pixloc localizer. It aligns once, to the map's points, as its authors do.
 
-    ``weights`` may be a checkpoint of the authors'.
+    ``weights`` may be a checkpoint of the authors.
     """
 
     corners: int = Field(0, ge=0)
 
 
 class PixlocLocalizer(FeaturemetricLocalizer):
-    """See the module.
+    """The localizer ``pixloc``; the module describes it.
 
     Raises:
-        InputError: the weights are missing or not of this network.
+        InputError: the weights are missing or belong to another network.
     """
 
     def __init__(self, config: PixlocConfig) -> None:

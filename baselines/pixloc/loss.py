@@ -1,4 +1,4 @@
-"""How far off the poses of an alignment put the points: what PixLoc is trained by."""
+"""The loss of PixLoc: the reprojection error of the poses of an alignment."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from scene.geometry.projection import Intrinsics
 
 
 class Seen(NamedTuple):
-    """Points as a camera sees them, batched (B).
+    """Points in the view of a camera, batched (B).
 
     Attributes:
-        points: (B, N, 3) world.
-        intrinsics: of the camera.
-        valid: (B, N) points to use.
+        points: points (B, N, 3), world.
+        intrinsics: intrinsics of the camera.
+        valid: points (B, N) to use, bool.
     """
 
     points: Tensor
@@ -30,27 +30,27 @@ class Seen(NamedTuple):
 def reprojection_error(
     pose: Pose, truth: Pose, points: Tensor, intrinsics: Intrinsics, valid: Tensor
 ) -> Tensor:
-    """Mean pseudo-Huber distance of the points' projections by two poses, (B,); see ``in_pixels``.
+    """Return the mean pseudo-Huber distance (B,) of projections by two poses; see ``in_pixels``.
 
     Args:
-        pose: ``camera_from_world``, batched (B).
-        truth: likewise.
-        points: (B, N, 3) world.
-        intrinsics: batched (B).
-        valid: (B, N) points to use; those behind a camera are left out too.
+        pose: estimated ``camera_from_world``, batch shape (B,).
+        truth: true ``camera_from_world``, batch shape (B,).
+        points: points (B, N, 3), world metres.
+        intrinsics: intrinsics of the cameras, batch shape (B,).
+        valid: (B, N) bool, points to use; points behind a camera are left out too.
     """
     ours, true = (
         intrinsics.project(each.to(dtype=points.dtype).transform(points)) for each in (pose, truth)
     )
     used = valid & ours.valid & true.valid
     squared = torch.where(used[..., None], ours.xy - true.xy, 0).square().sum(-1)
-    # Barron's general loss (CVPR 2019) at shape 1 and scale 2, over 4: quadratic, then linear.
+    # Barron's general loss (CVPR 2019) with shape 1 and scale 2, over 4: quadratic, then linear.
     robust = 2 * (torch.sqrt(squared / 4 + 1) - 1)
     return torch.as_tensor(robust.sum(-1) / used.sum(-1).clamp(min=1))
 
 
 def in_pixels(error: Tensor) -> Tensor:
-    """The distance in pixels whose pseudo-Huber function is ``error``."""
+    """Return the distance in pixels whose pseudo-Huber function is ``error``."""
     return 2 * ((error / 2 + 1).square() - 1).sqrt()
 
 
@@ -61,16 +61,16 @@ def pose_loss(
     seen: Seen,
     options: LossOptions = LOSSES,
 ) -> tuple[Tensor, list[Tensor]]:
-    """The loss of a batch, and the error (B,) after each level.
+    """Return the loss of a batch, and the error (B,) after each level.
 
-    Each level counts equally, up to ``pose_clamp_px``, and only where the coarser one ended within
-    ``near_cells``: finer features cannot mend what lies beyond their reach. A pair with fewer than
-    ``min_points`` counts for nothing.
+    Each level has the same weight, and errors count up to ``pose_clamp_px``. A level counts only
+    where the coarser one ended within ``near_cells`` of its cells, because finer features cannot
+    correct larger errors. Pairs with fewer than ``min_points`` points are left out.
 
     Args:
-        by_level: poses after each level, coarse to fine; no gradient between them.
-        strides: of the levels.
-        truth: as of ``reprojection_error``.
+        by_level: poses after each level, coarse to fine, without gradients between levels.
+        strides: strides of the levels.
+        truth: true poses, as for ``reprojection_error``.
         seen: the points.
         options: the limits named above.
     """

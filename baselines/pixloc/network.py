@@ -1,7 +1,7 @@
-"""The U-Net of PixLoc: features and their confidence at several strides, on VGG16.
+"""The U-Net of PixLoc on VGG16, which returns features and confidences at several strides.
 
-After Sarlin et al. (CVPR 2021) and their code (github.com/cvg/pixloc, commit 65a51a7), and takes
-their weights.
+It follows Sarlin et al. (CVPR 2021) and their code (github.com/cvg/pixloc, commit 65a51a7), and
+loads their weights.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ STRIDES: Final = (16, 8, 4, 2, 1)
 
 
 def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
-    """ValueError: no network on VGG16 has such levels. For validators of configurations."""
+    """Check levels; validators of configurations call this.
+
+    Raises:
+        ValueError: no network on VGG16 has such levels.
+    """
     if any(stride not in STRIDES for stride in strides):
         raise ValueError(f"strides must be of {STRIDES}")
     if any(fine >= coarse for coarse, fine in pairwise(strides)):
@@ -41,14 +45,15 @@ Channels = Annotated[int, Field(ge=1, le=2048)]
 
 
 class PixlocNetConfig(Config):
-    """What the network is made of. Levels run from coarse to fine.
+    """The configuration of the network. Levels run from coarse to fine.
 
     Attributes:
-        width: channels of the encoder in parts of VGG16's.
-        decoder: channels of the decoder's steps, from stride 8 to stride 1.
-        extra_convolutions: in each of the last three blocks of the encoder: 0 is VGG16, 1 is VGG19.
-        strides: of the levels, pixels of the image per cell.
-        dims: channels of the features of each level.
+        width: number of channels of the encoder as a share of VGG16's.
+        decoder: numbers of channels of the decoder's steps, from stride 8 to stride 1.
+        extra_convolutions: number of additional convolutions in each of the last three blocks of
+            the encoder; 0 is VGG16 and 1 is VGG19.
+        strides: strides of the levels, pixels of the image per cell.
+        dims: numbers of channels of the features of each level.
     """
 
     width: float = Field(1.0, gt=0, le=2)
@@ -64,7 +69,7 @@ class PixlocNetConfig(Config):
 
 
 class Decoder(nn.ModuleList):
-    """Steps from stride 16 to finer ones, each of which sees what the encoder made there.
+    """The decoder: steps from stride 16 to finer ones, each with the encoder's block as input too.
 
     Attributes:
         sizes: channels of each level, coarse to fine.
@@ -86,11 +91,13 @@ class Decoder(nn.ModuleList):
         self.sizes = [sizes[step] for step in self._wanted]
 
     def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
-        """What the encoder's blocks made, fine to coarse -> per level (B, C, h, w), coarse to fine,
-        each made when it is asked for.
+        """Yield the map (B, C, h, w) of each level, coarse to fine, computed on demand.
 
-        Cells are ``stride`` pixels from the top left corner on; what an image has beyond a multiple
-        of 16 pixels is cut off.
+        Cells are ``stride`` pixels wide and start at the top left corner. The part of an image
+        beyond a multiple of 16 pixels is cut off.
+
+        Args:
+            blocks: outputs of the encoder's blocks, fine to coarse.
         """
         skips = list(blocks)
         decoded = skips.pop()
@@ -106,11 +113,11 @@ class Decoder(nn.ModuleList):
 
 
 class PixlocNet(nn.Module):
-    """See the module. Also holds the damping that was learned with the features.
+    """The network of PixLoc, with the damping of the aligner that is trained with it.
 
     Attributes:
-        config: what it is made of.
-        damping: of each level, coarse to fine; called, it gives factors (6,).
+        config: configuration of the network.
+        damping: a module for each level, coarse to fine, that returns damping factors (6,).
     """
 
     def __init__(self, config: PixlocNetConfig) -> None:
@@ -127,15 +134,16 @@ class PixlocNet(nn.Module):
         keep_variance(self)
 
     def forward(self, image: Tensor, levels: int | None = None) -> list[tuple[Tensor, Tensor]]:
-        """Features, not normalised, and confidences in 0..1, from coarse to fine.
+        """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
 
         Args:
-            image: (B, 3, H, W) RGB in 0..1; H and W at least 16.
-            levels: how many, from the coarsest; all if None.
+            image: images (B, 3, H, W), RGB in 0..1; H and W are at least 16.
+            levels: number of levels from the coarsest on; None stands for all.
 
         Returns:
-            Per level (B, C, h, w) and (B, 1, h, w). Cells are ``stride`` pixels from the top left
-            corner on; what an image has beyond a multiple of 16 pixels is cut off.
+            Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
+            pixels wide and start at the top left corner. The part of an image beyond a multiple of
+            16 pixels is cut off.
         """
         maps = islice(self.decoder(encode(self.encoder, image)), levels)
         return [
@@ -147,10 +155,10 @@ class PixlocNet(nn.Module):
 
 
 def read_network(path: Path) -> tuple[PixlocNet, str]:
-    """The network in a file of weights: ours, or the authors' checkpoint. And the file's digest.
+    """Read a network from our weights or the authors' checkpoint; return it with the digest.
 
     Raises:
-        InputError: there is no such file, or it is damaged or not of this network.
+        InputError: the file does not exist, is damaged, or belongs to another network.
     """
     weights = read_weights(path)
     tensors, values = weights.tensors, weights.config
@@ -162,26 +170,26 @@ def read_network(path: Path) -> tuple[PixlocNet, str]:
         raise InputError(describe(error, PixlocNetConfig, f"in {path}")) from None
     network = PixlocNet(config)
     load_into(network, tensors, path)
-    # torch's annotations do not know this argument.
+    # torch's annotations lack this argument.
     fast = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return fast, weights.sha256
 
 
 def _from_official(tensors: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors of the authors' checkpoint by our names, and the configuration they need.
+    """Convert the authors' checkpoint to our names; also return the configuration it needs.
 
-    Their levels run from fine to coarse, and their tangent is translation then rotation.
+    The authors' levels run from fine to coarse, and their tangent is translation, then rotation.
     """
     head = re.compile(r"extractor\.(adaptation|uncertainty)\.(\d+)\.0\.(weight|bias)")
-    heads = [found for name in tensors if (found := head.fullmatch(name))]
-    last = max((int(found[2]) for found in heads), default=0)
+    heads = [match for name in tensors if (match := head.fullmatch(name))]
+    last = max((int(match[2]) for match in heads), default=0)
     ours: dict[str, Tensor] = {}
     for name, tensor in tensors.items():
-        if found := head.fullmatch(name):
-            kind = "features" if found[1] == "adaptation" else "confidence"
-            ours[f"{kind}.{last - int(found[2])}.{found[3]}"] = tensor
-        elif found := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
-            ours[f"damping.{last - int(found[1])}.theta"] = tensor.roll(3)
+        if match := head.fullmatch(name):
+            kind = "features" if match[1] == "adaptation" else "confidence"
+            ours[f"{kind}.{last - int(match[2])}.{match[3]}"] = tensor
+        elif match := re.fullmatch(r"optimizer\.(\d+)\.dampingnet\.const", name):
+            ours[f"damping.{last - int(match[1])}.theta"] = tensor.roll(3)
         else:
             ours[name.removeprefix("extractor.").replace(".layers.", ".")] = tensor
     weights = [ours.get(f"features.{level}.weight") for level in range(last + 1)]

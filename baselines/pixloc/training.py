@@ -1,7 +1,8 @@
-"""What PixLoc learns from a batch of pairs: features that tell places apart, then poses with them.
+"""PixLoc for the training loop. Features are trained to distinguish places, then to give poses.
 
-The authors train by the pose alone, from weights of ImageNet. From nothing that leaves the coarse
-level weak, so that a contrastive loss comes first and stays beside it.
+The authors train by the pose loss alone, from weights of ImageNet. From random weights, this leaves
+the coarse level weak. Therefore a contrastive loss comes first, and remains when the pose loss is
+added.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from scene.config import load_config
 from scene.errors import InputError
 from scene.geometry.pose import Pose
 
-# The authors' finest level is every pixel. Every other costs a third of it in training, and the
-# precision lost is below that of a map's points. Weights record the strides of their training.
+# The authors' finest stride is 1. Stride 2 takes a third of the time in training, and the loss of
+# precision is below the error of a map's points. Weights record the strides of their training.
 _STRIDES: Final = (16, 4, 2)
-# A numerical guard of the logarithm.
+# Numerical guard of the logarithm.
 _LEAST_TRUST: Final = 1e-3
 
 
@@ -77,7 +78,7 @@ def half_precision(batch: PairBatch) -> torch.autocast:
 
 
 def both(batch: PairBatch) -> Tensor:
-    """The images a, then the images b, (2B, 3, S, S), in the layout that is fastest."""
+    """Return the images a, then the images b, (2B, 3, S, S), in the fastest memory layout."""
     images = torch.cat([batch.image_a, batch.image_b])
     return images.to(memory_format=torch.channels_last)
 
@@ -93,17 +94,17 @@ def contrast_of(
     batch: PairBatch,
     options: LossOptions = LOSSES,
 ) -> tuple[Tensor, dict[str, float]]:
-    """The mean over the levels of the contrastive loss and of that of the confidence, and figures.
+    """Return the contrastive loss plus that of the confidence, means over levels, and figures.
 
-    Confidence is taught to say how likely a place is found again, from one look at it: what snow or
-    another hour hides should count for little. By the pose alone, as the authors teach it, it stays
-    the same everywhere for long.
+    The confidence is trained to predict the probability that a place is matched, from one image of
+    it. Places that snow or another hour changes then have small weights. If the confidence is
+    trained by the pose loss alone, as the authors do, it stays uniform for a long time.
 
     Args:
-        maps: features and confidences of ``both`` halves of the batch, level by level.
-        strides: of the levels.
-        batch: what is known of the pairs.
-        options: what the losses weigh.
+        maps: features and confidences of both halves of the batch, level by level.
+        strides: strides of the levels.
+        batch: the pairs.
+        options: weights of the losses.
     """
     losses, doubts = [], []
     for stride, (features, confidence) in zip(strides, maps, strict=True):
@@ -111,10 +112,10 @@ def contrast_of(
         cells = batch.xy_a / stride, batch.xy_b / stride
         lost = contrastive(a, b, *cells, batch.valid, options.contrast)
         losses.append(mean_over(batch.valid, lost))
-        found = torch.exp(-lost.detach())
+        likely = torch.exp(-lost.detach())
         for half, places in zip(confidence.chunk(2), cells, strict=True):
             said = sample(half, places)[..., 0].clamp(_LEAST_TRUST, 1 - _LEAST_TRUST)
-            doubt = functional.binary_cross_entropy(said, found, reduction="none")
+            doubt = functional.binary_cross_entropy(said, likely, reduction="none")
             doubts.append(mean_over(batch.valid, doubt))
     figures = {
         f"contrastive/{stride}": float(loss.detach())
@@ -128,7 +129,7 @@ def contrast_of(
 def levels_of(
     maps: Sequence[tuple[Tensor, Tensor]], strides: Sequence[int], batch: PairBatch
 ) -> list[Level]:
-    """The images b as queries, and the points as the images a show them. See ``contrast_of``."""
+    """Return the levels of an alignment of images b to the points of images a."""
     levels = []
     for stride, (features, confidence) in zip(strides, maps, strict=True):
         a, b = features.float().chunk(2)
@@ -152,7 +153,7 @@ def unrolled(
     damping: Iterable[nn.Module],
     iterations: int = LOSSES.iterations,
 ) -> tuple[Pose, ...]:
-    """Poses after each level, through which gradients reach features and damping."""
+    """Return the poses after each level, with gradients for features and damping."""
     factors = [each() for each in damping]
     place = batch.points, batch.intrinsics_b, batch.start
     options = Options(iterations=iterations, careful=False)
@@ -162,7 +163,7 @@ def unrolled(
 def pixels_of(
     errors: Sequence[Tensor], strides: Sequence[int], batch: PairBatch
 ) -> dict[str, float]:
-    """Median errors in pixels, at the start and after each level, to log."""
+    """Return the median errors in pixels, at the start and after each level, for the log."""
     start = reprojection_error(batch.start, batch.b_from_a, *seen_by_b(batch))
     named = zip(("start", *strides), (start, *errors), strict=True)
     return {f"pixels/{name}": float(in_pixels(error.median())) for name, error in named}
@@ -171,7 +172,7 @@ def pixels_of(
 def filters_and_damping(
     network: nn.Module, damping: nn.Module, rate: float, damping_rate: float
 ) -> list[dict[str, Any]]:
-    """Groups of parameters: of a network, and of the damping in it, which learns faster."""
+    """Return the groups of parameters of a network and its damping, which has a larger rate."""
     fast = list(damping.parameters())
     known = set(fast)
     filters = [p for p in network.parameters() if p not in known]

@@ -1,4 +1,4 @@
-"""What weather, sensor and hour may do to an image without moving anything in it."""
+"""Photometric augmentation: changes of images by weather, sensor and hour that move no pixel."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def photometric(
     Args:
         image: (H, W, 3) uint8 RGB.
         rng: decides everything.
-        strength: 0 changes nothing, 1 as much as a season, bright ground covered in white.
+        strength: 0 changes nothing; 1 changes as much as a season, with bright ground turned white.
     """
     if strength == 0:
         return image
@@ -23,13 +23,13 @@ def photometric(
     x = image.astype(np.float32) / 255
     x = np.clip(x, 1e-3, 1) ** np.float32(np.exp(rng.normal(0, 0.35 * strength)))
     if rng.uniform() < 0.3 * strength:
-        # Snow: bright or green ground turns white, dark and steep things stay.
+        # Snow turns bright or green ground white. Dark and steep surfaces stay.
         cover = x.max(2, keepdims=True)
         threshold = rng.uniform(0.2, 0.5)
         white = np.clip((cover - threshold) / 0.15, 0, 1) * np.float32(rng.uniform(0.4, 1))
         x = x * (1 - white) + np.float32(rng.uniform(0.7, 0.95)) * white
     if rng.uniform() < 0.5:
-        # Shade and cloud: a smooth field over the image.
+        # Shade and clouds are a smooth field over the image.
         coarse = rng.normal(0, 0.35 * strength, (4, 4)).astype(np.float32)
         x = (
             x

@@ -1,4 +1,4 @@
-"""The card of trained weights: what they were made of, and what training said of them."""
+"""The card of trained weights: training data, settings and validation figures."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ def write_card(
     scenes: Sequence[Scene],
     validation: Sequence[Scene],
 ) -> None:
-    """Write the card as Markdown. Recall is for those to add who measured it.
+    """Write the card as Markdown. It contains no recall, which is measured separately.
 
     Args:
-        run: folder of a finished run, which holds the weights and the log; the card is added to it.
+        run: folder of a finished run, which contains the weights and the log. The card is written
+            into it.
         method: name of the method.
         config: configuration of the run.
-        scenes: scenes that were trained on.
-        validation: scenes that were only looked at.
+        scenes: scenes of the training.
+        validation: scenes of the validation.
     """
     weights = run / WEIGHTS
     rows = [json.loads(line) for line in read_text(run / LOG, "training log").splitlines()]

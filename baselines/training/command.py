@@ -1,4 +1,4 @@
-"""The command ``train``: from scenes to weights."""
+"""The command ``train``, which trains a method on scenes and writes its weights."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ def train(
     config: TrainConfig,
     validation: Sequence[Path] = (),
 ) -> Path:
-    """Train a method on scenes, or go on where training was stopped.
+    """Train a method on scenes, or continue an interrupted training.
 
     Args:
-        method: its name.
-        make: it, ready to learn.
-        data: finished scenes with depth, of pinhole cameras.
-        out: folder of the run: checkpoint, log, curves, and at the end weights and their card.
-        config: how.
-        validation: scenes to look at while training, never learned from.
+        method: name of the method.
+        make: function that makes the method from the configuration.
+        data: finished scenes with depth, taken by pinhole cameras.
+        out: folder of the run: checkpoint, log, curves, and at the end the weights and their card.
+        config: configuration of the training.
+        validation: scenes that are evaluated during training and not learned from.
 
     Returns:
-        the file of the weights.
+        The file of the weights.
 
     Raises:
-        InputError: a scene is unfinished, distorted or overlaps nowhere; ``out`` holds another run
-            or one that is under way; a process that makes pairs died.
+        InputError: a scene is unfinished, has a distorted camera or no overlapping frames; ``out``
+            holds another run or one that is still running; a process that makes pairs died.
     """
     check_output_folder(out, [*data, *validation])
     scenes = [Scene.open(path) for path in data]

@@ -1,4 +1,4 @@
-"""How a network is trained."""
+"""The configuration of a training."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from scene.config import Config
 
 
 class TrainConfig(Config):
-    """Everything that decides the weights, beside the scenes.
+    """All settings that decide the weights, besides the scenes.
 
     Attributes:
-        steps: of the optimizer.
-        batch: pairs per step and process.
+        steps: number of steps of the optimizer.
+        batch: number of pairs per step and process.
         crop: side of the square images, pixels.
-        points: per pair.
-        rate: learning rate at its peak; it rises over the first steps and falls as a cosine.
-        rise: steps until the peak.
+        points: number of points per pair.
+        rate: highest learning rate; the rate rises linearly and then falls as a cosine.
+        rise: number of steps until the highest learning rate.
         decay: weight decay.
         clip: largest norm of the gradient.
-        strength: of the photometric augmentation, 0 to 1.
-        photographs: folders of aerial photographs, taken for flat ground.
-        photograph_share: of pairs made of them, where there are any, over the first `warm_up` of
-            the steps; afterwards half as many.
-        warm_up: share of the steps in which features alone are taught, without poses.
-        width: of the network, 1 for the authors' own.
-        network: what else it is made of, by the names of the method's own configuration.
-        weights: to start from, or None to start from nothing.
-        validate_every: steps between two looks at the validation scenes.
-        save_every: steps between two checkpoints.
-        workers: processes that make pairs.
-        pairs: how pairs are drawn.
-        losses: what the losses weigh.
-        seed: of everything drawn.
+        strength: strength of the photometric augmentation, 0 to 1.
+        photographs: folders of aerial photographs, which are treated as flat ground.
+        photograph_share: share of pairs made of these photographs during the warm-up; afterwards it
+            is half of this.
+        warm_up: share of the steps, at the start, in which features are trained without poses.
+        width: width of the network; 1 is that of the authors.
+        network: further options of the network, by the names of the method's configuration.
+        weights: weights to start from; None starts from random ones.
+        validate_every: number of steps between evaluations of the validation scenes.
+        save_every: number of steps between checkpoints.
+        workers: number of processes that make pairs.
+        pairs: options of how pairs are drawn.
+        losses: weights and limits of the losses.
+        seed: seed of all random numbers.
     """
 
     steps: int = Field(3000, ge=1)

@@ -1,7 +1,8 @@
-"""The loss that teaches features to tell places apart before any pose is solved with them.
+"""The contrastive loss, which trains features to distinguish places without solving for a pose.
 
-InfoNCE (van den Oord et al., 2018) of a point's feature in one image against its own place in the
-other, other places of that image, and places a few cells beside its own.
+It is InfoNCE (van den Oord et al., 2018). The positive of a point's feature in one image is the
+feature at the same point in the other image. The negatives are features at random places of the
+other image and at places a few cells beside the point.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from baselines.training.options import LOSSES, ContrastOptions
 
 
 def sample(maps: Tensor, cells: Tensor) -> Tensor:
-    """Bilinear lookup. Maps (B, C, h, w), cells (B, N, 2) x y -> (B, N, C) float32.
+    """Sample maps (B, C, h, w) bilinearly at cells (B, N, 2) x y; returns (B, N, C) float32.
 
-    The centre of the first cell is (0.5, 0.5); what lies outside takes the border's value.
+    The centre of the first cell is (0.5, 0.5). Positions outside take the value at the border.
     """
     height, width = maps.shape[-2:]
     scale = cells.new_tensor([2 / width, 2 / height])
     grid = (cells * scale - 1)[:, None]
-    found = functional.grid_sample(maps.float(), grid, "bilinear", "border", align_corners=False)
-    return found[:, :, 0].transpose(1, 2)
+    sampled = functional.grid_sample(maps.float(), grid, "bilinear", "border", align_corners=False)
+    return sampled[:, :, 0].transpose(1, 2)
 
 
 def contrastive(
@@ -33,17 +34,17 @@ def contrastive(
     valid: Tensor,
     options: ContrastOptions = LOSSES.contrast,
 ) -> Tensor:
-    """The negative logarithm of how likely each point is found at its own place, (B, N).
+    """Return the negative log-likelihood that each point is matched at its true place, (B, N).
 
     Args:
-        features_a: (B, C, h, w), of any length: they are normalised here.
-        features_b: likewise.
-        cells_a: (B, N, 2) where the points lie in a, cells.
-        cells_b: (B, N, 2) likewise in b.
-        valid: (B, N) bool; what is said of other points means nothing.
-        options: the other places.
+        features_a: features (B, C, h, w) of image a, of any length; they are normalised here.
+        features_b: features of image b.
+        cells_a: positions (B, N, 2) of the points in image a, cells.
+        cells_b: positions of the points in image b.
+        valid: (B, N) bool; the results for other points have no meaning.
+        options: options of the negatives.
     """
-    # Places of points that do not count may be anything, and lookups at NaN end the process.
+    # Positions of invalid points may be NaN, at which sampling would crash.
     cells_a, cells_b = (torch.where(valid[..., None], c, 0.5) for c in (cells_a, cells_b))
     points = functional.normalize(sample(features_a, cells_a), dim=-1)
     batch, channels, height, width = features_b.shape
@@ -53,8 +54,8 @@ def contrastive(
     angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(distance), device=cells_b.device)
     ring = distance[:, None] * torch.stack([angle.cos(), angle.sin()], -1)
     places = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
-    found = functional.normalize(sample(features_b, places.flatten(1, 2)), dim=-1)
-    to_near = (points[:, :, None] * found.view(*places.shape[:3], channels)).sum(-1)
+    near = functional.normalize(sample(features_b, places.flatten(1, 2)), dim=-1)
+    to_near = (points[:, :, None] * near.view(*places.shape[:3], channels)).sum(-1)
     index = elsewhere[:, None].expand(-1, channels, -1)
     far = functional.normalize(features_b.flatten(2).gather(2, index).float(), dim=1)
     centres = torch.stack([elsewhere % width, elsewhere // width], -1) + 0.5
@@ -65,5 +66,5 @@ def contrastive(
 
 
 def mean_over(valid: Tensor, values: Tensor) -> Tensor:
-    """Mean of values (B, N) over the valid points, a number."""
+    """Return the mean of values (B, N) over the valid points, a scalar."""
     return torch.where(valid, values, 0).sum() / valid.sum().clamp(min=1)

@@ -15,9 +15,9 @@ class Crop(NamedTuple):
     """A square cut of a photograph.
 
     Attributes:
-        image: (S, S, 3) uint8; black where the photograph has ended.
-        camera: that sees it.
-        crop_from_camera: (4, 4) the turn from the photograph's camera frame to this camera's.
+        image: (S, S, 3) uint8; black outside the photograph.
+        camera: pinhole camera of the crop.
+        crop_from_camera: rotation (4, 4) from the photograph's camera frame to the crop's.
     """
 
     image: NDArray[np.uint8]
@@ -25,7 +25,7 @@ class Crop(NamedTuple):
     crop_from_camera: NDArray[np.float64]
 
     def contains(self, xy: NDArray[np.float64], border: float) -> NDArray[np.bool_]:
-        """Whether pixels of the crop (N, 2) lie inside it, ``border`` pixels from its edge."""
+        """Return whether pixels (N, 2) lie inside the crop, ``border`` pixels from its edge."""
         inside = (xy >= border) & (xy <= len(self.image) - border)
         return np.asarray(inside.all(1))
 
@@ -38,15 +38,15 @@ def crop(
     size: int,
     angle: float = 0.0,
 ) -> Crop:
-    """What lies around a pixel, resized and turned.
+    """Cut a square around a pixel of a photograph, resized and turned.
 
     Args:
-        image: (H, W, 3) the photograph.
-        camera: that took it, with square pixels.
-        centre: (2,) pixel of the photograph that comes to the middle.
+        image: the photograph (H, W, 3).
+        camera: camera of the photograph, with square pixels.
+        centre: pixel (2,) of the photograph that becomes the middle of the crop.
         scale: pixels of the crop per pixel of the photograph.
-        size: S.
-        angle: counter-clockwise, radians.
+        size: side S of the crop, pixels.
+        angle: angle by which the picture is turned counter-clockwise, radians.
     """
     turn = roll_rotation(angle)
     linear = scale * turn[:2, :2]

@@ -1,4 +1,4 @@
-"""Training curves as one picture."""
+"""A picture of the training curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COLUMNS = 3
 
 
 def draw_curves(log: Path, picture: Path) -> None:
-    """Every figure of the log against the step: training smoothed, validation as points."""
+    """Plot every figure of the log against the step: training smoothed, validation as points."""
     figures: dict[str, list[tuple[int, float]]] = {}
     for line in read_text(log, "training log").splitlines():
         row = json.loads(line)
@@ -45,7 +45,7 @@ def draw_curves(log: Path, picture: Path) -> None:
 
 
 def _smooth(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Running mean over the last steps."""
+    """Return the running mean over the last steps."""
     sums = np.cumsum(np.nan_to_num(np.insert(values, 0, 0.0), posinf=0.0))
     ends = np.arange(1, len(values) + 1)
     begins = np.maximum(ends - _SMOOTHED, 0)

@@ -1,4 +1,4 @@
-"""Where to learn: mostly where a map has points."""
+"""The pixels at which features are trained, mostly corners, where maps have points too."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from baselines.training.options import PAIRS, PairOptions
 def keypoints(
     image: NDArray[np.uint8], count: int, rng: np.random.Generator, options: PairOptions = PAIRS
 ) -> NDArray[np.float64]:
-    """Pixels at FAST corners (Rosten and Drummond, ECCV 2006) and at random places, (count, 2).
+    """Return pixels (count, 2) at FAST corners (Rosten and Drummond, ECCV 2006) and random places.
 
     Args:
         image: (H, W, 3) uint8.
-        count: of pixels; corners drawn with equal chance, whatever their strength.
-        rng: draws them.
-        options: which corners count, and how many points lie at them.
+        count: number of pixels; corners are drawn with equal probability, whatever their strength.
+        rng: generator of the draws.
+        options: threshold of corners, and the share of points at corners.
     """
     height, width = image.shape[:2]
     corners = cv2.FastFeatureDetector.create(options.corner_threshold).detect(image)

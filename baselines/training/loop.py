@@ -1,4 +1,4 @@
-"""The training loop: any method, one process or several, resumed where it was stopped."""
+"""The training loop for any method, in one or several processes. Interrupted runs continue."""
 
 from __future__ import annotations
 
@@ -36,39 +36,39 @@ _RUN = "run.json"
 _CURVES = "curves.png"
 # What is looked at while training, which changes no weights.
 _VALIDATION_BATCHES = 8
-# Training pairs are drawn with the run's seed, validation pairs always with this one.
+# The seed of validation pairs, which are the same in all runs.
 _VALIDATION_SEED = 987654321
 
 
 class Trainable(Protocol):
-    """A method that can learn."""
+    """A method that can be trained."""
 
     @property
     def network(self) -> nn.Module:
-        """What is trained and written as weights."""
+        """Return the network that is trained and written as weights."""
         ...
 
     @property
     def network_config(self) -> BaseModel:
-        """What the network must be to take the weights."""
+        """Return the configuration of the network, which is written with the weights."""
         ...
 
     def loss(self, batch: PairBatch, progress: float) -> tuple[Tensor, dict[str, float]]:
-        """The loss of a batch, and figures to log.
+        """Return the loss of a batch, and figures to log by name.
 
         Args:
-            batch: see ``PairBatch``.
+            batch: pairs of images.
             progress: 0 at the first step, 1 after the last.
         """
         ...
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
-        """Parameters with their learning rates, as torch's optimizers take them."""
+        """Return the parameters with their learning rates, as torch's optimizers take them."""
         ...
 
 
 class _Drawn(Dataset[Pair]):
-    """The k-th pair of a run, always the same one."""
+    """The pairs of a run by index. The seed and the index decide a pair."""
 
     def __init__(self, sources: Sequence[PairSource], shares: Sequence[float], seed: int) -> None:
         self._sources, self._shares, self._seed = sources, shares, seed
@@ -79,7 +79,7 @@ class _Drawn(Dataset[Pair]):
 
 
 class _Stretch:
-    """The indices of the pairs of some steps, for one process of several."""
+    """The indices of the pairs of some steps, batch by batch, for one of several processes."""
 
     def __init__(self, first: int, last: int, batch: int, rank: int, world: int) -> None:
         self._steps, self._batch, self._rank, self._world = range(first, last), batch, rank, world
@@ -122,24 +122,24 @@ def train_loop(
     out: Path,
     described: Mapping[str, Any],
 ) -> Path:
-    """Train, or go on training what was stopped, and write the weights.
+    """Train a method, or continue its interrupted training, and write the weights.
 
-    Every pair, and with it every step, follows from the seed: a run that was killed and resumed
-    sees what an undisturbed one does. Under ``torchrun`` each process takes its share of the pairs.
+    The seed decides every pair, so that an interrupted and resumed run sees the same pairs as an
+    uninterrupted one. Under ``torchrun`` each process takes its share of the pairs.
 
     Args:
-        method: what learns.
-        config: how.
-        sources: pairs to learn from and to look at.
+        method: the method to train.
+        config: configuration of the training.
+        sources: pairs of the training and of the validation.
         out: folder of the run: checkpoint, log, curves, weights.
-        described: what else the run depends on; a folder that holds another run is refused.
+        described: further values that describe the run; a folder of a different run is refused.
 
     Returns:
-        the file of the weights.
+        The file of the weights.
 
     Raises:
-        InputError: ``out`` belongs to another run, or cannot be written; a process that makes pairs
-            died.
+        InputError: ``out`` belongs to another run or cannot be written, or a process that makes
+            pairs died.
     """
     rank, world = join()
     device = torch.device("cuda", rank % torch.cuda.device_count()) if _gpu() else _CPU
@@ -196,14 +196,14 @@ def _gpu() -> bool:
 
 
 class Processes(NamedTuple):
-    """This process among those that train together."""
+    """The rank of this process and the number of processes that train together."""
 
     rank: int
     world: int
 
 
 def join() -> Processes:
-    """Find the other processes where torchrun started us; else there is one."""
+    """Connect to the other processes of ``torchrun``. Without it, there is one process."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world > 1 and not distributed.is_initialized():
         distributed.init_process_group("nccl" if _gpu() else "gloo")
@@ -211,9 +211,9 @@ def join() -> Processes:
 
 
 def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
-    """Take the folder for this run, or find that it is this run's already.
+    """Claim the folder for this run, or continue where it already belongs to this run.
 
-    The record stays when the run is finished, because a longer run may go on from it.
+    The record stays when the run is finished, because a longer run may continue from it.
     """
     folder = _resumable(out, run)
     if folder.resume(
@@ -240,7 +240,7 @@ def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
         described = read_text(record, "description of the run")
         try:
             before = parse_json(described)
-            # Settings that came later than the run had the default's effect.
+            # Settings that did not exist when the run began have their defaults.
             before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
         except (ValueError, KeyError, TypeError):
             raise InputError(f"{record} is damaged: name another folder, or remove {out}") from None
@@ -251,7 +251,7 @@ def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
 
 
 def _loader(drawn: _Drawn, stretch: _Stretch, workers: int) -> DataLoader[Pair]:
-    # A forked worker would inherit locks of torch's threads in whatever state they are.
+    # A forked worker would inherit the locks of torch's threads, which may be locked.
     return DataLoader(
         drawn,
         batch_sampler=stretch,
@@ -264,7 +264,7 @@ def _loader(drawn: _Drawn, stretch: _Stretch, workers: int) -> DataLoader[Pair]:
 
 @contextmanager
 def _naming_the_dead() -> Iterator[None]:
-    """One line for a process that makes pairs and died, wherever torch's handler says so."""
+    """Report the death of a process that makes pairs as an error message of one line."""
     try:
         yield
     except RuntimeError as error:
@@ -289,7 +289,7 @@ def _validate(
     device: torch.device,
     progress: float,
 ) -> dict[str, float]:
-    """Mean figures over the same pairs at every look."""
+    """Return the mean figures over the validation pairs, which are the same at every call."""
     method.network.eval()
     kept = torch.random.get_rng_state()
     torch.manual_seed(_VALIDATION_SEED)
@@ -306,7 +306,7 @@ def _validate(
 def _schedule(
     optimizer: torch.optim.Optimizer, peaks: Sequence[float], step: int, config: TrainConfig
 ) -> None:
-    """A straight rise, then a cosine down to a hundredth."""
+    """Set the learning rates: a linear rise, then a cosine that falls to a hundredth."""
     rise = min(1.0, (step + 1) / config.rise)
     fall = 0.505 + 0.495 * math.cos(math.pi * step / config.steps)
     for group, peak in zip(optimizer.param_groups, peaks, strict=True):
@@ -314,7 +314,7 @@ def _schedule(
 
 
 def _share_gradients(network: nn.Module, world: int) -> None:
-    """The mean over the processes; a parameter no loss touched in this step counts as zero."""
+    """Average gradients over the processes. A parameter without a gradient counts as zero."""
     if world == 1:
         return
     for parameter in network.parameters():
@@ -333,7 +333,7 @@ def _save(path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, done
 def _restore(
     path: Path, network: nn.Module, optimizer: torch.optim.Optimizer, device: torch.device
 ) -> int:
-    """Steps done so far."""
+    """Restore a checkpoint, if there is one, and return the number of finished steps."""
     if not path.is_file():
         return 0
     try:
@@ -351,7 +351,7 @@ _FIGURES: Final = TypeAdapter(dict[str, float])
 
 
 def _logged(path: Path, until: int) -> Iterator[str]:
-    """Lines of a log that are of steps before ``until``; what was cut short is left out."""
+    """Yield the lines of a log of steps before ``until``, without incomplete lines."""
     for number, line in enumerate(read_text(path, "training log").splitlines(), 1):
         if not line.endswith("}"):
             continue
@@ -372,7 +372,7 @@ class _Logger(Protocol):
 
 @contextmanager
 def _log(path: Path, first: int, rank: int) -> Iterator[_Logger]:
-    """Appends one line of figures a step; what was logged beyond the checkpoint is dropped."""
+    """Append one line of figures per step. Lines after the checkpoint are removed first."""
     if rank > 0:
         yield lambda step, figures: None
         return

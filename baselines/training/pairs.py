@@ -1,4 +1,4 @@
-"""Two images of the same ground with what is known of them: what every method here learns from."""
+"""Training pairs: two images of the same ground with their cameras, poses and common points."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ class Pinhole(NamedTuple):
     principal: NDArray[np.float64]
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points of the camera frame (N, 3) -> pixels (N, 2). They must lie in front."""
+        """Project points (N, 3) of the camera frame, in front of it, to pixels (N, 2)."""
         return np.asarray(points[:, :2] / points[:, 2:] * self.focal + self.principal)
 
     def lift(self, xy: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pixels (N, 2) at depths (N,) -> points of the camera frame (N, 3)."""
+        """Lift pixels (N, 2) at depths (N,) to points (N, 3) of the camera frame."""
         rays = (xy - self.principal) / self.focal
         return np.asarray(np.insert(rays, 2, 1.0, axis=1) * depth[:, None])
 
 
 class Pair(NamedTuple):
-    """One pair, in numpy: a is the reference, b the query.
+    """A pair of images in numpy. Image a is the reference and image b the query.
 
     Attributes:
-        image_a: (S, S, 3) uint8 RGB.
-        image_b: likewise.
-        camera_a: of image_a.
-        camera_b: of image_b.
-        b_from_a: (4, 4) rigid transform of the camera frames, metres.
-        start: (4, 4) a wrong ``b_from_a`` to begin an alignment at.
-        points: (N, 3) seen in both, in the frame of camera a.
-        xy_a: (N, 2) where camera a sees them, pixels.
-        xy_b: (N, 2) where camera b does.
-        valid: (N,) false where N has more places than there are points.
+        image_a: reference image (S, S, 3) uint8 RGB.
+        image_b: query image (S, S, 3) uint8 RGB.
+        camera_a: camera of the reference image.
+        camera_b: camera of the query image.
+        b_from_a: rigid transform (4, 4) of the camera frames, metres.
+        start: wrong ``b_from_a`` (4, 4) from which an alignment starts.
+        points: points (N, 3) that both images show, in the frame of camera a, metres.
+        xy_a: their projections (N, 2) in image a, pixels.
+        xy_b: their projections (N, 2) in image b, pixels.
+        valid: (N,) bool; false for rows that only fill the arrays.
     """
 
     image_a: NDArray[np.uint8]
@@ -60,26 +60,26 @@ class Pair(NamedTuple):
 
 
 class PairSource(Protocol):
-    """Draws pairs. The same generator state draws the same pair."""
+    """A source of pairs. Equal states of the generator draw equal pairs."""
 
     def draw(self, rng: np.random.Generator) -> Pair:
-        """One pair."""
+        """Draw a pair."""
         ...
 
 
 class PairBatch(NamedTuple):
-    """B pairs as tensors; single precision but for the poses' home, see ``Pair``.
+    """B pairs as tensors in single precision. ``Pair`` describes the fields.
 
     Attributes:
-        image_a: (B, 3, S, S) float32, RGB in 0..1.
-        image_b: likewise.
-        intrinsics_a: of batch shape (B,).
-        intrinsics_b: likewise.
-        b_from_a: of batch shape (B,), float32.
-        start: likewise.
-        points: (B, N, 3).
-        xy_a: (B, N, 2).
-        xy_b: (B, N, 2).
+        image_a: reference images (B, 3, S, S) float32, RGB in 0..1.
+        image_b: query images (B, 3, S, S).
+        intrinsics_a: intrinsics of the reference cameras, batch shape (B,).
+        intrinsics_b: intrinsics of the query cameras, batch shape (B,).
+        b_from_a: transforms of batch shape (B,), float32.
+        start: wrong transforms of batch shape (B,), float32.
+        points: points (B, N, 3).
+        xy_a: pixels (B, N, 2).
+        xy_b: pixels (B, N, 2).
         valid: (B, N) bool.
     """
 
@@ -95,7 +95,7 @@ class PairBatch(NamedTuple):
     valid: Tensor
 
     def to(self, device: torch.device) -> PairBatch:
-        """The same batch on another device."""
+        """Return the batch on another device."""
 
         def lens(k: Intrinsics) -> Intrinsics:
             moved = (x.to(device) for x in (k.focal, k.principal, k.distortion, k.limit))
@@ -113,7 +113,7 @@ class PairBatch(NamedTuple):
 
 
 def collate(pairs: Sequence[Pair]) -> PairBatch:
-    """Pairs of equal size and number of points as one batch."""
+    """Collate pairs of equal size and number of points into a batch."""
 
     def single(values: Sequence[NDArray[np.float64]]) -> Tensor:
         return torch.from_numpy(np.stack(values).astype(np.float32))
@@ -152,10 +152,10 @@ def wrong_start(
     rng: np.random.Generator,
     options: PairOptions = PAIRS,
 ) -> NDArray[np.float64]:
-    """A pose near the truth, (4, 4): camera b turned and moved, ``depth`` metres from the ground.
+    """Draw a wrong transform (4, 4) near the truth, for a camera ``depth`` metres from the ground.
 
-    Turns reach ``options.start_deg`` and moves ``options.start_share`` of the depth; both lengths
-    are uniform, so that small errors are as frequent as large ones.
+    The camera b is turned by up to ``options.start_deg`` and moved by up to ``options.start_share``
+    of the depth. Both lengths are uniform, so that small errors are as frequent as large ones.
     """
     turn = _direction(rng) * np.radians(options.start_deg) * rng.uniform()
     move = _direction(rng) * options.start_share * depth * rng.uniform()
@@ -168,10 +168,10 @@ def wrong_start(
 def fill(
     size: int, points: NDArray[np.float64], *others: NDArray[np.float64]
 ) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:
-    """Arrays of at most ``size`` rows made exactly that long by repeating their first row.
+    """Cut or fill arrays to exactly ``size`` rows. The first row is repeated to fill them.
 
     Returns:
-        which rows are real, (size,), and the arrays.
+        Which rows are real, (size,) bool, and the arrays.
     """
     count = min(len(points), size)
     rows = np.concatenate([np.arange(count), np.zeros(size - count, np.int64)])

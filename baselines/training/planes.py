@@ -1,7 +1,7 @@
-"""Pairs made of single photographs: each is taken for flat ground, seen by two cameras.
+"""Training pairs made of single photographs, which are treated as flat ground seen by two cameras.
 
-It teaches what photographs look like before any scene is rendered (HomographyNet's and SuperPoint's
-way, DeTone et al. 2016 and 2018).
+They train networks on real photographs without rendered scenes, as in HomographyNet and SuperPoint
+(DeTone et al., 2016 and 2018).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PlanePairs:
         size, (height, width) = self._size, photograph.shape[:2]
         options = self._options
         camera = Pinhole(np.full(2, rng.uniform(0.8, 1.4) * size), np.full(2, size / 2))
-        # Metres of ground per pixel of the photograph, so that crops show it at 0.5 to 1.2 times.
+        # Metres of ground per pixel of the photograph; crops show it at 0.5 to 1.2 times its scale.
         ground = options.plane_height_m / camera.focal[0] * rng.uniform(0.5, 1.2)
         middle = np.array([width, height]) * rng.uniform(0.3, 0.7, 2) * ground
         a_from_ground = _looking_down(middle, rng, options)
@@ -65,7 +65,7 @@ class PlanePairs:
         image_a = _seen(photograph, ground, camera, a_from_ground, size)
         image_b = _seen(photograph, ground, camera, b_from_ground, size)
         xy_a = keypoints(image_a, 4 * self._points, rng, options)
-        # The ground is z = 0: where the rays meet it.
+        # The points are where rays meet the ground, z = 0.
         rays = camera.lift(xy_a, np.ones(len(xy_a)))
         ground_from_a = np.linalg.inv(a_from_ground)
         directions = rays @ ground_from_a[:3, :3].T
@@ -97,15 +97,15 @@ class PlanePairs:
 def _looking_down(
     over: NDArray[np.float64], rng: np.random.Generator, options: PairOptions
 ) -> NDArray[np.float64]:
-    """``camera_from_ground`` (4, 4) of a camera over a point; ground x right, y down, z away."""
+    """Draw ``camera_from_ground`` (4, 4) of a camera over a point; ground x right, y down."""
     height = options.plane_height_m * rng.uniform(0.85, 1.2)
     tilt = np.radians(rng.uniform(-options.plane_tilt_deg, options.plane_tilt_deg, 2))
-    # Pictures are turned north up before a network sees them, as well as their headings are known.
+    # Networks take pictures turned north up; this is the error of the heading by which they are.
     heading = np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
     turn = so3_exp(torch.tensor([*tilt, 0.0])) @ so3_exp(torch.tensor([0.0, 0.0, heading]))
     pose = np.eye(4)
     pose[:3, :3] = turn.numpy()
-    # Aimed so that the point over which it stands is in the middle of the picture.
+    # The point below the camera is in the middle of the picture.
     pose[:3, 3] = [0, 0, height] - pose[:3, :3] @ [*over, 0]
     return pose
 
@@ -117,7 +117,7 @@ def _seen(
     camera_from_ground: NDArray[np.float64],
     size: int,
 ) -> NDArray[np.uint8]:
-    """The photograph lying on the ground as the camera sees it, (size, size, 3)."""
+    """Return the photograph, which lies on the ground, as the camera sees it, (size, size, 3)."""
     K = np.array(
         [
             [camera.focal[0], 0, camera.principal[0]],
@@ -128,7 +128,7 @@ def _seen(
     image_from_photograph = (
         K @ camera_from_ground[:3][:, [0, 1, 3]] @ np.diag([metres_per_pixel, metres_per_pixel, 1])
     )
-    # Our pixel centres lie at halves, OpenCV's at whole numbers.
+    # Our pixel centres are at halves, and OpenCV's at whole numbers.
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     shifted = np.linalg.inv(half) @ image_from_photograph @ half
     seen = cv2.warpPerspective(

@@ -1,4 +1,4 @@
-"""Pairs cut from rendered scenes: two frames of different flights, seasons and hours."""
+"""Training pairs cut from rendered scenes: two frames, often of different seasons and hours."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _Frame:
 class RenderedPairs:
     """Draws pairs from finished scenes with depth. Implements ``PairSource``.
 
-    Files are opened when the first pair is drawn, so that a worker process can be handed this.
+    Files are opened when the first pair is drawn, so that the object can be sent to workers.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class RenderedPairs:
 
     def _depth(self, frame: _Frame) -> NDArray[np.float32]:
         if self._open is None:
-            # They stay open for the life of the process.
+            # The files stay open until the process ends.
             stack = ExitStack()
             self._open = {
                 (number, session): stack.enter_context(scene.dense(session))
@@ -114,7 +114,9 @@ class RenderedPairs:
         if rng.uniform() < options.level_share:
             distance = float(in_b[good][anchor, 2] / points[anchor, 2])
             match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
-        # Light falls from the north in half of the world.
+        # Both frames are turned by the same quarter turns, because south of the equator light comes
+        # from
+        # the north.
         joint = np.pi / 2 * rng.integers(4)
         angle_a = joint + north_angle(a.cam_from_world[:3, :3])
         angle_b = joint + north_angle(b.cam_from_world[:3, :3])
@@ -147,16 +149,16 @@ class RenderedPairs:
 
 
 def _frames(scene: Scene, number: int) -> list[_Frame]:
-    """Every frame of a scene, in the order of its covisibility."""
-    found = []
+    """Return every frame of a scene, in the order of its covisibility."""
+    frames = []
     for name, session in scene.sessions.items():
-        frames = scene.frames(name)
-        for index, (image, camera) in enumerate(zip(frames.names, frames.cameras, strict=True)):
+        stored = scene.frames(name)
+        for index, (image, camera) in enumerate(zip(stored.names, stored.cameras, strict=True)):
             pinhole = _pinhole(camera, scene.images_root / image)
-            pose = frames.cam_from_world[index]
+            pose = stored.cam_from_world[index]
             path = scene.images_root / image
-            found.append(_Frame(path, pinhole, pose, session.condition, (number, name), index))
-    return found
+            frames.append(_Frame(path, pinhole, pose, session.condition, (number, name), index))
+    return frames
 
 
 def _pinhole(camera: Camera, image: Path) -> Pinhole:
@@ -166,7 +168,7 @@ def _pinhole(camera: Camera, image: Path) -> Pinhole:
 
 
 def _pairs(scene: Scene, frames: Sequence[_Frame], options: PairOptions) -> list[tuple[int, int]]:
-    """Index pairs (a < b) of frames that see enough of the same ground about the same way up."""
+    """Return index pairs (a < b) of frames that overlap and have about the same heading."""
     names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
     overlap = scene.covisibility.of(names).mutual
     rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
@@ -178,7 +180,7 @@ def _pairs(scene: Scene, frames: Sequence[_Frame], options: PairOptions) -> list
 
 
 def _at(depth: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Depth of the pixels that hold ``xy``, (N,)."""
+    """Return the depths (N,) of the pixels that contain ``xy`` (N, 2)."""
     height, width = depth.shape
     column = np.clip(xy[:, 0].astype(int), 0, width - 1)
     row = np.clip(xy[:, 1].astype(int), 0, height - 1)

@@ -1,6 +1,6 @@
-"""The boundary between a command and the shell: every fault becomes one line and an exit code.
+"""The boundary between a command and the shell: every error becomes one line and an exit code.
 
-Programs rely on the exit codes: 1 means that recall dropped, and no other fault ends with 1.
+Other programs rely on the exit codes. 1 means that recall dropped, and no other error ends with 1.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ _INPUT_ERRORS: Final = (
     csv.Error,
     RecursionError,
 )
-# Greatest length of a message, characters. It may quote an argument of any length.
+# The most characters of an error message, which may quote a long argument.
 _LONGEST: Final = 1000
 
 
 class Terminated(KeyboardInterrupt):
-    """A signal asked the process to end, which then cleans up as after Ctrl-C."""
+    """Raised on a signal that ends the process, so that it cleans up as after Ctrl-C."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -51,7 +51,7 @@ class Terminated(KeyboardInterrupt):
 
 
 class _StoppedError(Exception):
-    """Ctrl-C or a signal, as an exception that typer does not turn into an exit code itself."""
+    """Stands for Ctrl-C or a signal. Unlike KeyboardInterrupt, typer does not handle it."""
 
     def __init__(self, cause: KeyboardInterrupt) -> None:
         super().__init__()
@@ -59,7 +59,7 @@ class _StoppedError(Exception):
 
 
 class Boundary(TyperGroup):
-    """A group of commands whose faults become one line and an exit code."""
+    """A group of commands that reports every error as one line and an exit code."""
 
     def invoke(self, ctx: Any) -> Any:
         """See ``TyperGroup.invoke``."""

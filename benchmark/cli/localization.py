@@ -48,7 +48,7 @@ def localize(
         Path | None,
         typer.Option(
             metavar="CSV",
-            help="Table of positions and attitudes. Left out, they are read from EXIF and XMP.",
+            help="Table of positions and attitudes. Without it, they are read from EXIF and XMP.",
         ),
     ] = None,
     gps_sigma: Annotated[
@@ -89,9 +89,11 @@ def localize(
         gimbal_sigma_deg=gimbal_sigma,
         cache=cache,
     )
-    found = sum(item.found for item in located)
-    text = f"{out}: {found} of {len(located)} photographs found"
-    emit(Summary(text, {"poses": str(out), "photographs": len(located), "found": found}), as_json)
+    localized = sum(item.found for item in located)
+    text = f"{out}: {localized} of {len(located)} photographs found"
+    emit(
+        Summary(text, {"poses": str(out), "photographs": len(located), "found": localized}), as_json
+    )
 
 
 @app.command()
@@ -150,7 +152,7 @@ def basin(
         str | None,
         typer.Option(
             metavar="LIST",
-            help="Sizes of the error, written 1m/2deg,3m/5deg. Left out, they go from 0m/0deg to "
+            help="Sizes of the error, written 1m/2deg,3m/5deg. By default they go from 0m/0deg to "
             "30m/30deg.",
         ),
     ] = None,
@@ -203,9 +205,7 @@ def score(
     ],
     method: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME", help="Name of the method; left out, it is the name of the file."
-        ),
+        typer.Option(metavar="NAME", help="Name of the method; by default the name of the file."),
     ] = None,
     start: Start = "none",
     as_json: Json = False,
@@ -243,9 +243,9 @@ def submit(
     from benchmark.submission import submit as run
 
     claim_folders([path], out, cache)
-    found, images = run(path, create(method, parse_settings(overrides)), out, cache)
-    text = f"{out / SUBMISSION}: {found} of {images} images found"
-    values = {"submission": str(out / SUBMISSION), "images": images, "found": found}
+    localized, images = run(path, create(method, parse_settings(overrides)), out, cache)
+    text = f"{out / SUBMISSION}: {localized} of {images} images found"
+    values = {"submission": str(out / SUBMISSION), "images": images, "found": localized}
     emit(Summary(text, values), as_json)
 
 

@@ -20,8 +20,8 @@ Masks = Annotated[
         metavar="MASKS",
         help="Object masks of the map's photographs, for a scene without its own: a folder of "
         "label pictures, NAME.png for NAME.jpg, or a JSON file of COCO annotations with run-length "
-        "masks. Left out, diagnose takes the objects that the scene knows, and supplement searches "
-        "the whole photographs.",
+        "masks. Without them, diagnose takes the objects that the scene knows, and supplement "
+        "searches the whole photographs.",
     ),
 ]
 
@@ -130,8 +130,8 @@ def supplement(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Weights of an object-connect network, whose object centres are searched too. "
-            "Left out, the search uses the photographs alone.",
+            help="Weights of an object-connect network, whose object centres become candidates "
+            "too. Without it, candidates come from the photographs alone.",
         ),
     ] = None,
     masks: Masks = None,
@@ -143,16 +143,17 @@ def supplement(
 ) -> None:
     """Add points on small standing objects that have none in the map.
 
-    The new points are marked in SCENE/map/supplement.json; nothing else of the map changes. Another
-    run replaces them. Draws SCENE/pictures/diagnosis.png and reports the map before and after.
+    The new points are listed in SCENE/map/supplement.json, and another run replaces them. Nothing
+    else in the map changes. The command draws SCENE/pictures/diagnosis.png and reports figures of
+    the map before and after.
     """
     from mapping.supplement.command import supplement as run
     from mapping.supplement.map import remove_from_map
 
     if remove:
         if weights is not None or masks is not None:
-            raise InputError("--remove takes no other option: it takes out all that was added")
+            raise InputError("--remove removes all added points and takes no other option")
         removed = remove_from_map(scene)
-        emit(Summary(f"{removed} points taken out of the map", {"removed": removed}), as_json)
+        emit(Summary(f"{removed} points removed from the map", {"removed": removed}), as_json)
         return
     emit(run(scene, weights, masks), as_json)

@@ -100,7 +100,7 @@ def view(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="HTML", help="File for the page; left out, it is SCENE/pictures/view.html."
+            metavar="HTML", help="File for the page; by default SCENE/pictures/view.html."
         ),
     ] = None,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,

@@ -48,7 +48,7 @@ def ingest(
         Path | None,
         typer.Option(
             metavar="CSV",
-            help="Table of positions with the columns name,lat,lon,alt. Left out, positions are "
+            help="Table of positions with the columns name,lat,lon,alt. Without it, positions are "
             "read from EXIF.",
         ),
     ] = None,
@@ -107,7 +107,7 @@ def export(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Session to export; repeat the option for several. Left out, all are exported.",
+            help="Session to export; repeat the option for several. By default all are exported.",
         ),
     ] = None,
     as_json: Json = False,

@@ -38,7 +38,7 @@ def simulate(
             metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
             help="A flight under a condition, such as winter-dusk:oblique; repeat the option for "
             "several. FLIGHT is nadir, grid, oblique, corridor, free, street or plan=FILE (a plan "
-            "of QGroundControl). ROLE is map or query; left out, the first flight builds the map "
+            "of QGroundControl). ROLE is map or query; by default the first flight builds the map "
             "and the others are queries. CHANGE says what has changed since the place was built, "
             "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
         ),
@@ -132,8 +132,8 @@ def calibrate(
         Path | None,
         typer.Option(
             metavar="YAML",
-            help="File of the camera: model, width, height and params, or preset and size. Left "
-            "out, it is the default camera of simulate.",
+            help="File of the camera: model, width, height and params, or preset and size. By "
+            "default the camera is that of simulate.",
         ),
     ] = None,
     views: Annotated[int, typer.Option(help="Number of chessboard views.", min=4, max=1000)] = 20,

@@ -116,7 +116,7 @@ def open_slices(path: Path) -> list[Slice]:
     if not is_cmu(path):
         raise InputError(f"{path} is not Extended CMU Seasons, nor a slice of it")
     folders, cameras = _find(path)
-    found = []
+    slices = []
     for folder in folders:
         photographs = folder / "query"
         images = list_files(photographs, (".jpg",)) if photographs.is_dir() else []
@@ -124,10 +124,10 @@ def open_slices(path: Path) -> list[Slice]:
         for name in names:
             ImageName.parse(name)
         if names:
-            found.append(Slice(folder, names, cameras))
-    if not found:
+            slices.append(Slice(folder, names, cameras))
+    if not slices:
         raise InputError(f"{path} holds no query image")
-    return found
+    return slices
 
 
 def _find(path: Path) -> tuple[list[Path], dict[str, Camera]]:

@@ -97,9 +97,9 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
 
     Args:
         path: folder of the flight.
-        name: of the data set.
+        name: name of the data set.
         model: folder of the split's map.
-        ending: of the names of the split's lists, before ".txt".
+        ending: ending of the names of the split's lists, before ".txt".
     """
     query_list = path / f"queries{ending}.txt"
     pose_file = path / f"reference_poses{ending}.txt"

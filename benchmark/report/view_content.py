@@ -43,7 +43,7 @@ class MapObject:
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """The (4, 2) corners of the object's box seen from above, metres."""
+        """Return the corners (4, 2) of the object's box seen from above, metres."""
         return rectangle(self.item.centre[:2], self.item.size[:2], np.radians(self.item.yaw_deg))
 
 

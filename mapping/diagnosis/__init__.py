@@ -1,1 +1,1 @@
-"""What a map knows of the things in its photographs."""
+"""Diagnosis of maps: which objects of the photographs have points, and how exact the points are."""

@@ -1,5 +1,7 @@
-"""The paper's claim about structure from motion, in figures: it sees what is large, misses what is
-small, covers the ground unevenly, and its points drift.
+"""The command ``diagnose``, which measures what structure from motion misses.
+
+The paper claims that structure from motion misses small objects, covers the ground unevenly and has
+points that drift. The figures test this claim on a map.
 """
 
 from __future__ import annotations
@@ -31,13 +33,13 @@ class Figures:
     """Figures of the points of a map.
 
     Attributes:
-        points: how many.
-        objects: by size class, of those seen in the map's photographs.
-        small_objects: the small ones by their class.
-        masks: given masks by the size class of what they show.
-        drift: from the true surface: of all points, the ground's, and those of objects by size
-            class; empty where the truth is not known.
-        uniformity: of their cover of the ground; None where no ground is seen twice.
+        points: number of points.
+        objects: coverage of the objects in the map's photographs, by size class.
+        small_objects: coverage of the small objects, by class.
+        masks: coverage of given masks, by the size class of what they show.
+        drift: distances from the true surface of all points, of points on the ground, and of points
+            on objects by size class; empty where the truth is not known.
+        uniformity: how evenly the points cover the ground; None where no ground is seen twice.
     """
 
     points: int
@@ -52,7 +54,7 @@ class Figures:
         lines = [f"{self.points} points"]
         lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
         lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
-        lines += [f"masks of {name} things: {c.text()}" for name, c in self.masks.items()]
+        lines += [f"masks of {name} objects: {c.text()}" for name, c in self.masks.items()]
         lines += [f"off the true surface, {name}: {d.text()}" for name, d in self.drift.items()]
         if self.uniformity is not None:
             lines.append(f"ground: {self.uniformity.text()}")
@@ -64,13 +66,13 @@ class Diagnosis:
     """Figures of a map, and of the points that were added to it.
 
     Attributes:
-        reprojection_error_px: mean over observations.
+        reprojection_error_px: mean reprojection error over all observations, pixels.
         track_length: mean number of photographs that observe a point.
-        map: of all points.
-        before: of those that were not added; None where none were.
-        added: how far added points are from the surface of the object they lie on, infinitely where
-            they lie on none; None where none were, or the truth is not known.
-        picture: of the points over a photograph.
+        map: figures of all points.
+        before: figures without the added points; None where no points were added.
+        added: distances of added points from the surface of the object on which they lie, infinite
+            where they lie on none; None where no points were added or the truth is not known.
+        picture: file of the picture of the points over a photograph.
     """
 
     reprojection_error_px: float
@@ -99,21 +101,22 @@ class Diagnosis:
 
 
 def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diagnosis:
-    """Measure what a scene's map has of the objects in its photographs; draw it over one of them.
+    """Measure which objects of a scene have points in its map, and draw the points over a picture.
 
-    Rendered scenes know their objects and surfaces. Of others, masks can be given; without, what
-    remains is how evenly the points lie.
+    Rendered scenes know their objects and surfaces. For other scenes, masks can be given; without
+    masks, only the uniformity of the points is measured.
 
     Args:
-        path: of a finished scene with its map.
-        masks: of photographs of the map: see ``given_masks``; in place of the true objects.
-        cell_m: side of the cells over which evenness is measured, metres.
+        path: finished scene with a map.
+        masks: masks of photographs of the map, as ``given_masks`` takes them. They replace the true
+            objects.
+        cell_m: side of the cells over which uniformity is measured, metres.
 
     Returns:
-        The figures; ``pictures/diagnosis.png`` is written into the scene.
+        The figures. ``pictures/diagnosis.png`` is written into the scene.
 
     Raises:
-        InputError: not a finished scene, no map, or a damaged file.
+        InputError: the scene is not finished, has no map, or has a damaged file.
     """
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()
@@ -181,7 +184,7 @@ def _draw(
     states: Mapping[str, NDArray[np.bool_]],
     path: Path,
 ) -> None:
-    """Over the photograph of most masks, of most small objects, or of most points."""
+    """Draw the points over the photograph with the most masks, small objects or points."""
     if given:
         name = max(given, key=lambda name: len(np.unique(given[name])))
         labels = given[name]
@@ -208,7 +211,7 @@ def _draw(
 
 
 def _true_labels(scene: Scene, sparse_map: SparseMap, name: str) -> Labels:
-    """The small objects of a photograph, by their identifiers."""
+    """Return the label map of the small objects of a photograph, labelled by their ids."""
     small = [item.id for item in scene.objects.objects if item.size_class == "small"]
     every = scene.mapped_layers(sparse_map, "instance")
     instance = next(layers["instance"] for image, layers in every if image.name == name)

@@ -1,4 +1,4 @@
-"""How far points lie from the true surface of what photographs show under them."""
+"""Distances of map points from the true surfaces of rendered scenes."""
 
 from __future__ import annotations
 
@@ -20,23 +20,25 @@ from scene.runtime.progress import progress_bar
 CLOSE_M = 0.5
 """A point closer than this to a surface lies on it."""
 
-# The surface is looked for in so many pixels to each side of an observation ...
+# The surface is searched in this many pixels to each side of an observation.
 _REACH = 2
-# ... each a disc in space that covers its pixel's corners, where it is seen from the front.
+# Each pixel is a disc in space. Its radius is this share of the pixel's side, so that the disc
+# covers
+# the corners of a pixel that is seen from the front.
 _CORNER = float(np.sqrt(0.5))
 _NORMAL_SCALE = 127
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What a rendered scene knows of the points of its map.
+    """The truth about the points of a rendered scene's map.
 
     Attributes:
-        owners: identifier of the object each point lies on, 0 for the ground, (M,).
-        drift: distance (m) of each point from the owner's surface, infinite where no photograph
-            shows it near the point, (M,).
-        seen: objects in the map's photographs.
-        small_in: how many small objects each photograph shows, by name.
+        owners: id (M,) of the object on which each point lies, 0 for the ground.
+        drift: distance (M,) of each point from the surface of its object, metres; infinite where no
+            photograph shows that surface near the point.
+        seen: ids of the objects in the map's photographs.
+        small_in: number of small objects in each photograph, by name.
     """
 
     owners: NDArray[np.int64]
@@ -50,10 +52,10 @@ class Drift:
     """Distances of points from the true surface.
 
     Attributes:
-        points: how many.
-        close: share of all of them within 0.5 m.
-        median_m: of those with a surface in reach; None where there are none.
-        p90_m: nine of ten of those are closer; None likewise.
+        points: number of points.
+        close: share of the points within 0.5 m of the surface.
+        median_m: median over the points that have a surface near them; None where there are none.
+        p90_m: 90th percentile over the same points; None where there are none.
     """
 
     points: int
@@ -63,7 +65,7 @@ class Drift:
 
     @staticmethod
     def of(distances: NDArray[np.float64]) -> Drift:
-        """Summarise distances (K,) in metres, infinite without a surface; at least one."""
+        """Summarise distances (K,), metres, K > 0; a point without a surface is infinitely far."""
         known = distances[np.isfinite(distances)]
         middle, high = np.percentile(known, [50, 90]).tolist() if len(known) else (None, None)
         return Drift(len(distances), float((distances < CLOSE_M).mean()), middle, high)
@@ -76,10 +78,10 @@ class Drift:
 
 
 def read_truth(scene: Scene, sparse_map: SparseMap) -> Truth | None:
-    """Hold a map's points against the rendered surfaces; None where the scene has none.
+    """Measure a map's points against the rendered surfaces; None where the scene has none.
 
-    Each observation of a point shows a patch of the surface; the point's distance is that from the
-    nearest of all patches, of all photographs, that belong to the object it lies on.
+    The distance of a point is that to the nearest surface patch of its object, over the pixels
+    around all its observations.
 
     Raises:
         InputError: a file of the scene is damaged.
@@ -114,7 +116,7 @@ def _distances(
     xyz: NDArray[np.float64],
     owners: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Measure how far the points an image observes are from the surface it shows, (K,)."""
+    """Return the distances (K,) of the points in an image from the surface that it shows."""
     observed = image.point_rows >= 0
     rows = image.point_rows[observed]
     height, width = layers["depth"].shape

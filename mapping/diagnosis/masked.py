@@ -1,4 +1,4 @@
-"""Which of the things that given masks show have a point, where nobody knows the true objects."""
+"""Coverage of given masks by points, for scenes whose true objects are not known."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from scene.bundle.object_points import ObjectCoverage
 from scene.errors import InputError
 from scene.maps.sparse_map import MapImage, SparseMap
 
-# So many observations around a mask say how far away it is.
+# Number of observations around a mask from which its distance is taken.
 _AROUND = 8
 
 
 def mask_coverage(
     sparse_map: SparseMap, masks: Mapping[str, Labels], kept: NDArray[np.bool_]
 ) -> dict[str, ObjectCoverage]:
-    """Masks with and without a point, by the size class of what they show.
+    """Count masks with and without a point, by the size class of the objects that they show.
 
-    Every mask of every photograph counts by itself; its points are those observed inside it. Its
-    size is the longer side of its bounding box at the median distance of the observations around.
+    Every mask of every photograph counts separately. Its points are those observed inside it. Its
+    size is the longer side of its bounding box at the median depth of the observations around it.
 
     Args:
-        sparse_map: of the photographs.
-        masks: labels (H, W) by photograph.
-        kept: (M,) points that count.
+        sparse_map: map of the photographs.
+        masks: label maps (H, W) by photograph.
+        kept: (M,) bool, which points are counted.
 
     Raises:
-        InputError: masks that are not of their photograph's size.
+        InputError: masks have not the size of their photograph.
     """
     counts: dict[str, list[int]] = {}
     for name, labels in masks.items():
@@ -44,7 +44,7 @@ def mask_coverage(
         depth = image.pose.transform(torch.from_numpy(sparse_map.xyz[rows]))[:, 2].numpy()
         for label in np.unique(labels[labels != NOTHING]).tolist():
             if not len(depth):
-                continue  # a photograph without a point says nothing of distances
+                continue  # without points, the distance is not known
             row, column = np.nonzero(labels == label)
             middle = column.mean() + 0.5, row.mean() + 0.5
             near = np.argsort(np.square(xy - middle).sum(1), kind="stable")[:_AROUND]
@@ -52,27 +52,27 @@ def mask_coverage(
             metres = float(longest * np.median(depth[near]) / min(image.camera.focal))
             counts.setdefault(size_class((metres, 0, 0)), []).append(inside.get(label, 0))
     return {
-        size: ObjectCoverage(len(found), sum(count > 0 for count in found), sum(found))
-        for size, found in sorted(counts.items())
+        size: ObjectCoverage(len(points), sum(count > 0 for count in points), sum(points))
+        for size, points in sorted(counts.items())
     }
 
 
 def points_by_label(labels: Labels, image: MapImage, kept: NDArray[np.bool_]) -> dict[int, int]:
-    """How many kept points a photograph observes in each of its masks."""
+    """Return the number of kept points that a photograph observes in each mask, by label."""
     seen = image.point_rows >= 0
     seen[seen] = kept[image.point_rows[seen]]
     column, row = np.floor(image.xy[seen]).astype(int).T
     height, width = labels.shape
-    found = labels[row.clip(0, height - 1), column.clip(0, width - 1)]
-    values, counts = np.unique(found[found != NOTHING], return_counts=True)
+    observed = labels[row.clip(0, height - 1), column.clip(0, width - 1)]
+    values, counts = np.unique(observed[observed != NOTHING], return_counts=True)
     return dict(zip(values.tolist(), counts.tolist(), strict=True))
 
 
 def check_size(labels: Labels, image: MapImage) -> None:
-    """Refuse masks of another size than their photograph.
+    """Check that masks have the size of their photograph.
 
     Raises:
-        InputError: they are.
+        InputError: they have not.
     """
     expected = (image.camera.height, image.camera.width)
     if labels.shape != expected:

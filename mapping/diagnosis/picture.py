@@ -1,4 +1,4 @@
-"""A map's points and what has none of them, over a photograph (the paper's Fig. 1)."""
+"""A picture of the map's points and of objects without points, as the paper's Fig. 1."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scene.storage.atomic import atomic_write
 
 _DPI = 110
 _SIDE = 7.5
-# Outlines of what has a point and of what has none.
+# Colours of outlines of objects with a point and without one.
 _WITH, _WITHOUT = "#37e05b", "#ff3b30"
 _FARTHEST_M = 1.0
 
@@ -28,9 +28,9 @@ class Panel:
     """One state of the map.
 
     Attributes:
-        title: above it.
-        kept: (M,) points that are in it.
-        has_points: whether each object of the photograph has one, by its label.
+        title: title above the panel.
+        kept: (M,) bool, the points of this state.
+        has_points: whether each object of the photograph has a point, by label.
     """
 
     title: str
@@ -46,15 +46,15 @@ def draw(
     panels: list[Panel],
     path: Path,
 ) -> None:
-    """A panel per state: outlines of objects, and observations coloured by their point's drift.
+    """Draw a panel for each state: outlines of objects, and observations coloured by drift.
 
     Args:
-        photograph: (H, W, 3).
-        image: the same in the map.
-        labels: (H, W) its objects to outline.
-        drift: (M,) metres, or None where it is not known.
-        panels: states of the map side by side.
-        path: of the picture.
+        photograph: the photograph (H, W, 3).
+        image: the photograph's image in the map.
+        labels: label map (H, W) of the objects to outline.
+        drift: distance (M,) of each point from the true surface, metres; None where not known.
+        panels: states of the map, which are drawn side by side.
+        path: file of the picture.
 
     Raises:
         InputError: the folder cannot be written.
@@ -91,7 +91,7 @@ def draw(
 def _outline(ax: Axes, labels: Labels, has_points: Mapping[int, bool]) -> None:
     for label in np.unique(labels[labels != NOTHING]).tolist():
         mask = (labels == label).astype(np.uint8)
-        # A ring around it, so that what is a pixel wide is seen at all.
+        # The outline is outside the object, so that objects one pixel wide are visible.
         wider = cv2.dilate(mask, np.ones((5, 5), np.uint8))
         colour = _WITH if has_points[label] else _WITHOUT
         for ring in cv2.findContours(wider, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:

@@ -1,4 +1,4 @@
-"""How evenly the points of a map cover the ground its photographs see."""
+"""Uniformity: how evenly the points of a map cover the ground that its photographs see."""
 
 from __future__ import annotations
 
@@ -13,25 +13,27 @@ from scene.bundle.covisibility import surface_points
 from scene.bundle.scene import Scene
 from scene.maps.sparse_map import MapImage, SparseMap
 
-# Ground counts as seen when so many photographs of the map, a point's least, have a pixel of a grid
-# of so many a side in it.
+# A cell counts as seen when at least this many photographs see it, which is what a point needs.
+# Each
+# photograph is sampled on a grid of this many pixels a side.
 _VIEWS = 2
 _PER_SIDE = 64
-# On a plane, rays that meet it farther away than so many times the camera's height (of depth) are
-# of the horizon.
+# Rays that meet the ground plane farther away than this many times the camera's height are left
+# out,
+# because they are near the horizon.
 _FARTHEST = 5.0
 
 
 @dataclass(frozen=True)
 class Uniformity:
-    """The spread of points over the cells of a grid seen from above.
+    """The distribution of points over the cells of a horizontal grid.
 
     Attributes:
-        cell_m: side of a cell.
-        cells: those that two or more photographs of the map see.
-        empty: share of them without a point.
-        entropy: of the points' distribution over them, over the largest possible: 1 when all cells
-            have as many, 0 when one has all.
+        cell_m: side of a cell, metres.
+        cells: number of cells that two or more photographs of the map see.
+        empty: share of these cells without a point.
+        entropy: entropy of the distribution of points over the cells, divided by the largest
+            possible: 1 when all cells have equally many points, 0 when one cell has all.
     """
 
     cell_m: float
@@ -48,8 +50,10 @@ class Uniformity:
 
 
 def seen_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray[np.int64]:
-    """Cells that photographs of the map see, (C, 2) east and north in sides of a cell, by the
-    scene's depth, or where it has none on the plane at the height of what each photograph observes.
+    """Return the cells that at least two photographs of the map see, (C, 2).
+
+    Cells are counted east and north in units of their side. The surface is the scene's depth; where
+    a photograph has none, it is the horizontal plane at the median height of the observed points.
 
     Raises:
         InputError: a file of the scene is damaged.
@@ -76,8 +80,8 @@ def uniformity(
     """Measure how evenly points (M, 3) cover ``cells`` (C, 2); None where none is seen twice."""
     if not len(cells):
         return None
-    held = Counter(_cells(xyz, cell_m))
-    counts = np.array([held[(east, north)] for east, north in cells.tolist()])
+    points = Counter(_cells(xyz, cell_m))
+    counts = np.array([points[(east, north)] for east, north in cells.tolist()])
     share = counts[counts > 0] / max(counts.sum(), 1)
     entropy = float(-(share * np.log(share)).sum() / np.log(len(cells))) if len(cells) > 1 else 1.0
     return Uniformity(cell_m, len(cells), float((counts == 0).mean()), entropy)
@@ -88,7 +92,7 @@ def _cells(points: NDArray[np.float64], cell_m: float) -> list[tuple[int, int]]:
 
 
 def _on_plane(image: MapImage, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where rays on a grid of a photograph meet the height of its median point, (K, 3)."""
+    """Return where rays of a photograph meet the plane at its points' median height, (K, 3)."""
     rows = image.point_rows[image.point_rows >= 0]
     if not len(rows):
         return np.zeros((0, 3))

@@ -1,1 +1,1 @@
-"""Centres of objects, seen in several photographs, become points of the map."""
+"""Supplementing a map: detections of objects in several photographs become points."""

@@ -1,4 +1,4 @@
-"""Which detections in different photographs may be of one object."""
+"""Association of detections in different photographs that may show the same object."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Detections:
     """Centres of objects found in one photograph.
 
     Attributes:
-        xy: (K, 2) COLMAP pixels.
-        descriptors: (K, D) of unit length.
-        confidence: (K,) 0..1.
+        xy: positions (K, 2), COLMAP pixels.
+        descriptors: descriptors (K, D) of unit length.
+        confidence: confidence (K,), 0 to 1.
     """
 
     xy: NDArray[np.float64]
@@ -30,11 +30,11 @@ class Detections:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Detections of two photographs that are each other's most similar, E of them.
+    """E pairs of detections in two photographs that are mutually the most similar.
 
     Attributes:
-        views: (E, 2) rows of the photographs, in the order of the map's names.
-        rows: (E, 2) rows of the detections in them.
+        views: rows (E, 2) of the photographs, in the order of the map's names.
+        rows: rows (E, 2) of the detections in their photographs.
     """
 
     views: NDArray[np.int64]
@@ -47,14 +47,14 @@ class Pairs:
 def associate(
     sparse_map: SparseMap, detections: Mapping[str, Detections], config: SupplementConfig
 ) -> Pairs:
-    """Compare the detections of photographs that share points of the map.
+    """Pair the detections of photographs that share points of the map.
 
-    Of the detections near each other's epipolar lines, those are paired that are mutually the most
+    Two detections are paired when they are near each other's epipolar lines and mutually the most
     similar.
 
     Args:
-        sparse_map: with the poses.
-        detections: by name of a photograph of the map.
+        sparse_map: map with the poses.
+        detections: detections by name of the photograph.
         config: thresholds.
     """
     names = sparse_map.names
@@ -69,16 +69,16 @@ def associate(
         alike = (a.descriptors @ b.descriptors.T).astype(np.float64)
         alike[(off > config.epipolar_px) | (alike < config.similarity)] = -np.inf
         best = alike.argmax(1)
-        found = np.flatnonzero(
+        mutual = np.flatnonzero(
             (alike.max(1) > -np.inf) & (alike.argmax(0)[best] == np.arange(len(best)))
         )
-        views.append(np.tile([i, j], (len(found), 1)))
-        rows.append(np.stack([found, best[found]], 1))
+        views.append(np.tile([i, j], (len(mutual), 1)))
+        rows.append(np.stack([mutual, best[mutual]], 1))
     return Pairs(np.concatenate(views), np.concatenate(rows))
 
 
 def _neighbours(sparse_map: SparseMap, count: int) -> list[tuple[int, int]]:
-    """Pairs of photographs, each with those that share most points with it."""
+    """Return pairs of photographs, each with those that share the most points with it."""
     observed = [
         np.unique(image.point_rows[image.point_rows >= 0])
         for image in (sparse_map.images[name] for name in sparse_map.names)
@@ -100,11 +100,14 @@ def _neighbours(sparse_map: SparseMap, count: int) -> list[tuple[int, int]]:
 def _epipolar_error(
     image_a: MapImage, a: Detections, image_b: MapImage, b: Detections
 ) -> NDArray[np.float64]:
-    """The larger of the angles between either ray and the other's epipolar plane, as pixels at the
-    middle of its picture, (A, B); infinite where a camera sees no ray."""
+    """Return the epipolar errors (A, B) of all pairs of detections, pixels.
+
+    An error is the larger of the angles between either ray and the other's epipolar plane, in
+    pixels at the middle of the picture. It is infinite where a pixel has no ray.
+    """
     toward_a, toward_b = directions(image_a, a.xy), directions(image_b, b.xy)
     baseline = image_b.centre - image_a.centre
-    volume = np.abs(np.cross(toward_a, baseline) @ toward_b.T)  # of the three, (A, B)
+    volume = np.abs(np.cross(toward_a, baseline) @ toward_b.T)  # triple products, (A, B)
     with np.errstate(divide="ignore", invalid="ignore"):
         from_b = volume / np.linalg.norm(np.cross(baseline, toward_b), axis=1)[None, :]
         from_a = volume / np.linalg.norm(np.cross(baseline, toward_a), axis=1)[:, None]
@@ -113,7 +116,7 @@ def _epipolar_error(
 
 
 def directions(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors (K, 3) in the world through pixels (K, 2); NaN where the camera sees no ray."""
+    """Return the rays (K, 3) of pixels (K, 2), unit vectors in the world; NaN without a ray."""
     rays, valid = image.camera.unproject(torch.from_numpy(xy))
     world = torch.nn.functional.normalize(rays, dim=-1).numpy() @ image.cam_from_world[:3, :3]
     return np.where(valid.numpy()[:, None], world, np.nan)

@@ -1,4 +1,4 @@
-"""Blobs that stand out from what is around them: where a photograph may show a small object."""
+"""Detection of blobs, which differ from their surroundings and may show small objects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from objconnect.objects import Objects
 from objconnect.segmentation import NOTHING, Labels, at_pixels, segment
 
 SIGMAS: Final = (0.8, 1.3, 2.1)
-"""Radii of blobs (px); the trained classifier takes the appearance at each."""
+"""Radii of blobs (px). The classifier was trained with the appearance at each of them."""
 
 _DEFAULTS: Final = BlobOptions()
 
@@ -28,11 +28,11 @@ class Blobs:
     """The N blobs of one photograph.
 
     Attributes:
-        detections: their pixels, confidence, and descriptors: of a network, or their looks.
-        look: (N, 9) difference from around (L*, a*, b*) at each radius.
-        radius: (N,) at which of the radii it was found.
-        strength: (N,) length of that difference.
-        colour: (N, 3) L*, a*, b*.
+        detections: pixels, confidences and descriptors, which are a network's or the appearance.
+        look: appearance (N, 9), the difference from the surroundings (L*, a*, b*) at each radius.
+        radius: index (N,) of the radius at which each blob was detected.
+        strength: length (N,) of the difference at that radius.
+        colour: colour (N, 3), L*, a*, b*.
     """
 
     detections: Detections
@@ -43,7 +43,7 @@ class Blobs:
 
     @property
     def xy(self) -> NDArray[np.float64]:
-        """(N, 2) COLMAP pixels."""
+        """Return the positions (N, 2), COLMAP pixels."""
         return self.detections.xy
 
 
@@ -60,16 +60,16 @@ def find(
     masks: Labels | None = None,
     options: BlobOptions = _DEFAULTS,
 ) -> Blobs:
-    """Find blobs of a photograph: local maxima of the difference of Gaussians of its colours.
+    """Detect the blobs of a photograph: local maxima of the difference of Gaussians of its colours.
 
-    After Lowe (IJCV 2004), at a few small radii and without orientation.
+    The method is that of Lowe (IJCV 2004), at a few small radii and without orientation.
 
     Args:
-        rgb: (H, W, 3) the photograph.
-        network: its centres of objects become blobs too, and it gives every blob a confidence and
-            a descriptor. Without it, all are equally confident.
-        masks: labels (H, W) of objects; blobs outside them are left out.
-        options: which blobs count.
+        rgb: the photograph (H, W, 3).
+        network: network whose centres of objects become blobs too, and which gives each blob a
+            confidence and a descriptor. Without it, all blobs are equally confident.
+        masks: label map (H, W) of objects; blobs outside them are left out.
+        options: thresholds of the detection.
     """
     lab = in_lab(rgb)
     contrast = np.stack([_contrast(lab, sigma, options.surround_ratio) for sigma in SIGMAS])
@@ -127,8 +127,8 @@ def _described(objects: Objects, index: Tensor) -> tuple[NDArray[np.float64], ND
     Blobs outside all objects have zeros.
 
     Args:
-        objects: of the picture.
-        index: (N,) object of each blob.
+        objects: objects of the picture.
+        index: object (N,) of each blob.
     """
     index = torch.where(index < objects.present.shape[1], index, NOTHING)
     known = (index != NOTHING).numpy()

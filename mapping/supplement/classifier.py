@@ -1,9 +1,9 @@
-"""A classifier of places: on a thing or on the ground, from what photographs measured there.
+"""A classifier that decides whether a place is on an object or on the ground.
 
-A small network learned it on towns whose things are known.
-
-A thing of 4 pixels lies a pixel or two away from where the ground under it would be. No single
-figure tells it from a mark on the ground; many together do.
+It is a small network, trained on rendered towns, whose objects are known. Its input is figures that
+are measured in the photographs. An object of 4 pixels is only one or two pixels away from the
+ground behind it, so no single figure distinguishes it from a mark on the ground, but many together
+do.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _WIDTHS: Final = (64, 32)
 _OF_TRACKS: Final = 15
 _LOOK: Final = 9
 FIGURES: Final = _OF_TRACKS + len(HEIGHTS) + _LOOK
-"""How many figures a place has."""
+"""Number of figures of a place."""
 
-# Beyond these a figure says no more.
+# Figures are clipped at these values.
 _MOST_SHARE, _MOST_OFF, _MOST_COST = 1.5, 3.0, 3.0
 _SURE_M: Final = 1e-3
 
@@ -49,17 +49,17 @@ def measured(
 ) -> NDArray[np.float32]:
     """Compute the figures of places that the classifier takes, (T, ``FIGURES``).
 
-    They are the height above the ground (m), its standard deviation (log) and their ratio;
-    reprojection error, photographs that show a blob there and that have the place in view; how the
-    colours agree at heights, beside the ground's; the blobs' strength, size and difference from
-    what is around, but not their colours themselves; from how many sides they are seen.
+    They are the height above the ground (m), its standard deviation (log) and their ratio; the
+    reprojection error; the numbers of photographs that show a blob at the place and that have it in
+    view; the colour differences at several heights relative to that at the ground; the strength,
+    size and contrast of the blobs, but not their colours; and the spread of viewing directions.
 
     Args:
-        images: photographs.
-        blobs: of each photograph.
-        ground: under them.
+        images: photographs of the map.
+        blobs: blobs of each photograph.
+        ground: the ground below the places.
         tracks: T places.
-        place_costs: (T, H) of ``photoconsistency.costs``.
+        place_costs: result (T, H) of ``photoconsistency.costs``.
     """
     count = len(tracks.xyz)
     views = tracks.views.clip(1)
@@ -67,7 +67,7 @@ def measured(
     blob = first[tracks.view] + tracks.row if len(tracks.view) else tracks.view
 
     def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Over the observations (O,) of each place, (T,)."""
+        """Return the mean over the observations (O,) of each place, (T,)."""
         return np.asarray(np.bincount(tracks.track, values, count) / views)
 
     def deviation(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -111,8 +111,10 @@ def measured(
 
 
 class PlaceClassifier(nn.Module):
-    """Logits of places (T, F) being on a thing: a perceptron of two layers over figures of mean 0
-    and deviation 1."""
+    """A perceptron of two layers that returns the logits of places (T, F) being on an object.
+
+    Figures are normalised to mean 0 and deviation 1.
+    """
 
     mean: Tensor
     deviation: Tensor
@@ -136,16 +138,16 @@ class PlaceClassifier(nn.Module):
 
     @torch.inference_mode()
     def likely(self, figures: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the probability of each place being on a thing, (T,)."""
+        """Return the probability of each place being on an object, (T,)."""
         probabilities = torch.sigmoid(self(torch.from_numpy(figures)))
         return np.asarray(probabilities.numpy(), np.float64)
 
 
 def read_classifier(path: Path | None = None) -> PlaceClassifier:
-    """The classifier that comes with the project, or one of a file.
+    """Read the shipped classifier, or one from a file.
 
     Raises:
-        InputError: no such file, or not a classifier's.
+        InputError: the file does not exist, or holds no classifier.
     """
     path = path or shipped(SHIPPED)
     weights = read_weights(path)

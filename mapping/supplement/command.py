@@ -1,4 +1,4 @@
-"""The command ``supplement``: adds points on small things that a map misses."""
+"""The command ``supplement``, which adds points on small objects that a map misses."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from scene.bundle.scene import Scene
 
 @dataclass(frozen=True)
 class SupplementReport:
-    """What came of supplementing a map.
+    """The result of supplementing a map.
 
     Attributes:
-        points: that were added.
-        observations: of them.
-        diagnosis: of the map, before and after.
+        points: number of added points.
+        observations: number of their observations.
+        diagnosis: figures of the map before and after.
     """
 
     points: int
@@ -43,24 +43,24 @@ class SupplementReport:
 def supplement(
     path: Path, weights: Path | None = None, masks: Path | None = None
 ) -> SupplementReport:
-    """Find small things that have no point in a scene's map, and add points on them.
+    """Add points on small objects that have no point in a scene's map.
 
     Points that an earlier call added are replaced. ``mapping.supplement.map.remove_from_map``
-    takes them out again.
+    removes them.
 
     Args:
-        path: of a finished scene with its map.
-        weights: of an object-connect network, whose centres are looked at too; None: blobs
-            alone.
-        masks: of objects of the map's photographs: see ``given_masks``.
+        path: finished scene with a map.
+        weights: weights of an object-connect network, whose centres become candidates too; None
+            takes blobs alone.
+        masks: masks of objects in the map's photographs, as ``given_masks`` takes them.
 
     Returns:
-        What was added, with the map's figures before and after; ``pictures/diagnosis.png`` shows
+        The added points, with the map's figures before and after. ``pictures/diagnosis.png`` shows
         both.
 
     Raises:
-        InputError: not a finished scene, no map, none of its photographs looks down, or a damaged
-            file; the map is as it was.
+        InputError: the scene is not finished, has no map or a damaged file, or none of its
+            photographs looks down; the map is unchanged.
     """
     scene = Scene.open(path)
     scene.require_lists()

@@ -1,4 +1,4 @@
-"""Options of the map supplement: how small things are found, followed and triangulated."""
+"""Options of the map supplement: detection, tracking and triangulation of small objects."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scene.config import Config
 
 
 class BlobOptions(Config):
-    """Which blobs of a photograph may show a small object."""
+    """Options of the detection of blobs that may show small objects."""
 
     surround_ratio: float = Field(
         2.5, gt=1, description="Radius of the surroundings a blob is compared with, in its own."
@@ -48,7 +48,7 @@ class GroundOptions(Config):
 
 
 class TrackOptions(Config):
-    """When blobs of several photographs are observations of one place."""
+    """Options of the tracking of blobs over several photographs."""
 
     lowest_m: float = Field(-0.75, description="Lowest height above the ground that is tried.")
     highest_m: float = Field(3.3, description="Heights above the ground are tried below this.")
@@ -90,7 +90,7 @@ class TrackOptions(Config):
 
 
 class PhotoconsistencyOptions(Config):
-    """How the colours around a place are compared between photographs."""
+    """Options of the comparison of colours around a place between photographs."""
 
     radius_px: int = Field(2, ge=1, description="Radius of the window that is compared.")
     distance_scale: float = Field(
@@ -139,7 +139,7 @@ class SupplementConfig(Config):
         3.2, gt=0, description="Largest height of a place above the ground around it."
     )
     likely: float = Field(
-        0.8, gt=0, lt=1, description="Least probability of being on a thing, by the classifier."
+        0.8, gt=0, lt=1, description="Least probability of being on an object, by the classifier."
     )
     apart_m: float = Field(
         0.5, ge=0, description="Least distance of a place from the map's own points."

@@ -15,22 +15,22 @@ from mapping.supplement.config import GroundOptions
 from scene.maps.sparse_map import MapImage
 
 _DEFAULTS: Final = GroundOptions()
-# FLANN's single tree (4), searched to the end.
+# FLANN's single tree (4) with an exhaustive search.
 _EXACT: Final = {"algorithm": 4, "leaf_max_size": 10}
 _UNLIMITED: Final = {"checks": -1}
 
-# Cells whose ground is estimated at a time.
+# Number of cells whose ground is computed at once.
 _AT_ONCE: Final = 4096
 
 
 @dataclass(frozen=True)
 class Ground:
-    """The ground under a cloud, as heights at the corners of cells.
+    """The ground under a point cloud, given by heights at the corners of cells.
 
     Attributes:
-        corner: (2,) east and north of the first.
-        z: (R, C) heights, rows to the north; world metres.
-        options: how it was estimated.
+        corner: east and north (2,) of the first corner, world metres.
+        z: heights (R, C), world metres; rows run to the north.
+        options: options of the estimate.
     """
 
     corner: NDArray[np.float64]
@@ -62,7 +62,7 @@ class Ground:
         return np.asarray(south * (1 - up) + north * up)
 
     def under(self, image: MapImage, xy: NDArray[np.float64], above: float) -> NDArray[np.float64]:
-        """Return where the rays of pixels (N, 2) are at a height above the ground, (N, 3)."""
+        """Return the points (N, 3) on the rays of pixels (N, 2) at a height above the ground."""
         rays = image.camera.unproject(torch.from_numpy(xy))[0].numpy()
         rays = rays @ image.cam_from_world[:3, :3]
         z = np.full(len(xy), np.median(self.z))
@@ -79,13 +79,13 @@ def heights(
 ) -> NDArray[np.float64]:
     """Return heights (N,) of points (N, 3) above the plane of most of the cloud around them.
 
-    World metres, up is z; infinite where the cloud (M, 3) has too few points.
+    They are world metres, with z up, and infinite where the cloud (M, 3) has too few points.
     """
     if len(cloud) < options.neighbours or not len(xyz):
         return np.full(len(xyz), math.inf)
-    found, _ = nearest(xyz[:, :2], cloud[:, :2], options.neighbours)
-    around = cloud[found] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
-    design = np.concatenate([around[..., :2], np.ones((*found.shape, 1))], 2)
+    neighbours, _ = nearest(xyz[:, :2], cloud[:, :2], options.neighbours)
+    around = cloud[neighbours] - np.concatenate([xyz[:, :2], np.zeros((len(xyz), 1))], 1)[:, None]
+    design = np.concatenate([around[..., :2], np.ones((*neighbours.shape, 1))], 2)
     off = around[..., 2] - np.median(around[..., 2], axis=1, keepdims=True)
     for close in options.close_m:
         weight = 1 / (1 + np.square(off / close))

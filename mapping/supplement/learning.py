@@ -1,7 +1,7 @@
-"""How the classifier of places learns: `python -m mapping.supplement.learning SCENE... --out FILE`.
+"""Training of the classifier: ``python -m mapping.supplement.learning SCENE... --out FILE``.
 
-On maps of rendered scenes every place is known to be within 0.5 m of the thing it lies on, or not.
-Those on small things, which are few, count ten times.
+For maps of rendered scenes it is known whether a place is within 0.5 m of an object. Places on
+small objects are rare and have ten times the weight.
 """
 
 from __future__ import annotations
@@ -54,26 +54,26 @@ _DEFAULTS: Final = LearningOptions()
 
 
 class Lessons(NamedTuple):
-    """Places of a scene, and what they are.
+    """Places of a scene with their truth.
 
     Attributes:
-        figures: (T, F).
-        on_thing: (T,) within 0.5 m of the thing they lie on.
-        small: (T,) the small thing, 0 for none.
-        lacking: small things that the photographs show and the map has no point of.
+        figures: figures (T, F) of the places.
+        on_object: (T,) bool, whether each place is within 0.5 m of the object on which it lies.
+        small: id (T,) of the small object on which each place lies, 0 for none.
+        lacking: ids of small objects that the photographs show and that have no point in the map.
     """
 
     figures: NDArray[np.float32]
-    on_thing: NDArray[np.bool_]
+    on_object: NDArray[np.bool_]
     small: NDArray[np.int64]
     lacking: frozenset[int]
 
 
 def lessons(path: Path) -> Lessons:
-    """Read the places of a rendered scene with its map, and which lie on things.
+    """Find the places of a rendered scene with a map, and the objects on which they lie.
 
     Raises:
-        InputError: not such a scene.
+        InputError: the folder is not such a scene.
     """
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()
@@ -86,10 +86,10 @@ def lessons(path: Path) -> Lessons:
             f"{path} does not know its objects: the classifier learns on rendered scenes"
         )
     small = {item.id for item in scene.objects.objects if item.size_class == "small"}
-    on_thing = (truth.owners > 0) & (truth.drift < CLOSE_M)
-    owner = np.where(on_thing & np.isin(truth.owners, list(small)), truth.owners, 0)
+    on_object = (truth.owners > 0) & (truth.drift < CLOSE_M)
+    owner = np.where(on_object & np.isin(truth.owners, list(small)), truth.owners, 0)
     lacking = (small & before.seen) - set(np.unique(before.owners).tolist())
-    return Lessons(places.figures, on_thing, owner, frozenset(lacking))
+    return Lessons(places.figures, on_object, owner, frozenset(lacking))
 
 
 def _as_map(sparse_map: SparseMap, places: Places) -> SparseMap:
@@ -108,14 +108,14 @@ def learn(taught: Sequence[Lessons], options: LearningOptions = _DEFAULTS) -> Pl
     """Train a classifier on the places of scenes.
 
     Raises:
-        InputError: they have no place at all.
+        InputError: the scenes have no places.
     """
     torch.manual_seed(options.seed)
     classifier = PlaceClassifier()
     figures = torch.from_numpy(np.concatenate([each.figures for each in taught]))
     if not len(figures):
         raise InputError("the scenes have no place to learn from")
-    right = torch.from_numpy(np.concatenate([each.on_thing for each in taught])).float()
+    right = torch.from_numpy(np.concatenate([each.on_object for each in taught])).float()
     small = torch.from_numpy(np.concatenate([each.small for each in taught])) > 0
     weight = torch.where(small, options.small_weight, 1.0)
     classifier.mean.copy_(figures.mean(0))
@@ -137,26 +137,26 @@ def learn(taught: Sequence[Lessons], options: LearningOptions = _DEFAULTS) -> Pl
     return classifier.eval()
 
 
-def report(classifier: PlaceClassifier, looked_at: Lessons) -> list[str]:
-    """Report how many small things the likeliest places reach, at several shares on things."""
-    likely = classifier.likely(looked_at.figures)
+def report(classifier: PlaceClassifier, evaluated: Lessons) -> list[str]:
+    """Report how many small objects the likeliest places cover, at several precisions."""
+    likely = classifier.likely(evaluated.figures)
     order = np.argsort(-likely, kind="stable")
-    share = np.cumsum(looked_at.on_thing[order]) / np.arange(1, len(order) + 1)
+    share = np.cumsum(evaluated.on_object[order]) / np.arange(1, len(order) + 1)
     lines = []
     for wanted in _SHARES:
         enough = np.flatnonzero(share >= wanted)
         kept = order[: enough[-1] + 1] if len(enough) else order[:0]
-        found = looked_at.lacking & set(looked_at.small[kept].tolist())
+        covered = evaluated.lacking & set(evaluated.small[kept].tolist())
         least = float(likely[kept].min()) if len(kept) else 1.0
         lines.append(
-            f"{wanted:.0%} of {len(kept)} places on things from probability {least:.3f} on: "
-            f"{len(found)} of {len(looked_at.lacking)} small things without a point have one"
+            f"{wanted:.0%} of {len(kept)} places on objects from probability {least:.3f} on: "
+            f"{len(covered)} of {len(evaluated.lacking)} small objects without a point have one"
         )
     return lines
 
 
 def main() -> None:
-    """Learn on scenes, print what the classifier reaches on others, write it."""
+    """Train a classifier on scenes, print its report on other scenes, and write it."""
     words = argparse.ArgumentParser(description=__doc__)
     words.add_argument("scenes", nargs="+", type=Path, metavar="SCENE")
     words.add_argument("--validation", nargs="*", default=[], type=Path, metavar="SCENE")

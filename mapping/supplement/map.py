@@ -1,4 +1,4 @@
-"""Adds triangulated centres to a scene's map as points, and removes them again."""
+"""Adding triangulated centres of objects to a scene's map as points, and removing them."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ from scene.storage.locks import write_lock
 def add_to_map(
     path: Path, points: Sequence[Lifted], detections: Mapping[str, Detections]
 ) -> Supplement:
-    """Add points to the map of a scene, in place of those that were added before.
+    """Add points to the map of a scene; they replace those that were added before.
 
-    Nothing else of the map changes: poses, points and keypoints keep their values and identifiers.
-    What was added is listed in ``map/supplement.json``, with its descriptors in
-    ``map/supplement.h5``.
+    Poses, points and keypoints of the map keep their values and identifiers. The added points are
+    listed in ``map/supplement.json``, and their descriptors are in ``map/supplement.h5``.
 
     Args:
-        path: of a finished scene with its map.
-        points: of ``triangulation.lift``; each becomes one object.
-        detections: that they were lifted from.
+        path: finished scene with a map.
+        points: results of ``triangulation.lift``; each becomes one object.
+        detections: detections from which the points were lifted.
 
     Raises:
-        InputError: not a finished scene, one that another run is writing, no map, or a damaged one.
+        InputError: the scene is not finished, is being written by another run, or has no map or a
+            damaged one.
     """
     scene = Scene.open(path)
     with write_lock(path):
         remove_partial(path)
-        scene.sparse_map()  # says what is missing or damaged
+        scene.sparse_map()  # raises if something is missing or damaged
         new = [_new_point(scene, point, detections) for point in points]
         with atomic_folder(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)
@@ -66,13 +66,13 @@ def add_to_map(
 
 
 def remove_from_map(path: Path) -> int:
-    """Take out what was added to the map of a scene: its files are those of before, byte for byte.
+    """Remove the added points from the map of a scene, which restores its files byte for byte.
 
     Returns:
-        How many points that were.
+        The number of removed points.
 
     Raises:
-        InputError: as ``add_to_map``, nothing was added, or the map was changed since.
+        InputError: as ``add_to_map``, no point was added, or the map was changed since.
     """
     scene = Scene.open(path)
     with write_lock(path):
@@ -86,7 +86,7 @@ def remove_from_map(path: Path) -> int:
 
 
 def _copy_before(scene: Scene, folder: Path) -> None:
-    """Copy the map as it was before anything was added to it."""
+    """Copy the map without added points."""
     for file in scene.map_path.iterdir():
         if file.name in MAP_FILES and file.name not in (SUPPLEMENT, ADDED_FEATURES):
             shutil.copyfile(file, folder / file.name)

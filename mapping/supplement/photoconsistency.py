@@ -1,8 +1,9 @@
-"""Photoconsistency: whether photographs agree on a place itself, or on the ground below it.
+"""Photoconsistency: colour differences between photographs at a place and at the ground below it.
 
-Most pixels around a thin object show the ground, and a plain window would say so. Each pixel
-counts here as far as it has the colour of the place (Yoon and Kweon, "Adaptive support-weight
-approach for correspondence search", PAMI 2006).
+Photographs agree on the colours at the height of the surface. Most pixels around a thin object show
+the ground, so an unweighted window would measure the ground. Therefore each pixel is weighted by
+the similarity of its colour to that of the place (Yoon and Kweon, "Adaptive support-weight approach
+for correspondence search", PAMI 2006).
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ from scene.storage.images import read_rgb
 from scene.storage.lru_cache import LruCache
 
 HEIGHTS: Final = np.arange(-0.45, 3.5, 0.15)
-"""Heights above the ground that are compared (m); the trained classifier takes a figure of each."""
+"""Heights above the ground that are compared (m). The classifier takes one figure for each."""
 
 _GROUND: Final = np.abs(HEIGHTS) < 0.16
-# The difference that stands for an unknown one, as the trained classifier knows it: another value
+# The value for an unknown difference. The classifier was trained with it, so that another value
 # needs other weights.
 _UNKNOWN: Final = 15.0
-# Photographs of the largest size for which there is room in the cache.
+# Number of photographs of the largest size for which the cache has room.
 _CACHED: Final = 16
-# Rows that OpenCV takes at a time.
+# The most rows per call that OpenCV's remap accepts.
 _ROWS: Final = 30000
 
 
@@ -44,9 +45,9 @@ class _Windows:
     """Windows of one photograph around N places.
 
     Attributes:
-        colours: (N, P, 3) CIE L*a*b*.
-        weights: (N, P) of sum one.
-        places: (N, H, P, 3) where the rays of their pixels are at each height, world metres.
+        colours: colours (N, P, 3) of the P pixels, CIE L*a*b*.
+        weights: weights (N, P) of the pixels, whose sum is one.
+        places: points (N, H, P, 3) of the pixels' rays at each height, world metres.
     """
 
     colours: NDArray[np.float32]
@@ -64,16 +65,16 @@ def costs(
 ) -> NDArray[np.float64]:
     """Return the mean colour difference around places, at each of ``HEIGHTS``, (T, H).
 
-    The window of the photograph that looks down most steeply is compared with all photographs that
-    have the place in view; NaN where no other has.
+    The window in the photograph that looks down most steeply is compared with all other photographs
+    that show the place. The result is NaN where no other photograph does.
 
     Args:
-        images: photographs.
-        folder: where their files are.
-        blobs: of each photograph.
-        ground: under them.
-        tracks: places.
-        options: how colours are compared.
+        images: photographs of the map.
+        folder: folder of their files.
+        blobs: blobs of each photograph.
+        ground: the ground below the places.
+        tracks: the places.
+        options: options of the comparison.
 
     Raises:
         InputError: a photograph is missing or damaged.
@@ -132,7 +133,7 @@ def _mean_difference(
     xyz: NDArray[np.float64],
     options: PhotoconsistencyOptions,
 ) -> NDArray[np.float64]:
-    """Average the difference of windows over the other photographs with a place in view, (N, H)."""
+    """Return the mean difference (N, H) over the other photographs that show each place."""
     total, views = np.zeros((len(xyz), len(HEIGHTS))), np.zeros((len(xyz), 1))
     for other, image in enumerate(images):
         if other == view:
@@ -153,7 +154,7 @@ def _mean_difference(
 def _steepest(
     images: Sequence[MapImage], tracks: Tracks
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return, per place, the photograph that looks down on it most steeply, and its blob there."""
+    """Return, for each place, the photograph that looks down most steeply, and its blob there."""
     centres = np.array([image.centre for image in images])
     beside = np.linalg.norm((tracks.xyz[tracks.track] - centres[tracks.view])[:, :2], axis=1)
     order = np.lexsort((beside, tracks.track))
@@ -162,13 +163,13 @@ def _steepest(
 
 
 class BesideGround(NamedTuple):
-    """Costs of T places beside those of the ground under them.
+    """Costs of T places relative to those at the ground below them.
 
     Attributes:
-        share: (T,) the least, as a share of that at the ground; infinite where nothing is known.
-        off: (T,) how far the height of the least is from the place's (m).
-        on_ground: (T,) cost there.
-        curve: (T, H) at ``HEIGHTS``, as shares of it.
+        share: least cost (T,) as a share of the cost at the ground; infinite where unknown.
+        off: distance (T,) between the height of the least cost and that of the place, metres.
+        on_ground: cost (T,) at the ground.
+        curve: costs (T, H) at ``HEIGHTS``, as shares of the cost at the ground.
     """
 
     share: NDArray[np.float64]
@@ -180,11 +181,11 @@ class BesideGround(NamedTuple):
 def costs_beside_ground(
     place_costs: NDArray[np.float64], height: NDArray[np.float64]
 ) -> BesideGround:
-    """Compare the costs of places with those of the ground under them.
+    """Compare the costs of places with those at the ground below them.
 
     Args:
-        place_costs: (T, H) of ``costs``.
-        height: (T,) of the places above the ground, metres.
+        place_costs: result (T, H) of ``costs``.
+        height: heights (T,) of the places above the ground, metres.
     """
     known = np.where(np.isnan(place_costs), _UNKNOWN, place_costs)
     on_ground = known[:, _GROUND].min(1)
@@ -194,8 +195,8 @@ def costs_beside_ground(
 
 
 def _sampled(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Sample a picture at pixels (..., 2), (..., 3)."""
-    # OpenCV counts from the first pixel's centre, and takes so many rows at most.
+    """Sample a picture at pixels (..., 2); returns colours (..., 3)."""
+    # OpenCV counts from the first pixel's centre.
     flat = (xy.reshape(-1, 2) - 0.5).astype(np.float32)
     parts = [
         cv2.remap(picture, part[:, :1], part[:, 1:], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)

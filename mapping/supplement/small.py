@@ -1,4 +1,4 @@
-"""Points on small things that stand on the ground and have no point in the map."""
+"""Points on small objects that stand on the ground and have no point in the map."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from scene.storage.images import read_rgb
 
 @dataclass(frozen=True)
 class Places:
-    """Where photographs of a map show one blob a little above the ground.
+    """Places a little above the ground where several photographs show a blob.
 
     Attributes:
-        images: photographs.
-        blobs: of each.
+        images: photographs of the map.
+        blobs: blobs of each photograph.
         tracks: T places.
-        figures: (T, F) what was measured of them: ``classifier.measured``.
+        figures: figures (T, F) of the places, results of ``classifier.measured``.
     """
 
     images: list[MapImage]
@@ -50,14 +50,14 @@ def find_places(
     network: ObjConnectNet | None = None,
     masks: Mapping[str, Labels] | None = None,
 ) -> Places:
-    """Find the places where a small thing may be; arguments and errors as ``supplement_points``."""
+    """Find places of possible small objects; arguments and errors as ``supplement_points``."""
     names = [name for name in sparse_map.names if masks is None or name in masks]
     images = [sparse_map.images[name] for name in names]
-    # The classifier learned from above.
+    # The classifier was trained on nadir photographs.
     images = [image for image in images if looks_down(image.cam_from_world[:3, :3])]
     if names and not images:
         raise InputError(
-            "no photograph looks down by 30 degrees: small things are known from above alone"
+            "no photograph looks down by 30 degrees: small objects are recognised only from above"
         )
     blobs: list[Blobs] = []
     with progress_bar("blobs", len(images)) as advance:
@@ -85,15 +85,18 @@ def supplement_points(
     network: ObjConnectNet | None = None,
     masks: Mapping[str, Labels] | None = None,
 ) -> tuple[list[Lifted], dict[str, Detections]]:
-    """Find small things that have no point in a map, and points on them.
+    """Find points on small objects that have no point in a map.
 
     Args:
-        sparse_map: without added points; up is z.
-        folder: of its photographs.
+        sparse_map: map without added points, with z up.
+        folder: folder of its photographs.
         config: thresholds.
-        classifier: says which places are on things.
-        network: see ``blobs.find``.
-        masks: of objects, by photograph; photographs without are left out.
+        classifier: decides which places are on objects.
+        network: network for ``blobs.find``.
+        masks: label maps of objects by photograph; photographs without one are left out.
+
+    Returns:
+        The points, and the detections by photograph.
 
     Raises:
         InputError: a photograph is missing or damaged, or none looks down.

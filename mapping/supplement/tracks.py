@@ -1,4 +1,4 @@
-"""Blobs of several photographs that are one place a little above the ground."""
+"""Tracks: blobs of several photographs that show one place a little above the ground."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from mapping.supplement.ground_plane import Ground
 from scene.maps.sparse_map import MapImage
 from scene.runtime.progress import progress_bar
 
-# Cells to a pixel of the picture in which the blob nearest to a pixel is looked up: the resolution
-# of a table.
+# Cells per pixel of the table in which the nearest blob is looked up.
 _CELLS: Final = 2
 
 
@@ -26,10 +25,10 @@ class Tracks:
     """T places, with O observations.
 
     Attributes:
-        xyz: (T, 3) world metres.
-        visible: (T,) photographs compared that have the place in their picture.
-        error_px: (T,) mean reprojection error; infinite before they are solved.
-        track, view, row: (O,) of an observation its place, its photograph and its blob there.
+        xyz: positions (T, 3), world metres.
+        visible: number (T,) of compared photographs whose picture contains the place.
+        error_px: mean reprojection error (T,); infinite before refinement.
+        track, view, row: place, photograph and blob of each observation, (O,).
     """
 
     xyz: NDArray[np.float64]
@@ -82,14 +81,14 @@ def follow(
     views: int,
     options: TrackOptions,
 ) -> Tracks:
-    """Find, for every blob, the height above the ground at which most photographs show it too.
+    """Find the height above the ground of every blob: the one at which most photographs match it.
 
     Args:
-        images: photographs.
-        blobs: of each photograph.
-        ground: under them.
-        views: photographs that must show a place, its own among them.
-        options: which heights are tried, and which blobs match.
+        images: photographs of the map.
+        blobs: blobs of each photograph.
+        ground: the ground.
+        views: least number of photographs that show a place, including its own.
+        options: heights to try, and thresholds of the match.
     """
     shapes = [(image.camera.height, image.camera.width) for image in images]
     tables = [
@@ -117,9 +116,9 @@ def _nearest_blobs(blobs: Blobs, shape: tuple[int, int], max_offset_px: float) -
     """Tabulate the nearest blob within reach of each cell, -1 for none, by radius, row and column.
 
     Args:
-        blobs: of one photograph.
+        blobs: blobs of one photograph.
         shape: height and width of the photograph.
-        max_offset_px: how far a blob may be.
+        max_offset_px: largest distance of a blob from a cell.
     """
     reach = int(_CELLS * max_offset_px) + 1
     steps = [(x, y) for x in range(-reach, reach + 1) for y in range(-reach, reach + 1)]
@@ -135,13 +134,13 @@ def _nearest_blobs(blobs: Blobs, shape: tuple[int, int], max_offset_px: float) -
 def project(
     image: MapImage, xyz: NDArray[np.float64], border_px: float = 4.0
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Project places in the world to pixels (N, 2), and say which lie inside the border, (N,)."""
+    """Project places to pixels (N, 2); also return which lie inside the border, (N,)."""
     seen = image.camera.project(image.pose.transform(torch.from_numpy(xyz)))
     return seen.xy.numpy(), (seen.valid & image.camera.contains(seen.xy, border_px)).numpy()
 
 
 def _followed(view: int, compared: _Compared, views: int, options: TrackOptions) -> Tracks:
-    """Follow the blobs of one photograph, by its row, into the others; see ``follow``."""
+    """Follow the blobs of one photograph, given by its row, into the others; see ``follow``."""
     images, blobs, ground = compared.images, compared.blobs, compared.ground
     own = blobs[view]
     heights = np.arange(options.lowest_m, options.highest_m, options.height_step_m)
@@ -204,14 +203,14 @@ def _matched(
 
     Args:
         own: blobs of the photograph.
-        rows: (P,) the blob that each place belongs to.
+        rows: row (P,) of the blob of each place.
         theirs: blobs of the other photograph.
-        table: of ``_nearest_blobs`` for it.
+        table: result of ``_nearest_blobs`` for the other photograph.
         projected: numbers (P,) of the places, and pixels (P, 2) of the other photograph.
-        options: which blobs match.
+        options: thresholds of the match.
 
     Returns:
-        Of the places that match: their numbers, rows of their blobs, and scores.
+        The numbers of the places that match, the rows of their blobs, and the scores.
     """
     at, xy = projected
     column, row = (xy * _CELLS).astype(int).T
@@ -232,7 +231,7 @@ def _similar(
     rows_b: NDArray[np.int32],
     options: TrackOptions,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the cosine of pairs of blobs' appearances, and whether they may be one, (P,) each."""
+    """Return the cosine of the appearances of pairs of blobs, and which pairs match, (P,)."""
     look_a, look_b = a.look[rows_a], b.look[rows_b]
     lengths = np.linalg.norm(look_a, axis=1) * np.linalg.norm(look_b, axis=1)
     cosine = (look_a * look_b).sum(1) / lengths.clip(1e-6)
@@ -288,7 +287,7 @@ def solve(
 
 
 def distinct(tracks: Tracks, views: int, options: TrackOptions) -> Tracks:
-    """Assign each blob to one place: places seen by most photographs first, then the most exact.
+    """Assign each blob to one place, first to places with most photographs and least error.
 
     Places that lose too large a share of their blobs to others are dropped, and places with fewer
     than ``views`` of them.

@@ -1,4 +1,4 @@
-"""Points where the rays of detections meet, in as many photographs as agree."""
+"""Triangulation of points from detections in several photographs."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mapping.supplement.config import SupplementConfig
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.progress import progress_bar
 
-# Numerical guards. Rounds of Gauss-Newton: two or three are enough from a linear solution.
+# Numerical guards. Iterations of Gauss-Newton; two or three are enough from a linear solution.
 _ROUNDS = 10
 _CONVERGED_M = 1e-6
-# Rays that meet in a point at all.
+# Least number of photographs of a point, because one ray has no intersection.
 _LEAST = 2
-# Proposals held against the detections of a photograph at a time.
+# Proposals that are compared with the detections of a photograph at once.
 _CHUNK = 4096
 
 
@@ -28,11 +28,11 @@ class Lifted:
     """An object's centre in space.
 
     Attributes:
-        xyz: (3,) world metres.
-        rows: row of its detection by name of the photograph.
+        xyz: position (3,), world metres.
+        rows: row of the detection, by name of the photograph.
         error_px: mean reprojection error.
-        angle_deg: the largest angle between two of its rays.
-        confidence: mean of its detections'.
+        angle_deg: largest angle between two of the rays.
+        confidence: mean confidence of the detections.
     """
 
     xyz: NDArray[np.float64]
@@ -47,23 +47,23 @@ def lift(
 ) -> list[Lifted]:
     """Associate detections across photographs and triangulate them with the known poses.
 
-    Every pair of detections proposes a point; the detections of all photographs that lie where it
-    projects, and look like the pair, support it. Points are taken in the order of their support,
-    each detection once, and solved again from all of theirs.
+    Every pair of detections proposes a point. It is supported by the detections of all photographs
+    that are near its projection and similar to the pair. Points are accepted in the order of their
+    support and triangulated again from all their detections. Each detection is used once.
 
     Args:
-        sparse_map: with the poses, which stay as they are.
-        detections: by name of a photograph of the map.
+        sparse_map: map with the poses, which stay unchanged.
+        detections: detections by name of the photograph.
         config: thresholds.
 
     Returns:
-        Points in the order they were taken.
+        Points in the order in which they were accepted.
     """
     pairs = associate(sparse_map, detections, config)
     proposals = _propose(sparse_map, detections, pairs)
     members = _support(sparse_map, detections, pairs, proposals, config)
     order = np.argsort(-(members >= 0).sum(1), kind="stable")
-    taken = {name: np.zeros(len(found.xy), bool) for name, found in detections.items()}
+    taken = {name: np.zeros(len(detected.xy), bool) for name, detected in detections.items()}
     points = []
     for proposal in order.tolist():
         rows = {
@@ -82,7 +82,7 @@ def lift(
 def _propose(
     sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
 ) -> NDArray[np.float64]:
-    """Where the rays of each pair meet, (E, 3)."""
+    """Return the point (E, 3) where the rays of each pair meet."""
     rows, poses = np.zeros((len(pairs), 2, 2)), np.zeros((len(pairs), 2, 3, 4))
     for view, name in enumerate(sparse_map.names):
         here = pairs.views == view
@@ -96,9 +96,10 @@ def _propose(
 def linear_points(
     normalised: NDArray[np.float64], cam_from_world: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Direct linear transform: points (T, 3) seen at x/z, y/z (T, V, 2) from poses (T, V, 3, 4).
+    """Triangulate points (T, 3) by the direct linear transform.
 
-    Hartley and Zisserman, Multiple View Geometry, 12.2. Points at infinity are not finite.
+    They are seen at x/z, y/z (T, V, 2) from poses (T, V, 3, 4). Points at infinity are not finite.
+    Source: Hartley and Zisserman, Multiple View Geometry, 12.2.
     """
     x, y = normalised[..., :1], normalised[..., 1:]
     first, second, third = (cam_from_world[..., k, :] for k in range(3))
@@ -115,20 +116,20 @@ def _support(
     proposals: NDArray[np.float64],
     config: SupplementConfig,
 ) -> NDArray[np.int64]:
-    """The detection of each photograph where each proposal projects, -1 for none, (E, N)."""
+    """Return the detection at the projection of each proposal, -1 for none, (E, N)."""
     members = np.full((len(pairs), len(sparse_map.names)), -1)
     looks = _looks(sparse_map, detections, pairs)
     with progress_bar("support", len(sparse_map.names)) as advance:
         for view, name in enumerate(sparse_map.names):
-            found = detections.get(name)
-            if found is not None and len(found.xy):
+            detected = detections.get(name)
+            if detected is not None and len(detected.xy):
                 image = sparse_map.images[name]
                 local = image.pose.transform(torch.from_numpy(proposals))
                 seen = image.camera.project(local)
                 for start in range(0, len(pairs), _CHUNK):
                     part = slice(start, start + _CHUNK)
-                    off = torch.cdist(seen.xy[part], torch.from_numpy(found.xy)).numpy()
-                    alike = looks[part] @ found.descriptors.T
+                    off = torch.cdist(seen.xy[part], torch.from_numpy(detected.xy)).numpy()
+                    alike = looks[part] @ detected.descriptors.T
                     off[(alike < config.similarity) | ~seen.valid[part].numpy()[:, None]] = np.inf
                     near = off.min(1) < config.reprojection_px
                     members[part, view] = np.where(near, off.argmin(1), -1)
@@ -139,8 +140,8 @@ def _support(
 def _looks(
     sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
 ) -> NDArray[np.float32]:
-    """Mean descriptor of each pair, of unit length, (E, D)."""
-    width = max((found.descriptors.shape[1] for found in detections.values()), default=0)
+    """Return the mean descriptor (E, D) of each pair, of unit length."""
+    width = max((detected.descriptors.shape[1] for detected in detections.values()), default=0)
     total = np.zeros((len(pairs), width), np.float32)
     for view, name in enumerate(sparse_map.names):
         for side in range(2):
@@ -157,14 +158,16 @@ def triangulate(
     rows: Mapping[str, int],
     config: SupplementConfig,
 ) -> Lifted | None:
-    """The point of some detections, without those it does not project to; None where too few
-    remain, or their rays hardly cross.
+    """Triangulate a point from detections, without those that are far from its projection.
 
     Args:
-        sparse_map: with the poses.
-        detections: by photograph.
-        rows: one detection each of some photographs.
+        sparse_map: map with the poses.
+        detections: detections by photograph.
+        rows: one detection for each of several photographs.
         config: thresholds.
+
+    Returns:
+        The point, or None where too few detections remain or their rays are nearly parallel.
     """
     while len(rows) >= config.views:
         images = [sparse_map.images[name] for name in rows]
@@ -185,7 +188,7 @@ def triangulate(
 
 
 def _meet(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The point of least reprojection error: linear, then Gauss-Newton, (3,)."""
+    """Return the point (3,) of least reprojection error, by Gauss-Newton from a linear solution."""
     seen = np.concatenate([_normalised(i, p[None]) for i, p in zip(images, xy, strict=True)])
     poses = np.stack([image.cam_from_world[:3] for image in images])
     xyz: NDArray[np.float64] = linear_points(seen[None], poses[None])[0]
@@ -205,8 +208,10 @@ def _meet(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDArray[np.flo
 def _residuals(
     images: Sequence[MapImage], xy: NDArray[np.float64], xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Detections (V, 2) minus projections of a point, infinite behind a camera, and the derivative
-    of the projections (V, 2, 3)."""
+    """Return detections minus projections of a point, (V, 2), and their derivatives (V, 2, 3).
+
+    Residuals are infinite behind a camera. The derivatives are those of the projections.
+    """
     off, slope = np.full(xy.shape, np.inf), np.zeros((len(xy), 2, 3))
     poses = np.stack([image.cam_from_world for image in images])
     local = poses[:, :3, :3] @ xyz + poses[:, :3, 3]
@@ -221,5 +226,5 @@ def _residuals(
 
 
 def _normalised(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """x/z and y/z of pixels (K, 2)."""
+    """Return x/z and y/z of pixels (K, 2)."""
     return np.asarray(image.camera.unproject(torch.from_numpy(xy))[0][..., :2])

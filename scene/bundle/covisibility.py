@@ -25,7 +25,7 @@ _DEPTH_TOLERANCE = 0.01
 
 @dataclass(frozen=True)
 class Covisibility:
-    """How much of each other's surface the N frames of a scene see.
+    """The shares of each other's surface that the N frames of a scene see.
 
     Attributes:
         names: image names, in the order of the sessions and of their frames.

@@ -58,7 +58,7 @@ class _File(BaseModel):
 
 
 class DeclaredChange(_File):
-    """How the objects of a session differ from those of the scene's other sessions, by object id.
+    """The differences between a session's objects and those of other sessions, by object id.
 
     An id always means one box of ``objects.json``: an object that moved has another id in its new
     place.

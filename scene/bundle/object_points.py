@@ -1,4 +1,4 @@
-"""Which object of a scene each point of its map lies on, and how many objects have a point."""
+"""The objects on which map points lie, and the coverage of objects by points."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""What every module of this package shares: the set-up of pycolmap, conversion of cameras and
-poses.
+"""The set-up of pycolmap, and the conversion of cameras and poses, for all modules of this package.
 
 It is written for pycolmap 4.2.
 """

@@ -1,4 +1,4 @@
-"""What the names in the tree of Extended CMU Seasons mean.
+"""Names of files and folders in Extended CMU Seasons.
 
 The name of each photograph tells its camera, c0 or c1, and its moment; each slice lies in one kind
 of surroundings.
@@ -39,16 +39,16 @@ class ImageName(NamedTuple):
         Raises:
             InputError: the name is not one of this data set.
         """
-        found = _IMAGE.fullmatch(name)
-        if found is None:
+        match = _IMAGE.fullmatch(name)
+        if match is None:
             raise InputError(
                 f"image {name!r} is not named like img_00119_c0_1303398474779439us.jpg"
             )
-        return ImageName(int(found[1]), found[2], int(found[3]))
+        return ImageName(int(match[1]), match[2], int(match[3]))
 
     @property
     def day(self) -> date:
-        """The day of the photograph where the data set was taken."""
+        """Return the day of the photograph in the time zone of the data set."""
         return (datetime.fromtimestamp(self.microseconds / 1e6, UTC) + _LOCAL).date()
 
     def __str__(self) -> str:

@@ -19,7 +19,7 @@ def export(path: Path, file_format: str, out: Path, sessions: Sequence[str] = ()
     The module ``scene.exports.<format>`` describes the files of a built-in format.
 
     Args:
-        path: of a finished scene.
+        path: path of a finished scene.
         file_format: a name of ``scene.exports.formats.FORMATS``.
         out: folder, new or empty.
         sessions: names of the sessions to write; none means all.

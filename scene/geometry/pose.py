@@ -212,8 +212,8 @@ class Pose:
     def error_to(self, truth: Pose) -> tuple[Tensor, Tensor]:
         """Return the distance of the camera centres (m) and the angle between the rotations (deg).
 
-        Both have the batch shape (...). The angle is computed from the rotation vector: the trace
-        would lose everything below a thousandth of a degree.
+        Both have the batch shape (...). The angle is computed from the rotation vector, because the
+        trace is inexact for angles below a thousandth of a degree.
         """
         metres = (self.centre() - truth.centre()).norm(dim=-1)
         relative = so3_log(self.rotation @ truth.rotation.transpose(-1, -2))

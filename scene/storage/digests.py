@@ -137,7 +137,7 @@ class _Entries:
         current = {
             name: (state, sha256)
             for name, (state, sha256) in (self._load() | self._known).items()
-            if _is(self._folder / name, state)
+            if _has_state(self._folder / name, state)
         }
         text = json.dumps(current)
         try:
@@ -215,8 +215,8 @@ def _state_of(path: Path, optional: bool) -> _State | None:
     return _state(status)
 
 
-def _is(path: Path, state: _State) -> bool:
-    """Return whether a file is still in a state."""
+def _has_state(path: Path, state: _State) -> bool:
+    """Return whether a file still has a recorded state."""
     try:
         return _state(path.stat()) == state
     except OSError:
@@ -224,7 +224,7 @@ def _is(path: Path, state: _State) -> bool:
 
 
 def _read(path: Path) -> tuple[_State | None, str]:
-    """Return the digest of a file, and its state if a later change would be visible in it."""
+    """Return the digest of a file, and its state, which is None if it may hide a later change."""
     began = time.time_ns()
     try:
         with path.open("rb") as stream:

@@ -22,7 +22,7 @@ class OutputFile:
     Attributes:
         path: file to write.
         mark: bytes that every file written there by this program has among its first 4096. A file
-            without them, unless it is empty, belongs to somebody else and is not replaced. If
+            without them, unless it is empty, belongs to another program and is not replaced. If
             ``mark`` is empty, any file there may be replaced.
     """
 
@@ -145,7 +145,7 @@ def _require_ours(output: OutputFile) -> None:
 
 
 def foreign_file_error(path: Path) -> WriteError:
-    """Return the error for an output where somebody else's file lies."""
+    """Return the error for an output that is a file of another program."""
     return WriteError(
         f"cannot write {path}: another file stands there: remove it or choose another output"
     )

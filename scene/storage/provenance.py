@@ -1,4 +1,4 @@
-"""How a figure says that this program drew it, so that nobody else's file is replaced.
+"""Marks of pictures that this program drew, so that it replaces no file of another program.
 
 These are the marks of ``scene.storage.outputs.OutputFile``.
 """

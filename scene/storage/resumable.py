@@ -1,8 +1,8 @@
-"""Folders that are written step by step, and that the same command goes on with after a stop.
+"""Folders that are written step by step, which the same command continues after an interruption.
 
-A record in such a folder says what was asked for. It is written before the first step, so that
-whoever comes next can tell what the folder is becoming: a command that asks for the same goes on,
-and one that asks for something else refuses the folder or begins it anew.
+A record in such a folder contains the request. It is written before the first step. A later command
+with the same request continues, and a command with another request refuses the folder or starts
+again.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class ResumableFolder:
         return True
 
     def require_empty(self, what: str) -> None:
-        """Refuse to begin in a folder that holds files of somebody else.
+        """Check that a folder holds no files of other programs.
 
         A command that was killed before it wrote its record leaves only temporary files of ours;
         these do not count.

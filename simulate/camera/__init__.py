@@ -1,1 +1,1 @@
-"""Cameras that are no pinholes, photographs that are not perfect."""
+"""Cameras with distortion, and the effects of lenses and sensors."""

@@ -1,10 +1,10 @@
-"""Cameras of photographs: given by COLMAP's parameters or by name, and how they are rendered.
+"""Cameras of photographs, given by COLMAP's parameters or by name, and how they are rendered.
 
-Blender renders pinholes. Every other camera is seen through a pinhole that covers its view, and
-`simulate.camera.resample` takes each of its pixels from there.
+Blender renders pinhole pictures. For every other camera, it renders a pinhole picture that covers
+the camera's view, and ``simulate.camera.resample`` computes the photograph from it.
 
-Torch is imported only where a lens is looked at, so that the configuration of a scene, and the help
-of the command line with it, loads without it.
+Torch is imported only where a lens is used, so that the configuration of a scene and the help of
+the command line load without it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from scene.errors import InputError
 from scene.geometry.camera import Camera
 from simulate.camera.pinhole import PinholeCamera
 
-# A pinhole picture grows with the tangent of the angle: beyond, nearly all of it is thrown away.
+# A pinhole picture grows with the tangent of the angle. Beyond this angle (deg), nearly all of it
+# would be thrown away.
 _MAX_FOV_DEG = 140.0
-_MARGIN_PX = 4.0  # around the view, for the resampling kernels
-_COARSE = 16  # pixels between the positions where the scale of the picture is looked at
+_MARGIN_PX = 4.0  # margin around the view for the resampling kernels
+_COARSE = 16  # distance in pixels between positions at which the picture's scale is sampled
 
 PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
     "mini-2": (4000, 3000, 83.0, ()),
@@ -33,18 +34,22 @@ PRESETS: dict[str, tuple[int, int, float, tuple[float, ...]]] = {
     "cmu-c0": (1024, 768, 72.85, (-0.399, 0.189, 0.0002, 0.0006)),
     "cmu-c1": (1024, 768, 72.37, (-0.397, 0.182, 0.0002, -0.0006)),
 }
-"""Full resolution width and height (px), diagonal field of view (deg), k1 k2 p1 p2; principal point
-in the middle unless `_PRINCIPAL` says. Nominal: a drone at hand has to be calibrated.
+"""Known cameras: full width and height (px), diagonal field of view (deg), and k1, k2, p1, p2.
 
-Held against published figures: all sizes (the DroneModels table of calibrated drone cameras has
-FC7303, L2D-20C, FC300 and FC6310 with these). 84 degrees of the Phantom 4 Pro and RTK is what
-8.8 mm before 13.2 x 8.8 mm sees, and 84 degrees of the Mavic 3 what its 24 mm equivalent does; 94
-degrees of the Phantom 3 is the diagonal that its owners quote. Not found again: 83 degrees of the
-Mini 2. Not of a maker: "mini-2-wide" is the middle of the "mini-2", and the coefficients of
-"phantom-4-rtk-raw", the survey drone with the correction of its JPEGs switched off, have the size
-of published ones but are of no camera. The others are taken to correct their distortion fully.
-"cmu-c0" and "cmu-c1" are like the two cameras on the car of CMU Seasons: wide lenses bent inwards,
-neither like the other nor centred.
+The principal point is in the middle, except where ``_PRINCIPAL`` states another. The values are
+nominal. For a real drone, calibrate its camera.
+
+Sources: All sizes agree with published ones (the DroneModels table of calibrated drone cameras has
+FC7303, L2D-20C, FC300 and FC6310 with these). The field of view of the Phantom 4 Pro and RTK
+follows from 8.8 mm and a sensor of 13.2 x 8.8 mm, that of the Mavic 3 from its equivalent focal
+length of 24 mm, and that of the Phantom 3 is quoted by its owners. No source confirms the 83
+degrees of the Mini 2.
+
+Assumptions: "mini-2-wide" is the middle of the picture of "mini-2". The coefficients of
+"phantom-4-rtk-raw", which is the survey drone without the correction of its JPEGs, have a typical
+size but belong to no real camera. All other drones are assumed to correct distortion completely.
+"cmu-c0" and "cmu-c1" are like the two cameras on the car of CMU Seasons: wide lenses with barrel
+distortion, which differ and have principal points off the middle.
 """
 # Principal points that are not in the middle, as shares of width and height.
 _PRINCIPAL = {"cmu-c0": (0.514, 0.547), "cmu-c1": (0.517, 0.517)}
@@ -57,9 +62,9 @@ class CameraConfig(Config):
         model: COLMAP camera model.
         width: pixels.
         height: pixels.
-        params: in COLMAP's order for the model.
-        preset: a key of ``PRESETS``, in place of the others.
-        size: long side of the preset's photographs, pixels; None takes the scene's.
+        params: parameters of the model in COLMAP's order.
+        preset: a key of ``PRESETS``, in place of all of these.
+        size: longer side of the preset's photographs, pixels; None takes the scene's.
     """
 
     model: str | None = None
@@ -83,7 +88,7 @@ class CameraConfig(Config):
         return self
 
     def build(self, size: int) -> Camera:
-        """The camera; a preset without a size of its own has the long side `size`."""
+        """Return the camera. A preset without a size of its own has the longer side ``size``."""
         if self.preset is None:
             assert self.model is not None
             assert self.width is not None
@@ -100,13 +105,14 @@ class CameraConfig(Config):
 
 
 def rendered_through(camera: Camera) -> tuple[PinholeCamera, str | None]:
-    """The pinhole to render for `camera`, and the lens of the job, None where they are the same.
+    """Return the pinhole camera that is rendered for a camera, and the lens of the render job.
 
-    The pinhole covers the view of every pixel of the camera, at least as finely.
+    The pinhole covers the view of every pixel of the camera with at least the camera's resolution.
+    The lens is the camera as text, or None where the camera is a pinhole itself.
 
     Raises:
-        InputError: a view wider than a pinhole can cover, or a picture larger than what the
-            distortion can reach.
+        InputError: the view is wider than a pinhole can cover, or the picture is larger than the
+            range of the distortion.
     """
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     if fx == fy and not camera.is_fisheye and not any(camera.distortion):

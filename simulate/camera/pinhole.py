@@ -1,4 +1,4 @@
-"""The camera Blender renders."""
+"""The pinhole camera that Blender renders."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class PinholeCamera(BaseModel):
-    """An ideal camera, pixels, COLMAP's convention: the first pixel's centre is (0.5, 0.5)."""
+    """A camera without distortion, in COLMAP's pixels: the first pixel's centre is (0.5, 0.5)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

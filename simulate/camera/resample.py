@@ -1,7 +1,7 @@
-"""From the pinhole picture Blender renders to the photograph of a camera with distortion.
+"""Resampling of the pinhole picture that Blender renders to the photograph of a distorted camera.
 
-Every layer goes through one map, so that no layer is distorted otherwise than another. Runs beside
-Blender and needs numpy alone.
+All layers are resampled at the same positions, so that they fit together. The module runs in
+Blender's process and needs numpy alone.
 """
 
 from __future__ import annotations
@@ -15,33 +15,35 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Cast = Callable[[int, Array], Array]
-"""Planar depth (M,) where rays (M, 2), x/z and y/z in the camera frame, first meet the object of an
-id (0: the ground); infinite where they miss it."""
+"""A function that casts rays (M, 2), x/z and y/z in the camera frame, at the object of an id.
 
-# Inverse depth interpolated between neighbours is exact on a plane. Where it bends by more than
-# this (metres of depth, over one pixel) the surface is not one plane and the ray is cast instead.
+Id 0 is the ground. It returns the planar depths (M,) of the first hits, infinite where rays miss.
+"""
+
+# Interpolated inverse depth is exact on a plane. Where it bends by more than this (metres of depth
+# over one pixel), the surface is not a plane and the ray is cast.
 _FLAT_M = 2e-4
-_AS_FINE = 0.2  # a source finer by this share is sampled as if it were as fine
+_AS_FINE = 0.2  # up to this share of finer pixels, a source is sampled once per pixel
 
 
 def resample(
     layers: dict[str, NDArray[Any]], xy: Array, rays: Array, cast: Cast, boxes: dict[int, Array]
 ) -> dict[str, NDArray[Any]]:
-    """Layers of a pinhole picture at other pixel centres.
+    """Resample the layers of a pinhole picture at other pixel centres.
 
-    Depth is exact, not resampled: on planes it is interpolated, and elsewhere (edges, foliage;
-    a tenth to a half of a picture) rays are cast at the objects that neighbouring pixels see.
-    Casting all rays at all objects would take 83 microseconds a ray and 22 s for a picture of
-    512 x 512; casting some of them at one or two objects takes about a second.
+    The depth is exact. On planes it is interpolated. Elsewhere (at edges and in foliage, a tenth to
+    a half of a picture) rays are cast at the objects that neighbouring pixels see. Casting all rays
+    at all objects would take 83 microseconds per ray and 22 s for a picture of 512 x 512; casting
+    some rays at one or two objects takes about a second.
 
     Args:
         layers: rgb, depth, instance and normal as rendered, (h, w, ...).
-        xy: (H, W, 2) where each pixel centre of the photograph lies in them, COLMAP pixels, at
-            least 3 pixels inside.
+        xy: (H, W, 2) position of each pixel centre of the photograph in the layers, COLMAP pixels,
+            at least 3 pixels from their edges.
         rays: (H, W, 2) x/z and y/z of the same pixel centres.
-        cast: the world.
-        boxes: by id, in rays' coordinates (left, top, right, bottom), around objects so small in
-            the picture that a part of them may lie between its pixel centres.
+        cast: casts rays at the objects of the world.
+        boxes: boxes (left, top, right, bottom) by id, in the coordinates of rays, around objects so
+            small in the picture that parts of them may lie between its pixel centres.
 
     Returns:
         The same layers, (H, W, ...).
@@ -65,11 +67,11 @@ def resample(
 
 
 def resample_colour(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.uint8]:
-    """Colours (H, W, 3) between the pixel centres of `rgb` (h, w, 3), by Catmull-Rom's cubic.
+    """Interpolate the colours of an image (h, w, 3) at positions (H, W, 2) by Catmull-Rom's cubic.
 
-    Where neighbours of `xy` are farther apart than the pixels of `rgb`, as at the rim of a wide
-    lens, several colours are averaged: single ones would leave edges jagged. OpenCV's remap rounds
-    positions to 1/32 pixel; these are exact.
+    Where neighbouring positions are farther apart than the pixels of the image, as at the edge of a
+    wide lens, several colours are averaged, because single colours would leave jagged edges.
+    OpenCV's ``remap`` rounds positions to 1/32 pixel, and this function does not.
     """
     across, down = np.gradient(xy, axis=1), np.gradient(xy, axis=0)
     colours = np.zeros((*xy.shape[:2], 3), np.float32)
@@ -81,8 +83,11 @@ def resample_colour(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.uint8]:
 
 
 def _spread(step: Array) -> list[Array]:
-    """Where to look along a pixel's side (H, W, 2), the pixels of the source being as wide as the
-    filter they were rendered with: together they are then as wide as the side."""
+    """Return the offsets at which colours are averaged along a pixel's side (H, W, 2).
+
+    Pixels of the source are as wide as the filter that they were rendered with. The averaged pixels
+    together are then as wide as the side.
+    """
     length = np.linalg.norm(step, axis=-1, keepdims=True)
     count = math.ceil(length.max() - _AS_FINE)
     if count < 2:
@@ -92,7 +97,7 @@ def _spread(step: Array) -> list[Array]:
 
 
 def _between(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.float32]:
-    """Colours (H, W, 3) at positions, overshooting 0..255 at edges."""
+    """Return the colours (H, W, 3) at positions. At edges they overshoot 0..255."""
     x, y = np.moveaxis(xy - 0.5, -1, 0)
     column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     across, down = _cubic(x - column), _cubic(y - row)
@@ -107,7 +112,7 @@ def _between(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.float32]:
 
 
 def _cubic(t: Array) -> NDArray[np.float32]:
-    """Weights (4, ...) of the neighbours at -1, 0, 1, 2 for positions `t` in [0, 1)."""
+    """Return weights (4, ...) of the neighbours at -1, 0, 1, 2 for positions ``t`` in [0, 1)."""
     weights = (
         ((-t + 2) * t - 1) * t,
         (3 * t - 5) * t * t + 2,
@@ -118,7 +123,7 @@ def _cubic(t: Array) -> NDArray[np.float32]:
 
 
 def _corners(xy: Array) -> tuple[list[tuple[NDArray[Any], NDArray[Any]]], list[Array]]:
-    """The four pixels around every position, as indices, and their bilinear weights."""
+    """Return the indices of the four pixels around every position, and their bilinear weights."""
     x, y = np.moveaxis(xy - 0.5, -1, 0)
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     fx, fy = x - left, y - top
@@ -129,25 +134,25 @@ def _corners(xy: Array) -> tuple[list[tuple[NDArray[Any], NDArray[Any]]], list[A
 def _surface(
     depth: NDArray[np.float32], instance: NDArray[np.uint16], xy: Array, rays: Array, cast: Cast
 ) -> tuple[Array, NDArray[np.uint16]]:
-    """Planar depth and object at every position, both (H, W)."""
+    """Return the planar depth and the object at every position, both (H, W)."""
     corners, weights = _corners(xy)
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=depth > 0)
     flat = _flat(depth, inverse, instance)
     z = sum(w * inverse[c] for c, w in zip(corners, weights, strict=True))
     z = np.divide(1.0, z, out=np.zeros(z.shape), where=z > 0)
     plane = np.logical_and.reduce([flat[c] for c in corners])
-    found = instance[corners[0]]
+    shown = instance[corners[0]]
 
     rough = np.nonzero(~plane)
     row, column = (index[rough] for index in corners[0])
     last = np.array(depth.shape) - 1
-    # Leaves and wires are often seen only by pixels next to the four around the ray.
+    # Leaves and wires are often visible only in pixels next to the four around the ray.
     near = [
         (np.clip(row + j, 0, last[0]), np.clip(column + i, 0, last[1]))
         for j in (0, 1, -1, 2)
         for i in (0, 1, -1, 2)
     ]
-    # The ground hides what stands in it, also where no neighbour sees it.
+    # The ground can hide objects also where no neighbouring pixel shows it.
     ways = rays[rough]
     best = cast(0, ways)
     who = np.zeros(len(best), np.uint16)
@@ -164,18 +169,18 @@ def _surface(
             closer = hit < best[mine]
             best[mine[closer]] = hit[closer]
             who[mine[closer]] = number
-    # Between leaves a ray may meet what no neighbour saw; then the nearest neighbour has to do.
+    # Between leaves a ray may meet an object that no neighbour shows; it takes the nearest pixel.
     nearest = tuple(np.floor(xy[rough]).astype(np.intp).T[::-1])
     missed = ~np.isfinite(best)
     z[rough] = np.where(missed, depth[nearest], best)
-    found[rough] = np.where(missed, instance[nearest], who)
-    return z, found
+    shown[rough] = np.where(missed, instance[nearest], who)
+    return z, shown
 
 
 def _flat(
     depth: NDArray[np.float32], inverse: Array, instance: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:
-    """Pixels that lie on one plane of one object with their neighbours left, right, up, down."""
+    """Return which pixels lie on one plane of one object with their four neighbours."""
     flat = depth > 0
     for axis in (0, 1):
         ahead, behind = np.roll(inverse, -1, axis), np.roll(inverse, 1, axis)

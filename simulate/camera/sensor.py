@@ -1,8 +1,8 @@
-"""What a lens and a sensor do to the light of a photograph. Geometry is never touched.
+"""Effects of lens and sensor on the light of a photograph. They never change its geometry.
 
-The rendered picture is taken for a camera's sRGB picture and brought back to linear light, where
-exposure, vignetting, blur and noise happen. A rolling shutter is not made here: its rows have poses
-of their own and are rendered with them, every layer alike.
+The rendered sRGB picture is converted to linear light, in which exposure, vignetting, blur and
+noise are applied. A rolling shutter is not applied here: each row has its own pose and is rendered
+with it, in all layers.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ class SensorConfig(Config):
     """Photographic effects, all off by default.
 
     Attributes:
-        exposure_ev: jitter of the exposure, standard deviation in stops.
-        white_balance: jitter of the gains of red and blue, relative standard deviation.
-        vignetting: share of the light missing in the corners.
-        motion_blur_px: typical length of the streaks; their direction is any.
+        exposure_ev: standard deviation of the exposure, stops.
+        white_balance: relative standard deviation of the gains of red and blue.
+        vignetting: share of the light that is missing in the corners.
+        motion_blur_px: typical length of the streaks, pixels; their direction is random.
         full_well_e: electrons of a white pixel, whose square root is the shot noise; None is
             without noise.
-        read_noise_e: electrons, standard deviation; needs ``full_well_e``.
-        readout_s: between the readouts of the top and of the bottom of the picture; 0 is a global
-            shutter.
+        read_noise_e: standard deviation of the read noise, electrons; needs ``full_well_e``.
+        readout_s: seconds between the readouts of the top and the bottom of the picture; 0 is a
+            global shutter.
     """
 
     exposure_ev: float = Field(0.0, ge=0, le=3)
@@ -50,12 +50,12 @@ class SensorConfig(Config):
 def expose(
     rgb: NDArray[np.uint8], sensor: SensorConfig, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """The photograph (H, W, 3) uint8 sRGB a sensor makes of a rendered picture of the same shape.
+    """Return the photograph (H, W, 3) uint8 sRGB that a sensor makes of a rendered picture.
 
-    Equal generators make equal photographs; the same effects are drawn whichever are off, so that
-    switching one on changes no other.
+    Equal generators make equal photographs. All effects are drawn even when they are off, so that
+    switching one on does not change the others.
     """
-    # Drawn in a fixed order, the noise last.
+    # The order of the draws is fixed, and the noise comes last.
     stops, red, blue = rng.standard_normal(3)
     direction, length = rng.uniform(0, np.pi), abs(rng.standard_normal())
     if sensor.model_copy(update={"readout_s": 0.0}) == SensorConfig():
@@ -69,7 +69,7 @@ def expose(
     gains = np.exp(sensor.white_balance * np.array([red, 0.0, blue]))
     light *= gains * 2.0 ** (sensor.exposure_ev * stops)
     if sensor.full_well_e is not None:
-        # Of many electrons, Poisson's distribution is a normal one.
+        # For many electrons, Poisson's distribution is close to a normal one.
         electrons = sensor.full_well_e * np.minimum(light, 1.0)
         sigma = np.sqrt(electrons + sensor.read_noise_e**2)
         light = (electrons + sigma * rng.standard_normal(light.shape)) / sensor.full_well_e
@@ -79,7 +79,7 @@ def expose(
 def _streaked(
     light: NDArray[np.float64], direction: float, length_px: float
 ) -> NDArray[np.float64]:
-    """Light (H, W, 3) spread evenly along a centred line."""
+    """Spread light (H, W, 3) evenly along a centred line."""
     half = 0.5 * length_px
     if half < 0.05:
         return light
@@ -96,14 +96,14 @@ def _streaked(
 
 
 def _linear(rgb: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """sRGB bytes to linear light in 0..1."""
+    """Convert sRGB bytes to linear light in 0..1."""
     s = np.arange(256) / 255
     table = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
     return np.asarray(table[rgb])
 
 
 def _srgb(light: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Linear light to sRGB bytes; what is too bright is clipped."""
+    """Convert linear light to sRGB bytes. Values above 1 are clipped."""
     s = np.clip(light, 0, 1)
     s = np.where(s <= 0.0031308, 12.92 * s, 1.055 * s ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * s), np.uint8)

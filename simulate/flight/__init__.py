@@ -1,1 +1,1 @@
-"""How flights are flown, and whether they can be."""
+"""Planning of flights, and checks that they can be flown."""

@@ -1,4 +1,4 @@
-"""Refuses flights that no aircraft could fly, or that photograph nothing of the place."""
+"""Checks that refuse flights through obstacles, and photographs that do not show the place."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ from simulate.place.world import World
 
 Array = NDArray[np.float64]
 
-# No camera comes closer to the ground or to an object's box.
+# Least distance (m) of a camera to the ground and to the boxes of objects.
 _CLEARANCE_M = 0.3
-# Lines of sight looked along, per side of a photograph.
+# Number of lines of sight that are tested, per side of a photograph.
 _RAYS = 17
 
 
 def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World) -> None:
-    """Hold every exposure of a flight against the place.
+    """Check every exposure of a flight against the place.
 
     Args:
-        name: of the session, for the message.
-        cam_from_world: (N, 4, 4).
+        name: Name of the session, for the error message.
+        cam_from_world: Poses (N, 4, 4).
+        camera: The camera of the photographs.
+        world: The place.
 
     Raises:
-        InputError: a camera is under the ground, in or under an object's box, or sees nothing of
+        InputError: A camera is under the ground, in or under an object's box, or sees nothing of
             the place.
     """
     centres = camera_centres(cam_from_world)
@@ -58,7 +60,7 @@ def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World)
 
 
 def is_free(centres: Array, world: World) -> NDArray[np.bool_]:
-    """Whether a camera can be at each of (N, 3) positions: inside the place, out of everything."""
+    """Return whether each of the positions (N, 3) is inside the place and clear of obstacles."""
     inside = (np.abs(centres[:, :2]) <= 0.5 * world.area_m).all(1)
     free: NDArray[np.bool_] = inside & (_under_ground(centres, world) <= 0)
     free[free] = blocked_by(centres[free], world) == 0
@@ -66,7 +68,7 @@ def is_free(centres: Array, world: World) -> NDArray[np.bool_]:
 
 
 def blocked_by(centres: Array, world: World) -> NDArray[np.int64]:
-    """The object in or under whose box each of (N, 3) positions lies, by id; 0 is none."""
+    """Return the id of the object in or under whose box each position (N, 3) lies; 0 is none."""
     blocking = np.zeros(len(centres), np.int64)
     for item in world.objects:
         offset = centres - item.centre
@@ -85,7 +87,7 @@ def _under_ground(centres: Array, world: World) -> Array:
 
 
 def _sees_place(cam_from_world: Array, centres: Array, camera: Camera, world: World) -> Array:
-    """Whether any line of sight meets the box around ground and objects, (N,)."""
+    """Return whether any line of sight of each pose meets the box around the place, (N,)."""
     size = np.array([camera.width, camera.height], float)
     share = np.stack(np.meshgrid(*[np.linspace(0, 1, _RAYS)] * 2), -1).reshape(-1, 2)
     local = np.column_stack([(share * size - camera.principal) / camera.focal, np.ones(_RAYS**2)])
@@ -95,7 +97,7 @@ def _sees_place(cam_from_world: Array, centres: Array, camera: Camera, world: Wo
     half = 0.5 * world.area_m
     low = np.array([-half, -half, world.terrain.nodes.min() - 1])
     high = np.array([half, half, max([world.terrain.nodes.max(), *tops])])
-    # Slabs: a ray is within the box between its last entry and its first exit.
+    # Slab method: a ray is inside the box between its last entry and its first exit.
     a, b = ((edge - centres[:, None]) / ray for edge in (low, high))
     entry, leave = np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
     return np.asarray((leave >= np.maximum(entry, 0)).any(1))

@@ -68,7 +68,7 @@ class _Flight(Config):
 
     @property
     def counts_photographs(self) -> bool:
-        """Whether the flight itself decides how many photographs it takes."""
+        """Return whether the flight itself decides how many photographs it takes."""
         return False
 
 

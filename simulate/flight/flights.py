@@ -25,7 +25,7 @@ INSET_SHARE: Final = 0.3
 """Exposures stay inside the area by this share of the shorter side of a footprint. It is less than
 half, so that corners are seen at any heading and little is seen of what lies outside."""
 
-# Small areas are flown over at least this share of their side to either side of the middle.
+# In small areas, lines reach at least this share of the side to either side of the middle.
 _LEAST_REACH_SHARE = 0.1
 
 
@@ -70,7 +70,7 @@ def plan_nadir(
 
     count = len(xy)
     jitter_m = site.wind.position_jitter_m
-    # The ground is looked up below where the wind has blown the aircraft.
+    # The altitude is above the ground below the position that the wind has changed.
     xy = xy + jitter_m * rng.standard_normal((count, 2))
     below = xy if flight.terrain_following else np.zeros((count, 2))
     z = site.ground_height(below[:, 0], below[:, 1]) + altitude_m
@@ -174,7 +174,7 @@ def _lay_lines(
     across_m = (1 - side_overlap) * camera.width * altitude_m / focal
     inset = INSET_SHARE * min(camera.width, camera.height) * altitude_m / focal
     half = max(0.5 * site.area_m - inset, _LEAST_REACH_SHARE * site.area_m)
-    reach = half * np.abs(right).sum()  # of the rotated square, to either side
+    reach = half * np.abs(right).sum()  # extent of the rotated square to either side
     if frames is None:
         lines = _count_stops(2 * reach / across_m)
     else:
@@ -194,7 +194,7 @@ def _exposures(lines: _Lines, frames: int | None) -> tuple[NDArray[np.int64], Ar
     Shares are counted from the line's start, also where the line is flown back.
     """
     if frames is not None:
-        # All lines are walked end to end in equal steps.
+        # Exposures are at equal steps along all lines joined end to end.
         total = np.concatenate([[0.0], np.cumsum(np.maximum(lines.length, 1e-9))])
         at = (np.arange(frames) + 0.5) / frames * total[-1]
         line = np.searchsorted(total, at, side="right") - 1
@@ -207,8 +207,10 @@ def _exposures(lines: _Lines, frames: int | None) -> tuple[NDArray[np.int64], Ar
 
 
 def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tuple[Array, Array]:
-    """Return where lines along ``forward``, ``offsets`` (K,) to the right, enter and leave the
-    square of ``half`` metres to either side of the origin."""
+    """Return where flight lines enter and leave the square of ``half`` metres around the origin.
+
+    The lines run along ``forward`` (2,), at ``offsets`` (K,) metres to the right of the origin.
+    """
     foot = offsets[:, None] * right
     low = np.full(len(offsets), -np.inf)
     high = np.full(len(offsets), np.inf)
@@ -222,7 +224,7 @@ def _clip_lines(offsets: Array, forward: Array, right: Array, half: float) -> tu
 
 
 def _count_stops(steps: float) -> int:
-    """Return how many exposures, or lines, lie on a way of so many longest steps."""
+    """Return how many exposures, or lines, a way takes that is ``steps`` longest steps long."""
     if steps > MAX_PHOTOGRAPHS:
         raise InputError(
             f"a flight takes at most {MAX_PHOTOGRAPHS} photographs: overlap less or fly higher"

@@ -1,4 +1,4 @@
-"""Poses of gimballed cameras, from where they are and where they look.
+"""Poses of gimballed cameras from their positions and viewing directions.
 
 Poses are ``cam_from_world`` (N, 4, 4) float64: OpenCV axes (x right, y down, z forward), world
 east-north-up in metres with Z up. Headings are clockwise from north, pitches are above the horizon.

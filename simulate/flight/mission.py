@@ -1,4 +1,4 @@
-"""An aircraft that obeys the commands of a mission, and photographs when it is told.
+"""An aircraft that follows the commands of a mission and takes photographs when commanded.
 
 Commands and frames are MAVLink's: https://mavlink.io/en/messages/common.html.
 """
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Mav(IntEnum):
-    """The commands that are understood; others do not move the camera."""
+    """The commands that are interpreted. Other commands do not move the camera."""
 
     WAYPOINT = 16
     TAKEOFF = 22
@@ -35,17 +35,17 @@ class Mav(IntEnum):
     STOP_CAPTURE = 2001
 
 
-# MAV_FRAME, each also with its integer twin.
+# Values of MAV_FRAME, each with its variant for integer coordinates.
 ABSOLUTE, RELATIVE, TERRAIN = (0, 5), (3, 6), (10, 11)
 
 _PLACES = (Mav.WAYPOINT, Mav.SPLINE_WAYPOINT, Mav.TAKEOFF)
 _TRIGGERS = (Mav.DIGICAM_CONTROL, Mav.TRIGGER_DISTANCE, Mav.TRIGGER_INTERVAL, Mav.START_CAPTURE)
-_YAW_LOCK = 16  # gimbal manager: yaw is from north, not from the vehicle's nose
+_YAW_LOCK = 16  # flag of the gimbal manager: yaw counts from north, not from the vehicle's nose
 _HIGHEST_M = 20_000
 
 
 class Command(BaseModel):
-    """A command, its MAV_FRAME and its seven parameters, None where unused."""
+    """A command, its MAV_FRAME and its seven parameters, which are None where unused."""
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
 
@@ -54,15 +54,16 @@ class Command(BaseModel):
     params: tuple[float | None, ...] = Field(min_length=7, max_length=7)
 
     def number(self, index: int) -> float:
-        """A parameter, counted from 0; 0 where unused."""
+        """Return a parameter, counted from 0. Its value is 0 where it is unused."""
         return self.params[index] or 0.0
 
 
 class Aircraft:
-    """Flies commands one after the other and collects what it aimed at.
+    """Flies commands one after the other and collects the exposures.
 
-    It starts on the ground at home. Heights relative to home stand on that ground, absolute ones
-    are taken for ellipsoidal. Without a yaw of the waypoint, the nose points along the way.
+    The aircraft starts on the ground at home. Relative heights are above the ground at home, and
+    absolute heights are treated as ellipsoidal. Where a waypoint has no yaw, the nose points along
+    the way.
     """
 
     def __init__(
@@ -73,22 +74,25 @@ class Aircraft:
         origin: Geodetic,
         ground_height: GroundHeight,
     ) -> None:
-        """A machine at `home` (latitude, longitude), with the gimbal at `pitch_deg`."""
+        """Place the aircraft at ``home`` (latitude, longitude) with the gimbal at ``pitch_deg``."""
         self._origin, self._height_at = origin, ground_height
         self._at = enu_from_geodetic(Geodetic(*home, origin.altitude), origin)
         self._home_m = self._at[2] = self._ground(self._at)
         self._speed = speed_m_s
         self._nose, self._pitch = 0.0, np.radians(pitch_deg)
         self._yaw, self._locked = 0.0, False
-        self._every_m = self._every_s = np.inf  # between photographs; one of them is finite
-        self._since_m = 0.0  # flown since the last photograph
+        # Intervals between photographs, infinite where none is set.
+        self._every_m = self._every_s = np.inf
+        self._since_m = 0.0  # distance flown since the last photograph
         self._shots: list[tuple[float, float, float, float, float]] = []
 
     def fly(self, commands: list[Command]) -> Aims:
-        """Photographs of a mission; at every waypoint where nothing triggers the camera.
+        """Fly a mission and return its exposures.
+
+        A mission without camera triggers takes a photograph at every waypoint.
 
         Raises:
-            InputError: a place or frame that is not understood, or too many photographs.
+            InputError: a position or frame is invalid, or there are too many photographs.
         """
         triggered = any(command.command in _TRIGGERS for command in commands)
         for command in commands:
@@ -99,9 +103,9 @@ class Aircraft:
         return Aims(shots[:, :3], shots[:, 3], shots[:, 4])
 
     def places(self, commands: list[Command]) -> Array:
-        """Where the mission's waypoints lie, (K, 3) metres."""
-        found = [self._place(c) for c in commands if c.command in _PLACES[:2]]
-        return np.array(found).reshape(-1, 3)
+        """Return the positions of the mission's waypoints, (K, 3) metres."""
+        positions = [self._place(c) for c in commands if c.command in _PLACES[:2]]
+        return np.array(positions).reshape(-1, 3)
 
     def _obey(self, command: Command) -> None:
         number = command.number
@@ -132,13 +136,13 @@ class Aircraft:
                 self._trigger()
 
     def _trigger(self, every_m: float = 0.0, every_s: float = 0.0) -> None:
-        """Photograph so often from here on; 0 is never."""
+        """Set the intervals between photographs from here on. 0 stands for no photographs."""
         self._every_m = every_m if every_m > 0 else np.inf
         self._every_s = every_s if every_s > 0 else np.inf
         self._since_m = 0.0
 
     def _go(self, target: Array, yaw_deg: float | None, follow: bool) -> None:
-        """Fly straight to a place, keeping above the ground where it is asked for."""
+        """Fly straight to a position. With ``follow``, the height follows the ground."""
         start, way = self._at, target - self._at
         length = float(np.linalg.norm(way))
         if yaw_deg is not None:
@@ -158,7 +162,9 @@ class Aircraft:
             if follow:
                 place[2] = self._ground(place) + (1 - share) * above[0] + share * above[1]
             self._photograph(place)
-            self._since_m = -flown  # so that the rest of the way is counted below
+            self._since_m = (
+                -flown
+            )  # the addition below then leaves the distance since this photograph
             flown += every
         self._since_m += length
         self._at = target
@@ -169,7 +175,7 @@ class Aircraft:
         self._since_m = 0.0
 
     def _place(self, command: Command) -> Array:
-        """East, north, up of a command's place; one without coordinates is overhead."""
+        """Return east, north, up of a command. A takeoff without coordinates is straight up."""
         latitude, longitude, height = (command.number(k) for k in (4, 5, 6))
         if abs(latitude) > 90 or abs(longitude) > 180 or abs(height) > _HIGHEST_M:
             raise InputError(

@@ -1,7 +1,8 @@
-"""Mission plans of QGroundControl (`.plan`): where their photographs are taken.
+"""Reader of mission plans of QGroundControl (``.plan``).
 
-Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. Understood
-are simple items, and surveys and corridor scans by the items (or else the transects) they carry.
+The format is https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. The
+reader interprets simple items, and surveys and corridor scans by the items that they contain, or by
+their transects where they contain none.
 """
 
 from __future__ import annotations
@@ -69,14 +70,18 @@ def read_plan(
     ground_height: GroundHeight,
     pitch_deg: float,
 ) -> Aims:
-    """The photographs of a plan over a place of `area_m` metres a side around `origin`.
+    """Read a mission plan and return its exposures.
 
     Args:
-        pitch_deg: of the gimbal until the plan says.
+        path: The ``.plan`` file.
+        origin: Where on earth the origin of the world lies.
+        area_m: Side of the square place around the origin, metres.
+        ground_height: Height of the ground in metres at world x, y in metres.
+        pitch_deg: Pitch of the gimbal until the plan changes it.
 
     Raises:
-        InputError: unreadable or malformed file, something that is not understood, no photographs
-            or too many, or a plan that lies outside the place.
+        InputError: The file cannot be read or interpreted, the plan takes no photographs or too
+            many, or it lies outside the place.
     """
     mission = read_json(path, _Plan, "mission plan").mission
     aircraft = Aircraft(mission.home[:2], mission.speed_m_s, pitch_deg, origin, ground_height)
@@ -92,7 +97,7 @@ def read_plan(
 
 
 def _commands(mission: _Mission) -> Iterator[Command]:
-    """All commands in flying order, those of surveys among them."""
+    """Yield all commands in flying order, including those of surveys."""
     for number, item in enumerate(mission.items):
         if isinstance(item, _SimpleItem):
             yield item
@@ -105,7 +110,7 @@ def _commands(mission: _Mission) -> Iterator[Command]:
 
 
 def _along(transects: _Transects, number: int) -> Iterator[Command]:
-    """Commands of a survey that was saved without them, from its transects."""
+    """Yield the commands of a survey that was saved without them, made from its transects."""
     height, trigger = transects.camera.distance_m, transects.camera.trigger_m
     if not transects.points or height is None or trigger is None:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Flights along a line, which are corridors from the air and streets from a vehicle; free flights.
+"""Plans of corridors and free flights, and of drives along streets.
 
 The functions return ``simulate.flight.gimbal.Aims``, exposures that the wind has not moved yet.
 """
@@ -21,7 +21,7 @@ from simulate.place.world import Road, polyline_length, polyline_points
 Array = NDArray[np.float64]
 
 _SHARPEST_TURN_DEG = 150
-# Distance between positions a vehicle may stop at (m).
+# Distance between the positions at which a vehicle may stop (m).
 _STREET_STEP_M = 1.0
 # Distance between points of a road that is cut to the place (m).
 _ROAD_STEP_M = 5.0
@@ -109,7 +109,7 @@ def corridor_aims(flight: CorridorFlight, site: FlightSite, frames: int | None) 
 
 
 class _Stops(NamedTuple):
-    """Where the exposures of a corridor are, before they are laid along its line.
+    """The exposures of a corridor, before they are placed along its line.
 
     Attributes:
         right_m: Distance (N,) to the right of the middle of the corridor, metres.
@@ -141,7 +141,8 @@ def _corridor_stops(
         share = np.tile(np.linspace(0, 1, count), lines)
         number = np.repeat(np.arange(lines), count)
     else:
-        at = (np.arange(frames) + 0.5) / frames * lines  # all lines end to end in equal steps
+        # Equal steps along all lines joined end to end.
+        at = (np.arange(frames) + 0.5) / frames * lines
         number = np.floor(at).astype(int)
         share = at - number
     right_m = np.linspace(-reach, reach, lines) if lines > 1 else np.zeros(1)
@@ -161,10 +162,10 @@ def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
             all roads.
 
     Returns:
-        The exposures (``frames``) in the order they are driven past.
+        The exposures (``frames``) in driving order.
 
     Raises:
-        InputError: The roads have fewer free places than the drive needs.
+        InputError: The roads have fewer free positions than the drive needs.
     """
     cameras = len(flight.yaws_deg)
     stops = -(-frames // cameras)
@@ -192,11 +193,11 @@ def street_aims(flight: StreetFlight, site: FlightSite, frames: int) -> Aims:
 def free_aims(flight: FreeFlight, site: FlightSite, frames: int, rng: np.random.Generator) -> Aims:
     """Plan a smooth random course over the square area of a site.
 
-    The cameras look towards a point that wanders about the middle of the place; altitude above the
-    ground and pitch wander within the ranges of the flight.
+    The cameras look towards a point that moves around the middle of the place. The altitude above
+    the ground and the pitch vary within the ranges of the flight.
 
     Args:
-        flight: The ranges.
+        flight: The ranges of altitude and pitch.
         site: The place.
         frames: The number of exposures.
         rng: The generator of the course.

@@ -1,4 +1,4 @@
-"""What every planner of flights is told besides the flight's own configuration."""
+"""The place and camera that planners of flights take besides the flight's configuration."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MAX_PHOTOGRAPHS: Final = 20_000
 
 @dataclass(frozen=True)
 class Wind:
-    """How far exposures are from where they were planned.
+    """The deviation of exposures from their planned poses.
 
     Attributes:
         position_jitter_m: Standard deviation of each camera centre per axis, metres.
@@ -51,7 +51,7 @@ class FlightSite:
         ground_height: Height of the ground in metres at world x, y in metres.
         camera: The camera of the photographs. Its footprint is taken to be that of a pinhole.
         usual: The numbers of a flight whose configuration leaves them out.
-        wind: How far exposures are from where they were planned.
+        wind: How far exposures are from their planned poses.
         roads: The roads that corridors and streets may follow.
         is_free: Tells which of (N, 3) positions in world metres a camera can be at.
         origin: Where on earth the origin of the world lies; only mission plans need it.

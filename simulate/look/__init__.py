@@ -1,1 +1,1 @@
-"""How places look: conditions, meshes, rasters and node graphs, without Blender."""
+"""The appearance of places: conditions, meshes, images and shader graphs, without Blender."""

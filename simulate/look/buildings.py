@@ -1,6 +1,7 @@
-"""Building meshes: walls cut into bays, gable, hip and flat roofs, and what stands on them.
+"""Meshes of buildings: walls cut into bays, gable, hip and flat roofs, and what stands on roofs.
 
-A mesh is in the building's box frame: origin at the centre of the base, x along the frontage.
+A mesh has the frame of its building's box: the origin is the centre of the base, and x runs along
+the frontage. Lengths are in metres.
 """
 
 from __future__ import annotations
@@ -12,12 +13,16 @@ from simulate.look.mesh import Mesh, MeshBuilder
 from simulate.look.textures import BAY_M, BAYS, FLOOR_M, FLOORS, ROOF_TILE_M, facade_material
 from simulate.place.world import BuildingStyle, Facade, Rgb, WorldObject
 
-_FOUNDATION_M = 1.5  # walls go this far below the base, for ground that falls away beneath
+_FOUNDATION_M = 1.5  # walls reach this far below the base, because the ground may slope
 _CHIMNEY_M = 0.5  # the part of `roof_height_m` above the ridge of a pitched house roof
 
 
 def building_mesh(building: WorldObject) -> Mesh:
-    """Mesh filling the box of a `building` above ground; raises ValueError without a style."""
+    """Build the mesh of a building, which fills the building's box above the ground.
+
+    Raises:
+        ValueError: the building has no style.
+    """
     style = building.style
     if style is None:
         raise ValueError(f"building {building.id} has no style")
@@ -29,14 +34,14 @@ def building_mesh(building: WorldObject) -> Mesh:
     house = building.shape == "house"
     ridge = height - (_CHIMNEY_M if house and style.roof != "flat" else 0.0)
 
-    # The main body takes the back of the box; the wing of an L comes forward from its left part.
+    # The main body takes the back of the box. The wing of an L extends forward from its left part.
     main_share, wing_share = style.wing
     split = half_y - main_share * depth
     main = (-half_x, half_x, split, half_y)
     bodies = [(main, ridge)]
     if wing_share < 1.0:
         wing = (-half_x, -half_x + wing_share * length, -half_y, split + 0.5 * (half_y - split))
-        # Half of the wing's length again lies under the main roof, so its ridge is closed there.
+        # The wing's roof reaches below the main roof up to its ridge, so that no gap is seen.
         wing_ridge = eaves + (ridge - eaves) * min(1.0, wing_share * length / (half_y - split))
         bodies.append((wing, min(wing_ridge, ridge - 0.15)))
     for k, (rect, top) in enumerate(bodies):
@@ -74,7 +79,7 @@ def _outline(rect: Rect, z: float) -> NDArray[np.float64]:
 def _walls(
     out: MeshBuilder, rect: Rect, top: float, facade: Facade, tint: Rgb, rng: np.random.Generator
 ) -> None:
-    """Add four walls whose facade image always shows whole bays."""
+    """Add four walls. The facade image is scaled so that every wall shows whole bays."""
     low, high = _outline(rect, -_FOUNDATION_M), _outline(rect, top)
     v1 = top / (FLOORS * FLOOR_M)
     material = facade_material(facade)
@@ -83,7 +88,8 @@ def _walls(
         bays = max(1, round(float(np.linalg.norm(low[j] - low[i])) / BAY_M))
         u0 = int(rng.integers(BAYS)) / BAYS
         u1 = u0 + bays / BAYS
-        # Below the base the image would wrap to its top floor: stretch its lowest row instead.
+        # Below the base the image would repeat its top floor, so its lowest row is stretched
+        # instead.
         foot_i, foot_j = low[i] * [1, 1, 0], low[j] * [1, 1, 0]
         uv = [(u0, 0.001), (u1, 0.001), (u1, v1), (u0, v1)]
         out.polygon([foot_i, foot_j, high[j], high[i]], material, tint, uv)
@@ -98,7 +104,10 @@ def _slope(
     tint: Rgb,
     rng: np.random.Generator,
 ) -> None:
-    """A roof plane (K, 3) whose first edge is its eaves; the texture runs up from there."""
+    """Add a roof plane with corners (K, 3).
+
+    Its first edge is its eaves, and the texture runs up.
+    """
     along = points[1] - points[0]
     along /= np.linalg.norm(along)
     normal = np.cross(along, points[2] - points[0])
@@ -118,9 +127,9 @@ def _gable_roof(
     *,
     turned: bool,
 ) -> None:
-    """Two slopes and two gables; the ridge runs along x, or along y when `turned`.
+    """Add two slopes and two gables. The ridge runs along x, or along y when ``turned``.
 
-    `heights` are those of eaves and ridge.
+    ``heights`` are those of eaves and ridge.
     """
     walls = _inset(rect, style.eaves_m)
     eaves, ridge = heights
@@ -131,7 +140,7 @@ def _gable_roof(
     x0, x1, y0, y1 = (rect[2], rect[3], -rect[1], -rect[0]) if turned else rect
     w0, w1, d0, d1 = (walls[2], walls[3], -walls[1], -walls[0]) if turned else walls
     m = 0.5 * (y0 + y1)
-    drop = (ridge - eaves) * (d0 - y0) / max(m - d0, 0.1)  # eaves overhang below the wall top
+    drop = (ridge - eaves) * (d0 - y0) / max(m - d0, 0.1)  # the eaves are below the walls' top
     low = eaves - drop
     for a, b, y in ((x0, x1, y0), (x1, x0, y1)):
         corners = [place(a, y, low), place(b, y, low), place(b, m, ridge), place(a, m, ridge)]
@@ -167,7 +176,7 @@ def _hip_roof(
 def _flat_roof(
     out: MeshBuilder, rect: Rect, top: float, tint: Rgb, wall_rgb: Rgb, rng: np.random.Generator
 ) -> None:
-    """A roof surface inside a low parapet."""
+    """Add a flat roof inside a low parapet."""
     x0, x1, y0, y1 = rect
     _slope(out, _outline(rect, top - 0.2), "flat", tint, rng)
     t = 0.22
@@ -182,12 +191,12 @@ def _flat_roof(
 def _roof_plant(
     out: MeshBuilder, rect: Rect, deck: float, top: float, shape: str, rng: np.random.Generator
 ) -> None:
-    """Stair heads, ventilators, hatches and solar panels on a flat roof, up to `top`."""
+    """Add stair heads, ventilators, hatches and solar panels on a flat roof, up to ``top``."""
     x0, x1, y0, y1 = _inset(rect, 1.0)
     if shape == "shed":
         return
     area = (x1 - x0) * (y1 - y0)
-    if top - deck > 1.0:  # the highest thing up there reaches the top of the box
+    if top - deck > 1.0:  # the highest of them reaches the top of the box
         size = (2.2, 2.2) if shape == "hall" else (min(4.0, x1 - x0), min(3.0, y1 - y0))
         x = rng.uniform(x0, x1 - size[0])
         y = rng.uniform(y0, max(y0 + 0.1, y1 - size[1]))
@@ -218,7 +227,7 @@ def _roof_plant(
 def _chimney(
     out: MeshBuilder, rect: Rect, eaves: float, ridge: float, top: float, rng: np.random.Generator
 ) -> None:
-    """One chimney on the ridge reaching the top of the box, perhaps a second, lower one."""
+    """Add a chimney on the ridge up to the top of the box, and sometimes a second, lower one."""
     x0, x1, y0, y1 = rect
     m = 0.5 * (y0 + y1)
     brick = (0.24, 0.11, 0.08) if rng.random() < 0.7 else (0.42, 0.40, 0.37)
@@ -234,14 +243,14 @@ def _chimney(
 def _skylights(
     out: MeshBuilder, rect: Rect, eaves: float, ridge: float, hip: bool, rng: np.random.Generator
 ) -> None:
-    """Skylights or solar panels lying just above the slopes."""
+    """Add skylights or solar panels 6 cm above the slopes."""
     x0, x1, y0, y1 = rect
     m, half = 0.5 * (y0 + y1), 0.5 * (y1 - y0)
     rise = (ridge - eaves) / half
     lift = np.array([0.0, -rise, 1.0]) / np.hypot(rise, 1.0) * 0.06
 
     def panel(xa: float, xb: float, s0: float, s1: float, side: int, tint: Rgb) -> None:
-        """A quad between shares s0 < s1 of the slope."""
+        """Add a panel from ``xa`` to ``xb`` between the shares ``s0`` < ``s1`` of the slope."""
         quad = [
             (x, m + side * half * (1 - s), eaves + s * (ridge - eaves)) for x, s in
             ((xa, s0), (xb, s0), (xb, s1), (xa, s1))

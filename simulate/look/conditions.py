@@ -1,6 +1,7 @@
-"""Conditions: a season, a light and perhaps a weather, named in one word as "autumn-dusk-fog".
+"""Conditions: a season, a light and, optionally, a weather, as in "autumn-dusk-fog".
 
-They say how a place looks and when it is flown. Geometry never changes here: see `change`.
+A condition decides how a place looks and at what time it is flown. It never changes the geometry of
+a place; ``simulate.place.change`` does that.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from simulate.look.sun import sun_position
 from simulate.place.world import Rgb
 
 PLACE = Geodetic(47.0, 8.0, 450.0)
-"""Where on earth a place lies that does not say."""
+"""The geodetic origin of places whose configuration names none."""
 
-# Linear albedo pairs (fresh, worn) of each kind of ground.
+# Linear albedo of each kind of ground: (fresh, worn).
 _SUMMER_GROUND: dict[str, tuple[Rgb, Rgb]] = {
     "grass": ((0.066, 0.092, 0.034), (0.150, 0.140, 0.075)),
     "field": ((0.105, 0.125, 0.040), (0.260, 0.205, 0.100)),
@@ -52,12 +53,17 @@ _AUTUMN_GROUND = _SUMMER_GROUND | {
 
 @dataclass(frozen=True)
 class Season:
-    """When in the year, and what grows and lies then.
+    """A season: the day of the year, the colours of ground and leaves, and the snow.
 
-    `day` is of the northern hemisphere; the southern has the season half a year later. `ground`
-    holds linear albedo pairs (fresh, worn) by class, `leaf` and `leaf_tip` the inner and outer
-    colours of foliage that is shed, `snow` 0..1 how much of open ground is covered. `bare`: trees
-    that shed their leaves have done so, a change of geometry that sessions declare.
+    Attributes:
+        day: Month and day in the northern hemisphere. In the southern hemisphere the season is half
+            a year later.
+        ground: Linear albedo (fresh, worn) by class of ground.
+        leaf: Linear colour of the inner leaves of broadleaved trees.
+        leaf_tip: Linear colour of their outer leaves.
+        snow: Fraction of open ground under snow, 0 to 1.
+        bare: Whether broadleaved trees are without leaves. This changes the geometry, so sessions
+            declare it.
     """
 
     day: date
@@ -71,7 +77,7 @@ class Season:
 _BROWN_LEAF: Rgb = (0.042, 0.036, 0.024)
 _BROWN_TIP: Rgb = (0.130, 0.105, 0.068)
 SUMMER_LEAF: tuple[Rgb, Rgb] = (0.028, 0.046, 0.016), (0.120, 0.150, 0.050)
-"""Inner and outer foliage in summer; of conifers all year."""
+"""Linear colours of the inner and outer leaves in summer. Conifers have them all year."""
 
 _SEASONS: dict[str, Season] = {
     "spring": Season(
@@ -96,7 +102,13 @@ SEASONS = Registry("season", "objconnect.seasons", _SEASONS, lambda e: isinstanc
 
 @dataclass(frozen=True)
 class Light:
-    """A time of day: the sun at `elevation` degrees, or near its highest where that is None."""
+    """A time of day.
+
+    Attributes:
+        elevation: Elevation of the sun, degrees. None stands for half an hour before
+            the sun is highest.
+        rising: Whether the sun has that elevation in the morning, else in the afternoon.
+    """
 
     elevation: float | None
     rising: bool = False
@@ -109,18 +121,20 @@ _LIGHTS: dict[str, Light] = {
     "dusk": Light(10.0),
 }
 LIGHTS = Registry("light", "objconnect.lights", _LIGHTS, lambda e: isinstance(e, Light))
-# Where the sun never gets as high as a light wants it, it stands this share of its highest.
+# Where the sun never reaches the elevation of a light, its elevation is this share of its highest.
 _SHARE_OF_HIGHEST = 0.6
 _LOWEST_NOON = 3.0
 
 
 @dataclass(frozen=True)
 class Weather:
-    """What the sky and the ground do to the light of the hour.
+    """The weather: clouds, fog and rain.
 
-    `cloud` 0..1 turns the sky grey and dims and softens the sun. `visibility_m` is the distance
-    at which fog leaves 2 % of the contrast (Koschmieder). `wet` 0..1 darkens what rain soaks and
-    lays a film and puddles on sealed ground.
+    Attributes:
+        cloud: Cloud cover, 0 to 1. It turns the sky grey, and dims and softens the sun.
+        visibility_m: Distance in metres at which fog leaves 2 % of the contrast (Koschmieder).
+        wet: Wetness, 0 to 1. It darkens surfaces, and puts a film of water and puddles on sealed
+            ground.
     """
 
     cloud: float = 0.0
@@ -196,10 +210,11 @@ class Condition:
 
 @cache
 def condition(name: str, place: Geodetic = PLACE) -> Condition:
-    """The condition called SEASON-LIGHT[-WEATHER] over a place; clear when it does not say.
+    """Return the condition called SEASON-LIGHT[-WEATHER] at a place. Without WEATHER it is clear.
 
     Raises:
-        InputError: an unknown part, named with the valid ones, or no sun that day at that latitude.
+        InputError: a part of the name is unknown, or the sun does not rise that day at that
+            latitude.
     """
     words = name.split("-")
     if len(words) not in (2, 3):
@@ -241,10 +256,10 @@ def _part(known: Registry[T], word: str, kind: str, name: str) -> T:
 
 
 def _time(name: str, season: Season, light: Light, place: Geodetic) -> datetime:
-    """The whole UTC minute of the season's day at which the light is there."""
+    """Return the UTC minute of the season's day at which the sun is as the light asks."""
     day = season.day if place.latitude >= 0 else season.day + timedelta(days=182)
     midnight = datetime(day.year, day.month, day.day, tzinfo=UTC)
-    first = midnight - timedelta(minutes=round(place.longitude * 4))  # of mean solar time
+    first = midnight - timedelta(minutes=round(place.longitude * 4))  # midnight of mean solar time
     minutes = [first + timedelta(minutes=k) for k in range(1440)]
     height = [sun_position(minute, place).elevation for minute in minutes]
     top = max(range(1440), key=height.__getitem__)
@@ -261,17 +276,17 @@ def _time(name: str, season: Season, light: Light, place: Geodetic) -> datetime:
 
 
 def _sunlight(elevation: float) -> tuple[float, Rgb]:
-    """Direct irradiance (W/m2 in Blender's scale) and colour of a clear sun.
+    """Return the direct irradiance (W/m2 on Blender's scale) and the colour of a clear sun.
 
-    Irradiance falls with the air mass (Kasten and Young, 1989) as Meinel's 0.7^(AM^0.678); blue and
-    green fall faster than red.
+    The irradiance falls with the air mass (Kasten and Young, 1989) by Meinel's law 0.7^(AM^0.678).
+    Blue and green fall faster than red.
     """
     mass = 1 / (sin(radians(elevation)) + 0.50572 * (elevation + 6.07995) ** -1.6364)
     return 6.15 * 0.7 ** (mass**0.678), (1.0, exp(-0.042 * mass), exp(-0.092 * mass))
 
 
 def _sky(elevation: float, cloud: float) -> Sky:
-    """Return the sky: darker and redder with a low sun, grey in cloud."""
+    """Return the sky. It is darker and redder under a low sun, and grey under clouds."""
     day = min(1.0, max(0.0, (sin(radians(elevation)) - 0.15) / 0.7))
     zenith = _mix((0.20, 0.30, 0.52), (0.30, 0.44, 0.72), day)
     horizon = _mix((0.55, 0.56, 0.62), (0.72, 0.80, 0.88), day)
@@ -283,9 +298,9 @@ def _sky(elevation: float, cloud: float) -> Sky:
 
 
 def _exposure(sun: Sun, sky: Sky, season: Season, weather: Weather) -> float:
-    """Return most of the stops that a meter looking down from 100 m asks for.
+    """Return the exposure in stops: 85 % of what a light meter at 100 m, looking down, asks for.
 
-    An evening stays a little dark.
+    Photographs of an evening therefore stay a little dark.
     """
     light = sky.strength * (sum(sky.zenith) + sum(sky.horizon)) / 6
     albedo = 0.12 + 0.3 * season.snow
@@ -295,6 +310,6 @@ def _exposure(sun: Sun, sky: Sky, season: Season, weather: Weather) -> float:
 
 
 def _mix(a: Rgb, b: Rgb, share: float) -> Rgb:
-    """`share` 0: a, 1: b."""
+    """Return ``a`` where ``share`` is 0, ``b`` where it is 1, and a linear mix between."""
     red, green, blue = (p + share * (q - p) for p, q in zip(a, b, strict=True))
     return red, green, blue

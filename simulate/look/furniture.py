@@ -1,6 +1,7 @@
-"""Small things of streets, parks, yards, shores and farms, built in metres.
+"""Meshes of small objects of streets, parks, yards, shores and farms, in metres.
 
-Fronts look along +x. What an object's own colour paints has the material "paint".
+The front of an object faces +x. The parts that take the object's own colour have the material
+"paint".
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def _drum(
     material: str = "plain",
     tint: Rgb = (1.0, 1.0, 1.0),
 ) -> None:
-    """An upright cylinder or cone frustum between two heights, closed above."""
+    """Add an upright cylinder or cone frustum between two heights, closed at the top."""
     low, high = (
         np.column_stack([_ring(r) + at, np.full(12, h)]) for r, h in zip(radii, z, strict=True)
     )
@@ -43,7 +44,7 @@ def _drum(
 
 
 def _bin() -> Mesh:
-    """A litter bin with a lid and a dark mouth."""
+    """Build a litter bin with a lid and a dark opening."""
     out = MeshBuilder()
     _drum(out, (0, 0), (0.0, 0.85), (0.24, 0.28), "paint")
     _drum(out, (0, 0), (0.85, 0.95), (0.26, 0.26), "plain", _DARK)
@@ -61,7 +62,7 @@ def _hydrant() -> Mesh:
 
 
 def _sign() -> Mesh:
-    """A traffic sign whose plate faces +x."""
+    """Build a traffic sign whose plate faces +x."""
     out = MeshBuilder()
     out.box((-0.04, -0.04, 0), (0.04, 0.04, 2.3), "plain", _STEEL)
     plate = _ring(0.38, 8)
@@ -81,7 +82,7 @@ def _bollard() -> Mesh:
 
 
 def _table() -> Mesh:
-    """A picnic table with its two seats."""
+    """Build a picnic table with two benches."""
     out = MeshBuilder()
     for y in (-0.36, -0.12, 0.12):
         out.box((0, y, 0.70), (1.9, y + 0.22, 0.76), "plain", _WOOD)
@@ -96,7 +97,7 @@ def _table() -> Mesh:
 
 
 def _bale() -> Mesh:
-    """A round bale lying on its side, its axis along y."""
+    """Build a round bale on its side, with its axis along y."""
     out = MeshBuilder()
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     for radius, half in ((0.75, 0.60), (0.45, 0.61), (0.20, 0.62)):
@@ -107,7 +108,7 @@ def _bale() -> Mesh:
 
 
 def _pole() -> Mesh:
-    """A power pole, its crossarm along y with three insulators."""
+    """Build a power pole, with a crossarm along y and three insulators."""
     out = MeshBuilder()
     _drum(out, (0, 0), (0.0, 9.0), (0.17, 0.11), "paint")
     out.box((-0.06, -1.0, 8.35), (0.06, 1.0, 8.5), "paint")
@@ -117,7 +118,7 @@ def _pole() -> Mesh:
 
 
 def _tank() -> Mesh:
-    """An upright storage tank or silo with bands, a ladder and a conical top."""
+    """Build an upright storage tank or silo with bands, a ladder and a conical top."""
     out = MeshBuilder()
     _drum(out, (0, 0), (0.0, 8.4), (2.9, 2.9), "paint")
     for z in (0.0, 2.8, 5.6, 8.2):
@@ -129,7 +130,7 @@ def _tank() -> Mesh:
 
 
 def _pallet() -> Mesh:
-    """A stack of crates on a pallet."""
+    """Build a stack of crates on a pallet."""
     out = MeshBuilder()
     for y in (-0.4, -0.08, 0.24):
         out.box((0, y, 0), (1.2, y + 0.16, 0.14), "plain", _WOOD)
@@ -142,7 +143,7 @@ def _pallet() -> Mesh:
 
 
 def _boat() -> Mesh:
-    """An open rowing boat, bow along +x."""
+    """Build an open rowing boat, with its bow along +x."""
     out = MeshBuilder()
     x = np.array([0.0, 0.6, 1.8, 2.8, 3.6, 4.2])
     half = np.array([0.55, 0.70, 0.75, 0.62, 0.34, 0.04])
@@ -166,7 +167,7 @@ def _boat() -> Mesh:
         out.polygon(deck, "plain", (0.17, 0.10, 0.06))
     stern = [(0, 0.55, 0.55), (0, 0.33, 0.0), (0, -0.33, 0.0), (0, -0.55, 0.55)]
     out.polygon(stern, "paint")
-    for at, wide in ((0.7, 0.62), (1.9, 0.68), (3.0, 0.50)):  # thwarts
+    for at, wide in ((0.7, 0.62), (1.9, 0.68), (3.0, 0.50)):  # seats
         out.box((at, -wide, 0.36), (at + 0.26, wide, 0.41), "plain", (0.36, 0.24, 0.13))
     return out.build()
 
@@ -205,4 +206,4 @@ FURNITURE: dict[str, Callable[[], Mesh]] = {
     "boat": _boat,
     "tractor": _tractor,
 }
-"""Meshes by the names of their shapes, which are also the names of their classes."""
+"""The functions that build the meshes, by the name of the shape, which is also the class."""

@@ -1,4 +1,4 @@
-"""The albedo a season gives to the ground cover of a place."""
+"""The albedo image of the ground of a place under a condition."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from simulate.look.conditions import Condition
 from simulate.place.paint import SHIFT, to_raster
 from simulate.place.world import Ground, Rgb
 
-# What differs between materials besides their colour: contrast of the blotches (fraction of
-# albedo), of the grain, and of single spots: tufts and weeds, stones and bare earth.
+# Contrast of blotches, of grain and of single spots by class of ground, each as a fraction of the
+# albedo. Spots are tufts and weeds, stones and bare earth.
 _TEXTURE: dict[str, tuple[float, float, float]] = {
     "grass": (0.22, 0.24, 0.24),
     "field": (0.18, 0.22, 0.22),
@@ -23,11 +23,11 @@ _TEXTURE: dict[str, tuple[float, float, float]] = {
     "path": (0.14, 0.18, 0.25),
     "water": (0.10, 0.0, 0.0),
 }
-_SEALED = ("road", "pavement", "parking", "driveway")  # where rain stays on top
+_SEALED = ("road", "pavement", "parking", "driveway")  # where rain stays on the surface
 _WET_DARKENING = 0.5
-# What looks the same in every season: linear albedo (deep, shallow).
+# Classes that look the same in every season: linear albedo (deep, shallow).
 _SEASONLESS: dict[str, tuple[Rgb, Rgb]] = {"water": ((0.012, 0.024, 0.026), (0.020, 0.034, 0.028))}
-# Share of its snow that each kind of ground keeps: traffic and shovels clear the others.
+# Share of the snow that stays on each class of ground, because traffic and shovels clear the rest.
 _SNOW_KEPT: dict[str, float] = {
     "grass": 1.0,
     "field": 0.95,
@@ -41,9 +41,9 @@ _SNOW_KEPT: dict[str, float] = {
 
 
 def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
-    """Albedo (n, n, 3) uint8 sRGB of `ground` under `condition`, row 0 in the south.
+    """Return the albedo (n, n, 3) uint8 sRGB of the ground under a condition; row 0 is south.
 
-    The same seed gives the same blotches under every condition; only colours and snow change.
+    The same seed gives the same blotches under every condition. Only colours and snow change.
     """
     rng = np.random.default_rng([seed, 1])
     n = len(ground.labels)
@@ -66,7 +66,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
         soft[k], sharp[k], single[k], snow[k] = low, high, alone, _SNOW_KEPT[name]
 
     labels = ground.labels
-    # The second colour of a class shows where the ground is worn, and in some parcels more.
+    # The second colour of a class appears where the ground is worn, and more in some parcels.
     worn = np.clip(0.5 + 0.55 * broad + 0.35 * blotch + 0.9 * tone, 0, 1)
     value = 1 + soft[labels] * (0.6 * broad + blotch) + sharp[labels] * grain + 0.22 * tone
     value *= np.maximum(1 + single[labels] * spots, 0.3)
@@ -81,7 +81,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     albedo += paint_mask[..., None] * (np.float32(0.72) - albedo)
     albedo *= 1 - _WET_DARKENING * condition.weather.wet
     if condition.season.snow > 0:
-        # Road edges keep what the wheels throw there, hence the blurred coverage.
+        # The coverage is blurred because wheels throw snow to the edges of roads.
         kept = cv2.GaussianBlur(snow[labels], (0, 0), 0.5 / ground.texel_m)
         cover = np.clip(kept * condition.season.snow * 4.2 - 1.4 + 1.5 * drift, 0, 1)
         white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
@@ -90,8 +90,10 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
 
 
 def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
-    """How much of a mirror the ground is, (n, n) uint8: ponds and rivers are one, and rain leaves a
-    film and puddles on sealed ground."""
+    """Return how much the ground reflects like a mirror, (n, n) uint8 from 0 to 255.
+
+    Water is a full mirror. Rain leaves a film and puddles on sealed ground.
+    """
     n = len(ground.labels)
     standing = np.where(ground.labels == CLASSES["water"], 255, 0).astype(np.uint8)
     if condition.weather.wet == 0:
@@ -106,7 +108,7 @@ def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]
 
 
 def _noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
-    """Smooth noise (n, n), mean 0, standard deviation about 0.5, `cells` cells a side."""
+    """Return smooth noise (n, n): mean 0, standard deviation about 0.5, ``cells`` cells a side."""
     m = int(np.clip(round(cells), 2, n)) + 3
     coarse = rng.standard_normal((m, m), np.float32)
     fine = cv2.resize(coarse, (n, n), interpolation=cv2.INTER_CUBIC)
@@ -114,19 +116,22 @@ def _noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32
 
 
 def _spots(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
-    """Single bumps (n, n) on 0, about 1 high, in one of ten of `cells` cells a side."""
+    """Return bumps (n, n) about 1 high in a tenth of ``cells``^2 cells, and 0 elsewhere."""
     return np.asarray(np.clip(2.5 * _noise(rng, n, cells) - 1.2, 0, 1.5))
 
 
 def _grain(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
-    """White noise (n, n), tiled from a patch: nobody sees the period at this scale."""
+    """Return white noise (n, n), tiled from a patch. The period is not visible at this scale."""
     tile = rng.standard_normal((509, 509), np.float32) * np.float32(0.5)
     repeat = -(-n // 509)
     return np.tile(tile, (repeat, repeat))[:n, :n]
 
 
 def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Darkening (n, n) by crop rows and mowing stripes, their direction set by the tone."""
+    """Return the darkening (n, n) by crop rows and mowing stripes.
+
+    The tone sets their direction.
+    """
     n = len(ground.labels)
     axis = (np.arange(n, dtype=np.float32) - 0.5 * n) * ground.texel_m
     angle = tone * 9.0
@@ -139,7 +144,7 @@ def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _wear(rng: np.random.Generator, ground: Ground) -> NDArray[np.float32]:
-    """Albedo factor (n, n) of cracks, asphalt repairs, manholes and stains on sealed ground."""
+    """Return the albedo factor (n, n) of cracks, repairs, manholes and stains on sealed ground."""
     n = len(ground.labels)
     wear = np.ones((n, n), np.float32)
     sealed = np.isin(ground.labels, [CLASSES[c] for c in ("road", "parking", "driveway")])
@@ -155,7 +160,7 @@ def _wear(rng: np.random.Generator, ground: Ground) -> NDArray[np.float32]:
             course = np.cumsum(np.radians(angle) + rng.normal(0, 0.5, 9))
             steps = 0.35 * size[0] * np.column_stack([np.cos(course), np.sin(course)])
             crack = [np.int32((np.cumsum(steps, 0) + at) * (1 << SHIFT))]
-            # A line of one texel: fainter where texels are wider than cracks.
+            # The line is one texel wide, so it is fainter where texels are wider than cracks.
             dark = rng.uniform(0.2, 0.45) * min(1.0, 0.1 / ground.texel_m)
             cv2.polylines(wear, crack, False, 1 - dark, 1, cv2.LINE_AA, SHIFT)
         elif kind < 0.55:  # a patch of newer or older asphalt
@@ -171,7 +176,7 @@ def _wear(rng: np.random.Generator, ground: Ground) -> NDArray[np.float32]:
 
 
 def _kerbs(ground: Ground) -> NDArray[np.float32]:
-    """Albedo factor (n, n): a pale kerb stone around carriageways and a dark gutter inside."""
+    """Return the albedo factor (n, n) of pale kerb stones beside carriageways and dark gutters."""
     road = (ground.labels == CLASSES["road"]).astype(np.uint8)
     width = max(1, round(0.15 / ground.texel_m))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * width + 1, 2 * width + 1))
@@ -181,7 +186,7 @@ def _kerbs(ground: Ground) -> NDArray[np.float32]:
 
 
 def _marking_mask(ground: Ground) -> NDArray[np.float32]:
-    """Coverage 0..1 (n, n) of painted lines."""
+    """Return the coverage (n, n), 0 to 1, by painted lines."""
     n = len(ground.labels)
     mask = np.zeros((n, n), np.uint8)
     for marking in ground.markings:
@@ -196,7 +201,7 @@ def _marking_mask(ground: Ground) -> NDArray[np.float32]:
 
 
 def _srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Linear 0..1 of any shape to sRGB bytes, through a table: exact enough and fast."""
+    """Convert linear values 0..1 of any shape to sRGB bytes by a table, which is fast."""
     x = np.arange(4096, dtype=np.float64) / 4095.0
     curve = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
     table = np.round(255 * curve).astype(np.uint8)

@@ -1,6 +1,7 @@
-"""Shader graphs of everything a mesh may be made of, for one condition.
+"""Shader graphs of all materials of meshes, for one condition.
 
-Works on the data it is handed and does not import bpy, so that only the renderer needs Blender.
+The functions receive Blender's data and do not import ``bpy``, so that only the renderer needs
+Blender.
 """
 
 from __future__ import annotations
@@ -22,10 +23,16 @@ _WET_DARKENING = 0.35  # of walls, roofs and paint
 def build_materials(
     data: Any, condition: Condition, ground: NDArray[np.uint8], mirror: NDArray[np.uint8]
 ) -> dict[str, Any]:
-    """Blender materials by the names meshes use; `data` is bpy.data, `ground` the baked albedo
-    (n, n, 3), `mirror` how much of a mirror it is (n, n), both uint8.
+    """Build the Blender materials, by the names that meshes use.
 
-    Meshes bring the attribute "tint" and the texture coordinates "uv"; objects their colour.
+    The materials read the attribute "tint" and the texture coordinates "uv" of meshes, and the
+    colour of objects.
+
+    Args:
+        data: ``bpy.data``.
+        condition: The season, light and weather.
+        ground: Baked albedo (n, n, 3) of the ground, uint8 sRGB.
+        mirror: How much the ground reflects like a mirror, (n, n) uint8.
     """
     build = _Builder(data, condition)
     image = build.image("ground", np.dstack([ground, mirror]))
@@ -47,10 +54,10 @@ def build_materials(
 
 
 def _veil(material: Any, condition: Condition) -> None:
-    """Put fog before a finished material: what the camera sees fades into the sky's colour.
+    """Add fog to a finished material: with distance, its colour fades into that of the sky.
 
-    Contrast is exp(-3.912 d / visibility) at d metres (Koschmieder). Only what the camera sees
-    directly fades, so that fog costs neither light nor noise, and depth stays that of surfaces.
+    The contrast at d metres is exp(-3.912 d / visibility) (Koschmieder). Only camera rays are
+    changed. Fog therefore removes no light and adds no noise, and the depth stays that of surfaces.
     """
     tree = material.node_tree
     graph = _Graph.of(material)
@@ -68,7 +75,7 @@ def _veil(material: Any, condition: Condition) -> None:
     )
     veiled = graph.blend(veil, surface, glow.outputs[0])
     tree.links.new(veiled, output.inputs["Surface"])
-    material.cycles.emission_sampling = "NONE"  # a veil lights nothing
+    material.cycles.emission_sampling = "NONE"  # fog does not illuminate the scene
 
 
 class _Builder:
@@ -77,7 +84,7 @@ class _Builder:
         self.condition = condition
 
     def image(self, name: str, pixels: NDArray[np.uint8]) -> Any:
-        """A Blender image of (rows, columns, 4) sRGB bytes, row 0 at the bottom."""
+        """Make a Blender image of sRGB bytes (rows, columns, 4) whose row 0 is at the bottom."""
         rows, columns, _ = pixels.shape
         image = self.data.images.new(name, columns, rows, alpha=True)
         image.alpha_mode = "CHANNEL_PACKED"  # alpha is data here, not transparency
@@ -86,8 +93,11 @@ class _Builder:
         return image
 
     def ground(self, image: Any, mirrored: bool) -> Any:
-        """The baked ground, repeated as a mirror image beyond the area; snow and soaking are in the
-        bake. Where alpha is high, water stands: a faintly rippled mirror over its own colour."""
+        """Make the material of the ground from its baked image, mirrored beyond the area.
+
+        The image contains snow and wetness. Where its alpha is high there is water, which is a
+        slightly rippled mirror over its own colour.
+        """
         graph = _Graph(self.data, "ground")
         texture = graph.image(image, extension="MIRROR")
         surface = graph.diffuse(texture.outputs["Color"])
@@ -98,7 +108,10 @@ class _Builder:
         return graph.material
 
     def textured(self, name: str, pixels: NDArray[np.uint8]) -> Any:
-        """An image whose alpha says where the polygon's tint multiplies it."""
+        """Make a material of an image.
+
+        Its alpha is the share by which the polygon's tint multiplies it.
+        """
         graph = _Graph(self.data, name)
         texture = graph.image(self.image(name, pixels), extension="REPEAT")
         tinted = graph.multiply(texture.outputs["Color"], graph.attribute("tint"))
@@ -107,27 +120,27 @@ class _Builder:
         return graph.material
 
     def plain(self) -> Any:
-        """The polygon's tint."""
+        """Make a material that has the polygon's tint."""
         graph = _Graph(self.data, "plain")
         graph.finish(graph.diffuse(self._snowed(graph, graph.attribute("tint"))))
         return graph.material
 
     def paint(self) -> Any:
-        """The object's colour times the polygon's tint, with a faint gloss."""
+        """Make a slightly glossy material: the object's colour times the polygon's tint."""
         graph = _Graph(self.data, "paint")
         colour = graph.multiply(graph.object_colour(), graph.attribute("tint"))
         graph.finish(graph.glossy(self._snowed(graph, colour), roughness=0.35))
         return graph.material
 
     def glass(self) -> Any:
-        """Dark and shiny."""
+        """Make dark, shiny glass."""
         graph = _Graph(self.data, "glass")
         colour = self._snowed(graph, graph.attribute("tint"), share=0.6)
         graph.finish(graph.glossy(colour, roughness=0.12))
         return graph.material
 
     def leaf(self, name: str, inner: Rgb, tip: Rgb) -> Any:
-        """Between two leaf colours by the tint's red, times the object's colour."""
+        """Make a material: two leaf colours mixed by the tint's red, times the object's colour."""
         graph = _Graph(self.data, name)
         depth = graph.red(graph.attribute("tint"))
         between = graph.mix(depth, graph.rgb(inner), graph.rgb(tip))
@@ -136,7 +149,7 @@ class _Builder:
         return graph.material
 
     def _snowed(self, graph: _Graph, colour: Any, share: float = 1.0) -> Any:
-        """The colour soaked, then under the condition's snow: on what faces up, in patches."""
+        """Return the colour made wet, then covered with patches of snow on what faces up."""
         if self.condition.weather.wet > 0:
             value = 1 - _WET_DARKENING * self.condition.weather.wet
             colour = graph.multiply(colour, graph.rgb((value, value, value)))
@@ -144,7 +157,8 @@ class _Builder:
         if cover <= 0:
             return colour
         up = graph.ramp(graph.up(), 0.35, 0.75)
-        # Noise is centred on 0.5 and rarely leaves 0.25..0.75; more cover, lower threshold.
+        # The noise is centred on 0.5 and rarely leaves 0.25..0.75. More snow needs a lower
+        # threshold.
         threshold = 0.75 - 0.5 * cover
         patches = graph.ramp(graph.noise(scale=0.3, detail=2.0), threshold - 0.1, threshold + 0.12)
         mask = graph.math("MULTIPLY", graph.math("MULTIPLY", up, patches), 0.9)
@@ -152,7 +166,7 @@ class _Builder:
 
 
 class _Graph:
-    """A material's node tree under construction; methods return output sockets."""
+    """The node tree of a material while it is built. Its methods return output sockets."""
 
     def __init__(self, data: Any, name: str) -> None:
         self.material = data.materials.new(name)
@@ -162,13 +176,13 @@ class _Graph:
 
     @classmethod
     def of(cls, material: Any) -> _Graph:
-        """The tree a finished material has."""
+        """Return the node tree of a finished material."""
         graph = cls.__new__(cls)
         graph.material, graph.tree = material, material.node_tree
         return graph
 
     def node(self, kind: str, **inputs: Any) -> Any:
-        """A node; inputs are values or sockets by name (underscores for spaces)."""
+        """Add a node. Inputs are values or sockets by name, with underscores for spaces."""
         node = self.tree.nodes.new(kind)
         for name, value in inputs.items():
             self._set(node.inputs[name.replace("_", " ")], value)
@@ -210,7 +224,7 @@ class _Graph:
         return self.node("ShaderNodeTexNoise", Vector=at, Scale=scale, Detail=detail).outputs[0]
 
     def ramp(self, value: Any, low: float, high: float) -> Any:
-        """0 below `low`, 1 above `high`."""
+        """Return the socket of a ramp: 0 below ``low``, 1 above ``high``."""
         return self.node("ShaderNodeMapRange", Value=value, From_Min=low, From_Max=high).outputs[
             "Result"
         ]
@@ -233,7 +247,7 @@ class _Graph:
         return self.mix(1.0, a, b, blend="MULTIPLY")
 
     def blend(self, factor: Any, a: Any, b: Any) -> Any:
-        """Surface `a` where `factor` is 0, `b` where it is 1."""
+        """Mix two surfaces: ``a`` where ``factor`` is 0, ``b`` where it is 1."""
         node = self.tree.nodes.new("ShaderNodeMixShader")
         for socket, value in zip(node.inputs, (factor, a, b), strict=True):
             self._set(socket, value)

@@ -1,4 +1,4 @@
-"""Polygon meshes as arrays, and the few solids everything here is assembled from."""
+"""Polygon meshes as arrays, and the solids from which all meshes are assembled."""
 
 from __future__ import annotations
 
@@ -15,11 +15,16 @@ WHITE: Rgb = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Mesh:
-    """Polygons with a material, a tint and texture coordinates each.
+    """P polygons, each with a material, a tint and texture coordinates.
 
-    `vertices` (V, 3) metres; `corners` (L,) vertex index of every polygon corner, polygons one
-    after another; `sizes` (P,) corners per polygon; `uv` (L, 2); `tint` (P, 3) linear RGB;
-    `material` (P,) index into `materials`.
+    Attributes:
+        vertices: Vertices (V, 3), metres.
+        corners: Index (L,) of the vertex at every corner, polygon after polygon.
+        sizes: Number (P,) of corners of each polygon.
+        uv: Texture coordinates (L, 2) of the corners.
+        tint: Tint (P, 3) of each polygon, linear RGB.
+        material: Index (P,) into ``materials``.
+        materials: Names of the materials.
     """
 
     vertices: NDArray[np.float32]
@@ -31,21 +36,21 @@ class Mesh:
     materials: tuple[str, ...]
 
     def scaled(self, scale: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Mesh:
-        """The mesh with vertices times `scale` (3,) plus `offset` (3,)."""
+        """Return the mesh with its vertices times ``scale`` (3,) plus ``offset`` (3,)."""
         vertices = (self.vertices * np.asarray(scale) + np.asarray(offset)).astype(np.float32)
         return Mesh(
             vertices, self.corners, self.sizes, self.uv, self.tint, self.material, self.materials
         )
 
     def fitted(self) -> Mesh:
-        """The mesh scaled and moved into the unit cube [-0.5, 0.5]^3."""
+        """Return the mesh scaled and moved into the unit cube [-0.5, 0.5]^3."""
         low, high = self.vertices.min(0), self.vertices.max(0)
         scale = 1.0 / np.maximum(high - low, 1e-6)
         return self.scaled(scale, -0.5 * (low + high) * scale)
 
 
 class MeshBuilder:
-    """Collects polygons, then makes a Mesh of them."""
+    """Collects polygons and makes a ``Mesh`` of them."""
 
     def __init__(self) -> None:
         self._vertices: list[NDArray[np.float64]] = []
@@ -61,7 +66,10 @@ class MeshBuilder:
         tint: Rgb = WHITE,
         uv: ArrayLike | None = None,
     ) -> None:
-        """Add a flat polygon (K, 3), anticlockwise seen from outside; `uv` (K, 2), default 0."""
+        """Add a flat polygon (K, 3), anticlockwise seen from outside.
+
+        ``uv`` (K, 2) is 0 by default.
+        """
         points = np.asarray(points, float)
         self._vertices.append(points)
         self._sizes.append(len(points))
@@ -76,7 +84,7 @@ class MeshBuilder:
         material: str = "plain",
         tint: Rgb = WHITE,
     ) -> None:
-        """Add a solid: `profile` (K, 2) of x, z, anticlockwise seen from -y, swept along y."""
+        """Add a solid: a profile (K, 2) of x and z, anticlockwise seen from -y, swept along y."""
         profile = np.asarray(profile, float)
         front, back = (np.insert(profile, 1, v, axis=1) for v in y)
         self.polygon(front, material, tint)
@@ -93,7 +101,7 @@ class MeshBuilder:
         self.prism([(x0, z0), (x1, z0), (x1, z1), (x0, z1)], (y0, y1), material, tint)
 
     def build(self) -> Mesh:
-        """The mesh of everything added so far."""
+        """Return the mesh of all polygons added so far."""
         names = tuple(dict.fromkeys(self._material))
         vertices = np.concatenate(self._vertices)
         return Mesh(
@@ -110,7 +118,10 @@ class MeshBuilder:
 def grid_mesh(
     x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], material: str
 ) -> Mesh:
-    """A surface over x (C,) and y (R,) with heights z (R, C); texture coordinates are x, y."""
+    """Return a surface over x (C,) and y (R,) with heights z (R, C).
+
+    Texture coordinates are x, y.
+    """
     rows, columns = z.shape
     xx, yy = np.meshgrid(x, y)
     first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
@@ -134,7 +145,7 @@ def triangle_mesh(
     material: str,
     tint: NDArray[np.float64],
 ) -> Mesh:
-    """Triangles (T, 3) over vertices (V, 3) with tints (T, 3), one material, no texture."""
+    """Return a mesh of triangles (T, 3) over vertices (V, 3) with tints (T, 3) and one material."""
     return Mesh(
         vertices=vertices.astype(np.float32),
         corners=triangles.ravel().astype(np.int32),
@@ -147,7 +158,7 @@ def triangle_mesh(
 
 
 def merged(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of several."""
+    """Join several meshes into one."""
     names = tuple(dict.fromkeys(name for m in meshes for name in m.materials))
     base = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     return Mesh(

@@ -1,7 +1,7 @@
-"""Trees and hedges: lumpy crowns of small opaque leaf triangles, no transparency anywhere.
+"""Meshes of trees, hedges and fences. Crowns consist of small opaque triangles, one per leaf.
 
-Leaf triangles are tinted by (depth in the crown, 0, 0): 0 deep inside, 1 at the tips. The
-material turns that into the season's two leaf colours, or into those of needles.
+The tint of a leaf is (depth in the crown, 0, 0): 0 deep inside, 1 at the tips. The material mixes
+the season's two leaf colours by it, or the colours of needles.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 
 _BARK = (0.09, 0.065, 0.045)
 _TWIG = (0.13, 0.10, 0.08)
-# Length and radius in metres, and forks, of a trunk, its limbs, boughs, branches and twigs.
+# Length (m), radius (m) and number of forks of the trunk, limbs, boughs, branches and twigs.
 _BRANCHES = ((2.8, 0.26, 7), (2.3, 0.13, 5), (1.5, 0.07, 5), (1.0, 0.04, 6), (0.7, 0.022, 0))
 
 
 def broadleaf(variant: int) -> Mesh:
-    """A broadleaved tree about 8 m high, crown radius about 4 m, base at z = 0."""
+    """Build a broadleaved tree, about 8 m high, crown radius about 4 m, base at z = 0."""
     rng = np.random.default_rng([31, variant])
     crown = np.array([*rng.normal(0, 0.35, 2), 5.2])
     radii = np.array([3.2, 3.2, 2.6]) * rng.uniform(0.8, 1.15, 3)
@@ -40,14 +40,14 @@ def broadleaf(variant: int) -> Mesh:
 
 
 def bare(variant: int) -> Mesh:
-    """A broadleaved tree without its leaves, about 8 m high: branches down to twigs."""
+    """Build a broadleaved tree without leaves, about 8 m high, with branches down to twigs."""
     out = MeshBuilder()
     _branch(out, np.random.default_rng([34, variant]), np.zeros(3), np.array([0.0, 0.0, 1.0]), 0)
     return out.build()
 
 
 def conifer(variant: int) -> Mesh:
-    """A conifer about 9 m high, radius about 2.2 m, base at z = 0."""
+    """Build a conifer, about 9 m high, radius about 2.2 m, base at z = 0."""
     rng = np.random.default_rng([32, variant])
     lumps = []
     for z in np.linspace(1.4, 8.4, 12):
@@ -69,7 +69,7 @@ def conifer(variant: int) -> Mesh:
 
 
 def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:
-    """Mesh of a hedge in its box frame (origin at the box's centre), following the ground."""
+    """Build a hedge that follows the ground, in its box's frame (origin at the box's centre)."""
     rng = np.random.default_rng([33, hedge.id])
     length, width, _ = hedge.size
     count = max(2, int(length / 0.5) + 1)
@@ -100,14 +100,14 @@ def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:
         [np.zeros(leaves), np.where(face < 0.4, 0, y), np.where(face < 0.4, 1, 0.3)], -1
     )
     foliage = _leaves(rng, centres, outward, 0.17, rng.uniform(0.35, 1.0, leaves))
-    # Leaves that stick out of the box are folded back onto its sides.
+    # Leaves outside the box are moved onto its sides.
     limit = 0.5 * hedge.size
     vertices = np.clip(foliage.vertices, [-limit[0], -limit[1], -np.inf], limit)
     return merged([body.build(), replace(foliage, vertices=vertices.astype(np.float32))])
 
 
 def fence_mesh(fence: WorldObject, terrain: Heightfield) -> Mesh:
-    """Mesh of a board fence in its box frame (origin at the box's centre), on the ground."""
+    """Build a board fence on the ground, in its box's frame (origin at the box's centre)."""
     length, width, _ = fence.size
     panels = max(1, round(length / 2.0))
     x = np.linspace(-0.5 * length, 0.5 * length, panels + 1)
@@ -125,17 +125,20 @@ def fence_mesh(fence: WorldObject, terrain: Heightfield) -> Mesh:
     return out.build()
 
 
-def _profile(thing: WorldObject, terrain: Heightfield, x: Array) -> tuple[Array, float]:
-    """Ground heights (K,) under the points x along a draped object, relative to its box's centre,
-    and the object's own height: what of the box's height the ground does not use."""
-    direction = np.array([np.cos(thing.yaw), np.sin(thing.yaw)])
-    at = thing.centre[:2] + x[:, None] * direction
-    ground = terrain.height(at[:, 0], at[:, 1]) - thing.centre[2]
-    return ground, float(0.5 * thing.size[2] - ground.max())
+def _profile(item: WorldObject, terrain: Heightfield, x: Array) -> tuple[Array, float]:
+    """Return the ground under an object that follows it, and the height of the object above it.
+
+    Ground heights (K,) are at the points ``x`` (K,) along the object, relative to the centre of its
+    box. The object's height is that of the box's top above the highest of them.
+    """
+    direction = np.array([np.cos(item.yaw), np.sin(item.yaw)])
+    at = item.centre[:2] + x[:, None] * direction
+    ground = terrain.height(at[:, 0], at[:, 1]) - item.centre[2]
+    return ground, float(0.5 * item.size[2] - ground.max())
 
 
 def _sphere(rng: np.random.Generator, count: int) -> Array:
-    """Directions (count, 3), evenly spread, randomly turned about z."""
+    """Return evenly spread directions (count, 3), turned about z at random."""
     i = np.arange(count) + 0.5
     z = 1 - 2 * i / count
     turn = i * np.pi * (3 - np.sqrt(5)) + rng.uniform(0, 2 * np.pi)
@@ -146,20 +149,20 @@ def _sphere(rng: np.random.Generator, count: int) -> Array:
 def _foliage(
     rng: np.random.Generator, lumps: list[tuple[Array, float]], leaves: int, leaf_m: float
 ) -> Mesh:
-    """Leaf triangles on the surfaces of overlapping balls (centre (3,), radius)."""
+    """Return leaf triangles on the surfaces of overlapping balls (centre (3,) and radius)."""
     centres = np.array([c for c, _ in lumps])
     radii = np.array([r for _, r in lumps])
     which = rng.choice(len(lumps), 2 * leaves, p=radii**2 / (radii**2).sum())
     outward = rng.standard_normal((2 * leaves, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     points = centres[which] + radii[which, None] * outward * rng.uniform(0.9, 1.06, (2 * leaves, 1))
-    # Leaves well inside another ball are never seen.
+    # Leaves deep inside another ball are invisible and are left out.
     depth = np.linalg.norm(points[:, None] - centres, axis=-1) / radii
     seen = np.flatnonzero(depth.min(1) > 0.82)[:leaves]
     points, outward = points[seen], outward[seen]
     low, high = points[:, 2].min(), points[:, 2].max()
     lit = 0.25 + 0.5 * (points[:, 2] - low) / (high - low) + 0.25 * outward[:, 2]
-    # Clumps differ more than leaves do: they are what a picture from the air keeps of a tree.
+    # Clumps differ more than leaves, because aerial photographs resolve clumps and not leaves.
     clump = rng.uniform(-0.3, 0.3, len(lumps))[which[seen]]
     tone = np.clip(lit + clump + rng.normal(0, 0.08, len(seen)), 0, 1)
     return _leaves(rng, points, outward, leaf_m, tone)
@@ -168,7 +171,7 @@ def _foliage(
 def _leaves(
     rng: np.random.Generator, centres: Array, outward: Array, size_m: float, tone: Array
 ) -> Mesh:
-    """One triangle (about `size_m`) per centre (N, 3), facing loosely `outward`."""
+    """Return a triangle of about ``size_m`` at each centre (N, 3), facing about ``outward``."""
     normal = outward / np.linalg.norm(outward, axis=1, keepdims=True)
     normal = normal + 0.55 * rng.standard_normal(normal.shape)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -184,7 +187,7 @@ def _leaves(
 
 
 def _lump(centre: Array, radius: float, rng: np.random.Generator) -> Mesh:
-    """A rough dark ball, so that nobody sees through the foliage."""
+    """Build a rough dark ball, which closes the gaps between leaves."""
     rings, segments = 6, 9
     phi = np.linspace(0, np.pi, rings)[:, None]
     turn = np.linspace(0, 2 * np.pi, segments, endpoint=False)[None]
@@ -205,7 +208,7 @@ def _lump(centre: Array, radius: float, rng: np.random.Generator) -> Mesh:
 def _branch(
     out: MeshBuilder, rng: np.random.Generator, foot: Array, along: Array, order: int
 ) -> None:
-    """A branch from its foot (3,) in a unit direction (3,), and all that grows on it."""
+    """Add a branch from its foot (3,) in a unit direction (3,), and all branches on it."""
     length, radius, forks = _BRANCHES[order]
     length *= rng.uniform(0.8, 1.2)
     across = np.cross(along, rng.standard_normal(3))

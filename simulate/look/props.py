@@ -1,6 +1,7 @@
-"""Vehicles and street furniture, built once in metres and fitted into each object's box.
+"""Meshes of vehicles and street furniture, built once in metres and fitted into objects' boxes.
 
-Fronts look along +x. What an object's own colour paints has the material "paint".
+The front of an object faces +x. The parts that take the object's own colour have the material
+"paint".
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ _LAMP_RED: Rgb = (0.30, 0.02, 0.02)
 _WOOD: Rgb = (0.24, 0.15, 0.085)
 _IRON: Rgb = (0.06, 0.06, 0.065)
 
-# Where the bonnet, windscreen, roof and rear window begin and end, as shares of the length from
-# the tail, and the height of the waist line as a share of the height.
+# Shapes of cars: where the tail, the roof (back and front) and the bonnet begin, as shares of the
+# length from the tail, and the height of the waist line as a share of the car's height.
 _CAR_SHAPES = {
     "hatchback": (0.02, 0.10, 0.55, 0.74, 0.60),
     "saloon": (0.16, 0.28, 0.55, 0.72, 0.62),
@@ -33,7 +34,11 @@ _CAR_SHAPES = {
 
 
 def shape_mesh(name: str) -> Mesh:
-    """The mesh of a named shape, fitted to the unit cube; KeyError when there is none."""
+    """Return the mesh of a shape, fitted to the unit cube.
+
+    Raises:
+        KeyError: there is no shape of that name.
+    """
     kind, _, variant = name.rpartition("_")
     if kind == "broadleaf":
         return broadleaf(int(variant)).fitted()
@@ -47,7 +52,7 @@ def shape_mesh(name: str) -> Mesh:
 
 
 def _car(tail: float, roof_back: float, roof_front: float, bonnet: float, waist: float) -> Mesh:
-    """A car 4.5 x 1.8 x 1.5 m: a body, and a narrower cabin whose sides are glass."""
+    """Build a car of 4.5 x 1.8 x 1.5 m: a body, and a narrower cabin with glass sides."""
     length, width, height = 4.5, 1.8, 1.5
     out = MeshBuilder()
     half = 0.5 * width
@@ -57,7 +62,7 @@ def _car(tail: float, roof_back: float, roof_front: float, bonnet: float, waist:
             (x[3], w), (x[0], w), (0.0, 0.62 * height if tail < 0.1 else 0.56 * height),
             (0.0, 0.32)]  # fmt: skip
     out.prism(body, (-half, half), "paint")
-    # The cabin leans inwards; its roof is painted, the rest is glass behind painted pillars.
+    # The cabin's sides lean inwards. Its roof and pillars are painted, and the rest is glass.
     lean = 0.20
     base = [(x[0], -half + 0.06, w), (x[3], -half + 0.06, w), (x[3], half - 0.06, w),
             (x[0], half - 0.06, w)]  # fmt: skip
@@ -95,6 +100,7 @@ def _car(tail: float, roof_back: float, roof_front: float, bonnet: float, waist:
 
 
 def _wheel(out: MeshBuilder, x: float, y: float, radius: float) -> None:
+    """Add a wheel on the ground at ``x``, with its outer side at ``y``."""
     turn = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     ring = np.stack([x + radius * np.cos(turn), radius + radius * np.sin(turn)], -1)
     low, high = sorted((y - np.sign(y) * 0.2, y + np.sign(y) * 0.01))
@@ -102,6 +108,7 @@ def _wheel(out: MeshBuilder, x: float, y: float, radius: float) -> None:
 
 
 def _van() -> Mesh:
+    """Build a van of 5.6 x 2.0 x 2.5 m with ribs on its roof."""
     out = MeshBuilder()
     half = 1.0
     side = [(0.0, 0.25), (5.6, 0.25), (5.6, 0.95), (5.45, 1.15), (4.75, 1.35), (4.2, 2.3),
@@ -121,9 +128,10 @@ def _van() -> Mesh:
 
 
 def _lorry() -> Mesh:
+    """Build a lorry: a cab and a ribbed box body."""
     out = MeshBuilder()
     out.box((0, -1.22, 1.05), (6.1, 1.22, 3.4), "paint")
-    for x in np.linspace(0.0, 6.1, 8):  # frames of the body
+    for x in np.linspace(0.0, 6.1, 8):  # ribs of the body
         out.box((x - 0.03, -1.235, 1.05), (x + 0.03, 1.235, 3.41), "plain", (0.35, 0.35, 0.35))
     out.box((0, -0.5, 0.55), (8.0, 0.5, 1.05), "plain", _TRIM)
     cab = [(6.3, 0.5), (8.4, 0.5), (8.4, 1.5), (8.15, 2.75), (6.3, 2.85)]
@@ -139,7 +147,7 @@ def _lorry() -> Mesh:
 
 
 def _container(length: float) -> Mesh:
-    """A shipping container: ribbed sides and roof, a frame, door bars at +x."""
+    """Build a shipping container with ribbed sides and roof, a frame, and door bars at +x."""
     out = MeshBuilder()
     width, height, inset = 2.44, 2.59, 0.04
     low, high = (
@@ -166,7 +174,7 @@ def _container(length: float) -> Mesh:
 
 
 def _skip() -> Mesh:
-    """An open waste skip with sloping ends, half full."""
+    """Build an open waste skip with sloping ends, half full."""
     out = MeshBuilder()
     side = [(0.5, 0.0), (2.7, 0.0), (3.2, 1.3), (0.0, 1.3)]
     for y0, y1 in ((-0.85, -0.8), (0.8, 0.85)):
@@ -192,7 +200,7 @@ def _bench() -> Mesh:
 
 
 def _lamp() -> Mesh:
-    """A lamp post at the -x end of its box, its arm along +x over the road."""
+    """Build a lamp post at the -x end of its box, with its arm along +x over the road."""
     out = MeshBuilder()
     out.box((0, -0.07, 0), (0.14, 0.07, 7.0), "paint")
     out.box((0.14, -0.04, 6.9), (1.2, 0.04, 6.98), "paint")

@@ -1,7 +1,8 @@
-"""Where the sun stands: Meeus' low-precision formulas, as in NOAA's solar calculator.
+"""The position of the sun by Meeus' low-precision formulas, as in NOAA's solar calculator.
 
-Jean Meeus, Astronomical Algorithms, 2nd edition, chapters 12, 13 and 25. Good to 0.01 degrees
-between 1950 and 2050. Refraction is left out: under 0.1 degrees once the sun is 10 degrees up.
+Source: Jean Meeus, Astronomical Algorithms, 2nd edition, chapters 12, 13 and 25. The error is below
+0.01 degrees between 1950 and 2050. Refraction is left out; it is under 0.1 degrees when the sun is
+more than 10 degrees above the horizon.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 
 class SunPosition(NamedTuple):
-    """Degrees: azimuth clockwise from north, 0 to 360; elevation above the horizon."""
+    """Azimuth clockwise from north, 0 to 360, and elevation above the horizon, in degrees."""
 
     azimuth: float
     elevation: float
 
 
 def sun_position(time: datetime, place: Geodetic) -> SunPosition:
-    """The sun's geometric position at a time (with its zone) seen from a place."""
+    """Return the sun's geometric position at a time (with a time zone), seen from a place."""
     days = (time - _J2000).total_seconds() / 86400
     right_ascension, declination = sun_equatorial(days)
     sidereal = 280.46061837 + 360.98564736629 * days
@@ -37,7 +38,7 @@ def sun_position(time: datetime, place: Geodetic) -> SunPosition:
 
 
 def sun_equatorial(days: float) -> tuple[float, float]:
-    """Apparent right ascension and declination, radians, so many days after J2000.0."""
+    """Return the apparent right ascension and declination in radians, ``days`` after J2000.0."""
     t = days / 36525
     anomaly = radians(357.52911 + 35999.05029 * t - 0.0001537 * t * t)
     centre = (

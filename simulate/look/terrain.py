@@ -1,4 +1,4 @@
-"""The surface of the ground: a place, its raised pavements, and the country around it."""
+"""Meshes of the ground: the place, its raised pavements, and the country around it."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from simulate.place.world import MIRRORED_M, Kerb, World
 
 Array = NDArray[np.float64]
 
-_STEP_M = 8.0  # between the nodes of the mirrored ground around the area
-_FAR_M, _FAR_NODES = 2400.0, 26  # the country beyond it, coarser with the distance
-_HILLS_M, _HILLS_FROM_M = 150.0, 150.0  # their height, and where they begin
+_STEP_M = 8.0  # distance between the nodes of the mirrored ground
+_FAR_M, _FAR_NODES = 2400.0, 26  # extent and nodes of the country around it
+_HILLS_M, _HILLS_FROM_M = 150.0, 150.0  # height of the hills, and where they begin
 _AIR_RGB = np.array([0.22, 0.26, 0.31])
-_FOOT_M = 0.05  # kerbs reach so far into the ground
-_STONE_M, _STONE_RGB = 0.22, (0.30, 0.29, 0.275)  # width and linear albedo of their stones
+_FOOT_M = 0.05  # kerbs reach this far into the ground
+_STONE_M, _STONE_RGB = 0.22, (0.30, 0.29, 0.275)  # width and linear albedo of kerb stones
 
 
 def ground_mesh(world: World, light: Condition) -> Mesh:
-    """The ground of the area on its own nodes, its mirror image around it, and hills afar."""
+    """Return the ground of the area on its nodes, its mirror image around it, and distant hills."""
     half, count = world.terrain.half_side_m, len(world.terrain.nodes)
     near = half + np.arange(_STEP_M, MIRRORED_M + 1, _STEP_M)
     far = half + np.geomspace(MIRRORED_M, _FAR_M, _FAR_NODES)[1:]
@@ -45,7 +45,7 @@ def ground_mesh(world: World, light: Condition) -> Mesh:
 
 
 def kerbs_mesh(world: World) -> Mesh | None:
-    """Raised pavements: kerb, top and far edge of each; None where a place has none."""
+    """Return the raised pavements (kerb, top and far edge), or None where a place has none."""
     if not world.kerbs:
         return None
     mesh = merged([_kerb_mesh(kerb, world) for kerb in world.kerbs])
@@ -54,7 +54,7 @@ def kerbs_mesh(world: World) -> Mesh | None:
 
 
 def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
-    """Five edges along the kerb, from its foot up, over it and down behind the pavement."""
+    """Return one pavement as five edges along it: kerb's foot, over the top, and down behind."""
     out = kerb.back - kerb.front
     behind = kerb.front + _STONE_M * out / np.linalg.norm(out, axis=1, keepdims=True)
     edges = np.stack([kerb.front, kerb.front, behind, kerb.back, kerb.back])
@@ -66,7 +66,8 @@ def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
     stone = k < 2
     points = np.concatenate([edges, height[..., None]], -1).reshape(-1, 3)
     return Mesh(
-        # Faces share no vertex: shared ones would be shaded round, and wet ones bend their normals.
+        # Faces share no vertices. With shared vertices, edges would be shaded as if they were
+        # round.
         vertices=points[flat.ravel()].astype(np.float32),
         corners=np.arange(flat.size, dtype=np.int32),
         sizes=np.full(len(k), 4, np.int32),
@@ -78,7 +79,7 @@ def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
 
 
 def _hills(x: Array, y: Array, beyond: Array) -> Array:
-    """Heights that rise with the distance from the place, lower here and higher there."""
+    """Return heights of hills, which vary from point to point and rise with the distance."""
     turn = np.arctan2(y, x)
     waves = ((0.22, 3, 1.0), (0.12, 7, 2.0), (0.06, 17, 0.0))
     ridge = 0.60 + sum(high * np.sin(count * turn + start) for high, count, start in waves)
@@ -87,8 +88,10 @@ def _hills(x: Array, y: Array, beyond: Array) -> Array:
 
 
 def _country(at: Array, beyond: Array, light: Condition) -> NDArray[np.float32]:
-    """Tints (N, 3) of woods, fields and meadows at points (N, 3), `beyond` (N,) metres outside
-    the place; what is far away is seen through more air."""
+    """Return tints (N, 3) of woods, fields and meadows at points (N, 3).
+
+    The points lie ``beyond`` (N,) metres outside the place. Distant points are tinted by haze.
+    """
     x, y, _ = at.T
     patch = np.sin(x / 61.0 + 1.3 * np.sin(y / 83.0)) + np.sin(y / 47.0 + 1.7 * np.sin(x / 97.0))
     woods = (patch + beyond / 500.0 > 1.2)[:, None]

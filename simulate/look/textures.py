@@ -1,7 +1,8 @@
-"""Small images drawn in numpy for walls and roofs.
+"""Images of walls and roofs, drawn with numpy.
 
-Each is (rows, columns, 4) uint8, row 0 at the bottom: sRGB colour, and in alpha how much of the
-object's own tint multiplies it (255: a wall or tile of that tint, 0: a colour of its own).
+Each image is (rows, columns, 4) uint8 with row 0 at the bottom. The first three channels are an
+sRGB colour. Alpha is the share by which the object's tint multiplies it: 255 for a wall or tile of
+that tint, 0 for a colour of its own.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from simulate.place.world import Facade, Rgb
 Image = NDArray[np.uint8]
 Float = NDArray[np.float32]
 
-BAY_M, FLOOR_M = 3.0, 2.8  # a window's share of a facade
-BAYS, FLOORS = 12, 6  # in one facade image
+BAY_M, FLOOR_M = 3.0, 2.8  # size of one cell of a facade, which holds one window
+BAYS, FLOORS = 12, 6  # number of cells in one facade image
 ROOF_TILE_M = 12.8  # side of one roof image
 ROOFINGS = ("tile", "slate", "metal", "flat")
 
 _TEXEL_M = 0.05
 
 
-# Linear colours of the frames of windows, in houses and slabs.
+# Linear colours of window frames of houses and blocks of flats.
 _FRAMES: dict[Facade, Rgb] = {
     Facade.HOUSE_WHITE_FRAMES: (0.85, 0.85, 0.83),
     Facade.HOUSE_GREEN_SHUTTERS: (0.30, 0.20, 0.13),
@@ -42,7 +43,7 @@ _SLABS = (Facade.SLAB_WHITE_FRAMES, Facade.SLAB_WOODEN_FRAMES)
 
 
 class _Shops(NamedTuple):
-    """A town house with shops: linear colours of frames and stone, width (m) of its windows."""
+    """A town house with shops: linear colours of frames and stone, and the width of windows (m)."""
 
     frame: Rgb
     stone: Rgb
@@ -78,7 +79,7 @@ def facade(style: Facade) -> Image:
 
 
 def _dwellings(canvas: _Canvas, style: Facade, rng: np.random.Generator) -> None:
-    """Draw the wall of a house or of a slab of flats."""
+    """Draw the wall of a house or of a block of flats."""
     slab, frame, shutters = style in _SLABS, _FRAMES[style], _SHUTTERS.get(style)
     canvas.rect(0, 0, BAYS * BAY_M, 0.45, (0.45, 0.44, 0.42), tinted=0.4)  # plinth
     for floor in range(FLOORS):
@@ -108,7 +109,7 @@ def _dwellings(canvas: _Canvas, style: Facade, rng: np.random.Generator) -> None
 
 
 def roof(kind: str) -> Image:
-    """Roof image of `kind` in ROOFINGS, periodic, ROOF_TILE_M a side; v runs up the slope."""
+    """Draw a periodic roof image of a kind of ROOFINGS, ROOF_TILE_M a side; v runs up the slope."""
     rng = np.random.default_rng([78, ROOFINGS.index(kind)])
     n = round(ROOF_TILE_M / _TEXEL_M)
     v, u = np.mgrid[:n, :n].astype(np.float32) * np.float32(_TEXEL_M)
@@ -123,7 +124,7 @@ def roof(kind: str) -> Image:
         value *= np.where((v / course) % 1 < 0.2, 0.72, 1.0)  # the shadow under each course
         moss = np.clip(_periodic(rng, n, 1.3) + 0.5 * _periodic(rng, n, 0.3) - 0.75, 0, 1)
         colour -= 0.8 * moss[..., None] * np.array([0.55, 0.15, 0.6], np.float32)
-        # Streaks run down the slope: the same noise, smeared along v.
+        # Streaks down the slope are noise that is blurred along v.
         value += 0.06 * cv2.blur(_periodic(rng, n, 0.25), (1, 61))
     elif kind == "metal":
         value += 0.06 * np.cos(2 * np.pi * u / 0.4)
@@ -153,7 +154,7 @@ def roof(kind: str) -> Image:
 
 
 class _Canvas:
-    """A wall being drawn: metres from its lower left corner."""
+    """The image of a wall while it is drawn. Coordinates are metres from its lower left corner."""
 
     def __init__(self, width_m: float, height_m: float) -> None:
         rows, columns = round(height_m / _TEXEL_M), round(width_m / _TEXEL_M)
@@ -169,13 +170,16 @@ class _Canvas:
         rgb: Rgb,
         tinted: float = 0.0,
     ) -> None:
-        """Fill a rectangle with a linear colour, `tinted` 0..1 by the object's tint."""
+        """Fill a rectangle with a linear colour.
+
+        The object's tint multiplies it by ``tinted``, 0 to 1.
+        """
         c0, r0, c1, r1 = (max(0, round(v / _TEXEL_M)) for v in (x0, z0, x1, z1))
         self.rgb[r0:r1, c0:c1] = rgb
         self.tinted[r0:r1, c0:c1] = tinted
 
     def weather(self, rng: np.random.Generator) -> None:
-        """Blotches, and streaks running down."""
+        """Add blotches and streaks that run down."""
         rows, columns = self.tinted.shape
         for scale, strength, stretch in ((0.6, 0.06, 1), (0.15, 0.05, 1), (0.1, 0.12, 90)):
             noise = rng.standard_normal((rows, columns), np.float32)
@@ -186,7 +190,7 @@ class _Canvas:
             self.rgb *= 1 + strength * noise[..., None]
 
     def image(self) -> Image:
-        """What has been drawn."""
+        """Return the image drawn so far."""
         return _encode(np.clip(self.rgb, 0, 1), self.tinted)
 
 
@@ -254,12 +258,12 @@ def _fronts(canvas: _Canvas, shops: _Shops, rng: np.random.Generator) -> None:
             for left in (x + 0.22, x + 0.5 * BAY_M + 0.03):
                 pane = 0.5 * BAY_M - 0.25
                 canvas.rect(left, 0.52, left + pane, 2.12, _glass(float(rng.uniform(0.4, 1.2))))
-                for _ in range(3):  # what is on show
+                for _ in range(3):  # goods in the window
                     a, h = rng.uniform(0, pane - 0.3), rng.uniform(0.2, 0.9)
                     goods = tuple(rng.uniform(0.05, 0.5, 3).tolist())
                     canvas.rect(left + a, 0.52, left + a + 0.3, 0.52 + h, goods)
             canvas.rect(x + 0.1, 2.25, x + BAY_M - 0.1, 2.65, colour)
-            for k in range(int(rng.integers(3, 8))):  # the sign's letters
+            for k in range(int(rng.integers(3, 8))):  # letters of the sign
                 at = x + 0.4 + 0.27 * k
                 canvas.rect(at, 2.34, at + 0.16, 2.56, (0.75, 0.74, 0.70))
     canvas.rect(0, FLOOR_M - 0.08, width, FLOOR_M + 0.12, (0.62, 0.61, 0.58), tinted=0.5)
@@ -276,7 +280,7 @@ def _fronts(canvas: _Canvas, shops: _Shops, rng: np.random.Generator) -> None:
 
 
 def _boards(canvas: _Canvas, rng: np.random.Generator) -> None:
-    """A shed: boards, and a door or garage door every second bay."""
+    """Draw the wall of a shed: boards, and a door or garage door in every second bay."""
     for x in np.arange(0, BAYS * BAY_M, 0.25):
         canvas.rgb[:, round(x / _TEXEL_M)] *= 0.7
     for bay in range(0, BAYS, 2):
@@ -288,7 +292,7 @@ def _boards(canvas: _Canvas, rng: np.random.Generator) -> None:
 
 
 def _cladding(canvas: _Canvas, rng: np.random.Generator) -> None:
-    """A hall: ribbed sheets, a band of windows, roller doors, a coloured fascia."""
+    """Draw the wall of a hall: ribbed sheets, a band of windows, roller doors and a fascia."""
     columns = canvas.rgb.shape[1]
     ribs = 1 + 0.06 * np.sign(np.sin(2 * np.pi * np.arange(columns) * _TEXEL_M / 0.5))
     canvas.rgb *= ribs[None, :, None].astype(np.float32)
@@ -305,7 +309,7 @@ def _cladding(canvas: _Canvas, rng: np.random.Generator) -> None:
 
 
 def _periodic(rng: np.random.Generator, n: int, scale_m: float) -> Float:
-    """Gaussian noise (n, n) that tiles: mean 0, standard deviation 1, blobs of `scale_m`."""
+    """Return periodic Gaussian noise (n, n): mean 0, standard deviation 1, blobs of ``scale_m``."""
     frequency = np.fft.fftfreq(n, _TEXEL_M)
     keep = np.exp(-2 * (np.pi * 0.5 * scale_m) ** 2 * (frequency[:, None] ** 2 + frequency**2))
     noise = np.fft.ifft2(np.fft.fft2(rng.standard_normal((n, n))) * keep).real

@@ -1,4 +1,4 @@
-"""The wires of power lines."""
+"""Meshes of the wires of power lines."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simulate.place.world import Heightfield, WorldObject
 
 
 def wire_mesh(wire: WorldObject, terrain: Heightfield) -> Mesh:
-    """Mesh of the wires of one span in its box frame (origin at the box's centre)."""
+    """Build the wires of one span, in the frame of its box (origin at the box's centre)."""
     half = 0.5 * wire.size[0]
     direction = np.array([np.cos(wire.yaw), np.sin(wire.yaw)])
     ends = wire.centre[:2] + np.array([[-half], [half]]) * direction

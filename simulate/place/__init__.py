@@ -1,1 +1,1 @@
-"""Places as plain data: what stands where."""
+"""Places as plain data: terrain, ground cover, roads and objects."""

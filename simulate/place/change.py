@@ -1,7 +1,7 @@
-"""Declared change between flights: vehicles in other places, things gone, things new, bare trees.
+"""Declared change between flights: vehicles moved, objects removed or added, bare trees.
 
-Conditions leave geometry alone; whatever differs from the place a scene's seed makes is asked for
-as a `Change` and recorded object by object.
+Conditions do not change the geometry. Every difference from the place that a scene's seed makes is
+configured by a ``Change`` and recorded object by object.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from simulate.place.world import MAX_OBJECT_ID, World, WorldObject
 Array = NDArray[np.float64]
 
 VEHICLES = ("car", "van", "truck")
-"""Classes that move."""
+"""Classes of objects that a change can move."""
 LOOSE = (*VEHICLES, "tractor", "container", "bench", "bin", "table", "pallet", "bale")
-"""Classes that come and go."""
+"""Classes of objects that a change can remove or add."""
 
 _SHEDS_LEAVES, _BARE = "broadleaf_", "bare_"
-_BAY_M = 2.6  # between vehicles side by side
-_GAP_M = 0.3  # kept around what is put anew, per side
+_BAY_M = 2.6  # distance between the middles of vehicles side by side
+_GAP_M = 0.3  # free space around a moved or added object, per side
 _TRIES = 60
 
 
 class Change(Config):
-    """How the world of a session differs from the place the scene's seed makes.
+    """The difference between the world of a session and the place that the scene's seed makes.
 
     Sessions with the same change see the same world.
 
     Attributes:
-        cars_moved: share of the cars, vans and trucks left that stand in another place, room
-            permitting.
-        objects_removed: share of the objects of the classes `LOOSE` that are gone.
-        objects_added: new ones, as a share of those the place was built with, room
-            permitting.
-        bare_trees: trees that shed their leaves have done so; true of leaf-off seasons.
-        seed: another seed draws other objects.
+        cars_moved: share of the remaining cars, vans and trucks that stand in another place, where
+            there is room.
+        objects_removed: share of the objects of the classes ``LOOSE`` that are removed.
+        objects_added: number of new objects of these classes, as a share of those that the place
+            was built with, where there is room.
+        bare_trees: whether broadleaved trees are without leaves, as in leaf-off seasons.
+        seed: seed by which the objects are drawn.
     """
 
     cars_moved: float = Field(0.0, ge=0, le=1)
@@ -59,7 +59,14 @@ class Change(Config):
 
 @dataclass(frozen=True)
 class ChangedWorld:
-    """A world after a change; `first_new_id` is where the numbers of its new objects start."""
+    """A world after a change.
+
+    Attributes:
+        world: the world.
+        change: the change that made it.
+        first_new_id: the first id of its new objects.
+        declared: ids of the objects that were moved, removed, added or lost their leaves.
+    """
 
     world: World
     change: Change
@@ -68,10 +75,10 @@ class ChangedWorld:
 
 
 def changed_worlds(base: World, changes: Iterable[Change]) -> list[ChangedWorld]:
-    """The world after each change, numbered so that an id means one object in all of them.
+    """Return the world after each change. An id means the same object in all of them.
 
     Raises:
-        InputError: as of `changed_world`.
+        InputError: as ``changed_world``.
     """
     known: dict[Change, ChangedWorld] = {}
     worlds = []
@@ -85,19 +92,19 @@ def changed_worlds(base: World, changes: Iterable[Change]) -> list[ChangedWorld]
 
 
 def every_object(base: World, worlds: Iterable[ChangedWorld]) -> tuple[WorldObject, ...]:
-    """The objects of the base world, then those that any change brought, by id."""
+    """Return the objects of the base world and those that any change added, by ascending id."""
     objects = {o.id: o for o in base.objects}
     for changed in worlds:
-        for thing in changed.world.objects:
-            objects.setdefault(thing.id, thing)
+        for item in changed.world.objects:
+            objects.setdefault(item.id, item)
     return tuple(objects[number] for number in sorted(objects))
 
 
 def changed_world(base: World, change: Change, first_new_id: int = 0) -> ChangedWorld:
-    """The world after a change, the same whenever and wherever it is asked for.
+    """Return the world after a change. Equal arguments give equal worlds.
 
-    What stays keeps its id and its box. An object in a new place gets a new id, from
-    `first_new_id` on or from the first that `base` leaves free.
+    Objects that stay keep their id and their box. An object in a new place gets a new id: the next
+    from ``first_new_id`` on, or from the first id that ``base`` leaves free.
 
     Raises:
         InputError: there are more objects than a renderer can number.
@@ -113,13 +120,13 @@ def changed_world(base: World, change: Change, first_new_id: int = 0) -> Changed
     places = _Places(base, rng)
     placed: list[WorldObject] = []
     moved = []
-    for thing in moving:
-        new = places.find(thing, first_new_id + len(placed))
+    for item in moving:
+        new = places.find(item, first_new_id + len(placed))
         if new is None:
-            left.remove(thing.id)  # no room anywhere: it stays
+            left.remove(item.id)  # there is no room anywhere, so it stays
         else:
             placed.append(new)
-            moved.append((thing.id, new.id))
+            moved.append((item.id, new.id))
     added = []
     for _ in range(round(change.objects_added * len(loose))):
         like = loose[int(rng.integers(len(loose)))]
@@ -152,15 +159,16 @@ def _free_id(world: World) -> int:
     return max((o.id for o in world.objects), default=0) + 1
 
 
-def _kind(thing: WorldObject) -> str:
-    """What a thing stands among: its class, but vehicles among vehicles of all kinds."""
-    return "vehicle" if thing.class_name in VEHICLES else thing.class_name
+def _kind(item: WorldObject) -> str:
+    """Return the kind of objects that an object may stand beside: its class, or any vehicle."""
+    return "vehicle" if item.class_name in VEHICLES else item.class_name
 
 
 class _Places:
     """Finds room for objects beside others of their kind, on the same kind of ground.
 
-    Places that were taken before the change stay taken, so that whoever finds none can stay.
+    The places of the objects before the change stay taken, so that an object for which no place
+    is found can stay where it was.
     """
 
     def __init__(self, base: World, rng: np.random.Generator) -> None:
@@ -170,27 +178,27 @@ class _Places:
         self._taken: list[Array] = []
         self._circles = CircleGrid()
         self._kin: dict[str, list[WorldObject]] = {}
-        for thing in base.objects:
-            self._take(thing.footprint())
-            self._kin.setdefault(_kind(thing), []).append(thing)
+        for item in base.objects:
+            self._take(item.footprint())
+            self._kin.setdefault(_kind(item), []).append(item)
 
-    def find(self, thing: WorldObject, number: int) -> WorldObject | None:
-        """A copy of a thing in a free place, under a new number; None when none is found."""
-        kin = self._kin[_kind(thing)]
+    def find(self, item: WorldObject, number: int) -> WorldObject | None:
+        """Return a copy of an object in a free place with a new id, or None where none is found."""
+        kin = self._kin[_kind(item)]
         for _ in range(_TRIES):
             beside = kin[int(self._rng.integers(len(kin)))]
             at = beside.centre[:2] + self._step(beside)
-            if not self._fits(at, thing, beside):
+            if not self._fits(at, item, beside):
                 continue
-            self._take(rectangle(at, thing.size[:2], beside.yaw))
+            self._take(rectangle(at, item.size[:2], beside.yaw))
             ground = float(self._base.terrain.height(*at)) + self._rises.at(at)
-            height = ground + 0.5 * thing.size[2]
+            height = ground + 0.5 * item.size[2]
             centre = np.array([at[0], at[1], height])
-            return replace(thing, id=number, centre=centre, yaw=beside.yaw)
+            return replace(item, id=number, centre=centre, yaw=beside.yaw)
         return None
 
     def _step(self, beside: WorldObject) -> Array:
-        """A way (2,) from an object to a place like its own."""
+        """Draw an offset (2,), metres, from an object to a place like its own."""
         ahead = np.array([np.cos(beside.yaw), np.sin(beside.yaw)])
         left = np.array([-ahead[1], ahead[0]])
         sign = 1 if self._rng.random() < 0.5 else -1
@@ -204,9 +212,9 @@ class _Places:
         bays = int(self._rng.integers(1, 5))
         return np.asarray(sign * bays * _BAY_M * left)
 
-    def _fits(self, at: Array, thing: WorldObject, beside: WorldObject) -> bool:
-        """Whether the thing stands there on one kind of ground, and on nobody else's place."""
-        grown = rectangle(at, thing.size[:2] + 2 * _GAP_M, beside.yaw)
+    def _fits(self, at: Array, item: WorldObject, beside: WorldObject) -> bool:
+        """Return whether an object would stand on one kind of ground and in no other's place."""
+        grown = rectangle(at, item.size[:2] + 2 * _GAP_M, beside.yaw)
         if np.abs(grown).max() > 0.5 * self._base.area_m:
             return False
         under = np.vstack([grown, 0.5 * (grown + np.roll(grown, 1, 0)), at])

@@ -1,18 +1,18 @@
-"""Blocks where people live: houses on their parcels, and slabs of flats."""
+"""Residential blocks: houses on parcels, and blocks of flats."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from simulate.place.objects import STEEL, Local, Size, barrier, bench, building, car, tree
 from simulate.place.parking import AISLE_M, BAY_M, car_park
-from simulate.place.site import PAVEMENT_M, Site, Thing
+from simulate.place.site import PAVEMENT_M, ObjectSpec, Site
 from simulate.place.streets import Block, Frame
 from simulate.place.styles import house_style, shed_style, slab_style
-from simulate.place.things import STEEL, Local, Size, barrier, bench, building, car, tree
 
 
 def housing(site: Site, block: Block) -> None:
-    """Two rows of parcels back to back, each with a house, a drive and a garden."""
+    """Lay two rows of parcels back to back, each with a house, a drive and a garden."""
     depth = 0.5 * block.depth
     for side in (1, -1):
         count = max(1, round(block.length / site.rng.uniform(14.5, 19.0)))
@@ -27,7 +27,7 @@ def _parcel(
 ) -> None:
     rng = site.rng
     site.paint("grass", at.quad(0, width, 0, depth), float(rng.random()))
-    # The drive runs along one side line, the house takes the rest of the width.
+    # The drive runs along one side of the parcel, and the house takes the rest of the width.
     left = site.chance(0.5)
     front = min(width - 6.2, rng.uniform(8.5, 12.5))
     back = min(0.45 * depth, rng.uniform(7.5, 10.5))
@@ -80,17 +80,17 @@ def _parcel(
 def _enclose(
     site: Site, at: Frame, width: float, runs: list[tuple[Local, Local]], gaps: list[Local]
 ) -> float:
-    """Hedges or fences along some sides of a parcel, and perhaps along its street.
+    """Place hedges or fences along some sides of a parcel, and perhaps along its street.
 
     Args:
-        site: place that they stand in.
+        site: site on which they are placed.
         at: frame of the parcel.
-        width: of the parcel along the street, metres.
+        width: width of the parcel along the street, metres.
         runs: first and last local point of each side.
         gaps: first and last metre along the street that stay open for the drive and the walk.
 
     Returns:
-        Where the last hedge or fence begins, metres along the street.
+        Start of the last hedge or fence, metres along the street.
     """
     rng = site.rng
     kind, hedge = ("hedge", True) if site.chance(0.55) else ("fence", False)
@@ -107,13 +107,13 @@ def _enclose(
 
 
 def outbuilding(site: Site, at: Frame, spot: Local, size: Size) -> None:
-    """A garage or a shed: a small plain building."""
+    """Place a garage or a shed."""
     style = shed_style(site)
     building(site, "shed", at, spot, size, style)
 
 
 def flats(site: Site, block: Block) -> None:
-    """Two rows of slab blocks facing the streets, a car park between them."""
+    """Place two rows of flats that face the streets, with a car park between them."""
     rng = site.rng
     site.paint("grass", block.front(1).quad(0, block.length, 0, block.depth), float(rng.random()))
     strip = 2 * BAY_M[1] + AISLE_M
@@ -145,7 +145,7 @@ def flats(site: Site, block: Block) -> None:
     car_park(site, at.shifted(lot_start, middle - 0.5 * strip), length, rows=1)
     for a in (1.2, block.length - 2.0):
         b = middle + rng.uniform(3.5, 6.0)
-        skip = Thing("container", "skip", (3.2, 1.7, 1.35), site.choose(STEEL))
+        skip = ObjectSpec("container", "skip", (3.2, 1.7, 1.35), site.choose(STEEL))
         site.place(skip, at.point(a, b), at.yaw(a, b) + np.pi / 2)
     for _ in range(45):
         a, b = rng.uniform(2, block.length - 2), rng.uniform(1, block.depth - 1)

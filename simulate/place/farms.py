@@ -1,17 +1,17 @@
-"""Blocks of the country: farmyards, hayfields and pastures."""
+"""Blocks of farmland: farmyards, hayfields and pastures."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from simulate.place.objects import barrier, building, car, fenced, small, tree
 from simulate.place.site import PAVEMENT_M, Site
 from simulate.place.streets import Block, Frame
 from simulate.place.styles import hall_style, house_style
-from simulate.place.things import barrier, building, car, fenced, small, tree
 
 
 def farm(site: Site, block: Block) -> None:
-    """A farmhouse, a barn and a silo round a yard with tractors, fields behind a hedge."""
+    """Place a farmhouse, a barn and a silo around a yard, and fields behind a hedge."""
     rng = site.rng
     at = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth
@@ -47,7 +47,7 @@ def farm(site: Site, block: Block) -> None:
 
 
 def hayfield(site: Site, block: Block) -> None:
-    """Stubble with rows of round bales, hedged along one side."""
+    """Lay a stubble field with rows of round bales and a hedge along one side."""
     rng = site.rng
     at = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth
@@ -64,7 +64,7 @@ def hayfield(site: Site, block: Block) -> None:
 
 
 def pasture(site: Site, block: Block) -> None:
-    """Grass inside a fence, with a few trees."""
+    """Lay grass inside a fence, with a few trees."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth
@@ -76,7 +76,7 @@ def pasture(site: Site, block: Block) -> None:
 
 
 def _hedge(site: Site, at: Frame, length: float, b: float) -> None:
-    """A hedge along the whole block at `b`, in pieces that follow its bend."""
+    """Place a hedge along the whole block at ``b``, in pieces that follow its bend."""
     high = site.rng.uniform(1.4, 2.2)
     for a in np.arange(0.5, length - 12.0, 11.0):
         barrier(site, "hedge", at, (a, b), (a + 10.0, b), (1.2, high))

@@ -6,14 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from simulate.place.objects import barrier, bench, small, tree
 from simulate.place.site import Site
 from simulate.place.streets import Block
-from simulate.place.things import barrier, bench, small, tree
 from simulate.place.world import polyline_length, polyline_points, ribbon
 
 
 def park(site: Site, block: Block) -> None:
-    """Grass, two winding paths with benches, perhaps a pitch, and many trees."""
+    """Lay a park: grass, two winding paths with benches, trees and, if there is room, a pitch."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth
@@ -33,7 +33,7 @@ def park(site: Site, block: Block) -> None:
             side = site.choose((1.0, -1.0))
             yaw = float(np.arctan2(along[1], along[0])) + (0 if side > 0 else np.pi)
             bench(site, p + side * 1.9 * np.array([-along[1], along[0]]), yaw)
-    for _ in range(12):  # a pitch, if the paths leave room for one
+    for _ in range(12):  # try to place a pitch between the paths
         share = rng.uniform(0.7, 1.0)
         half = 13.0 * share, 8.0 * share
         a, b = rng.uniform(half[0], length - half[0]), rng.uniform(half[1], depth - half[1])
@@ -50,7 +50,7 @@ def park(site: Site, block: Block) -> None:
 
 
 def field(site: Site, block: Block) -> None:
-    """Crops, hedged on two sides, with a line of trees."""
+    """Lay a field of crops with hedges on two sides and a line of trees."""
     rng = site.rng
     at = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth
@@ -64,7 +64,7 @@ def field(site: Site, block: Block) -> None:
 
 
 def woods(site: Site, block: Block) -> None:
-    """Large trees as close as they stand, a path winding through."""
+    """Lay a wood: dense large trees and a winding path."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth
@@ -83,7 +83,7 @@ def woods(site: Site, block: Block) -> None:
 
 
 def meadow(site: Site, block: Block) -> None:
-    """Open grass with clumps of trees, and tables in their shade."""
+    """Lay a meadow: open grass, clumps of trees, and tables in their shade."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth

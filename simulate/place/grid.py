@@ -1,4 +1,4 @@
-"""Finding the circles near a circle, among many, in a time that does not grow with their number."""
+"""A spatial index of circles: the time of a look-up does not grow with their number."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ _CELL_M = 16.0
 
 
 class CircleGrid:
-    """Circles numbered in the order they are added, kept by the cells of a square grid."""
+    """Circles in the cells of a square grid, numbered in the order in which they are added."""
 
     def __init__(self) -> None:
         self._circles: list[tuple[float, float, float]] = []
         self._cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
 
     def add(self, centre: NDArray[np.float64], radius: float) -> None:
-        """Add a circle: `centre` (2,) and `radius` in metres."""
+        """Add a circle with a centre (2,) and a radius, metres."""
         x, y = centre.tolist()
         for cell in _cells(x, y, radius):
             self._cells[cell].append(len(self._circles))
         self._circles.append((x, y, float(radius)))
 
     def near(self, centre: NDArray[np.float64], radius: float) -> list[int]:
-        """Numbers, ascending, of the circles that share area with this one (metres)."""
+        """Return the ascending numbers of the circles that overlap with this one (metres)."""
         x, y = centre.tolist()
         candidates = {k for cell in _cells(x, y, radius) for k in self._cells.get(cell, ())}
-        found = []
+        neighbours = []
         for k in sorted(candidates):
             cx, cy, r = self._circles[k]
             if (cx - x) ** 2 + (cy - y) ** 2 < (r + radius) ** 2:
-                found.append(k)
-        return found
+                neighbours.append(k)
+        return neighbours
 
 
 def _cells(x: float, y: float, radius: float) -> list[tuple[int, int]]:
-    """The cells a circle's bounding square touches."""
+    """Return the cells that a circle's bounding square touches."""
     columns = range(floor((x - radius) / _CELL_M), floor((x + radius) / _CELL_M) + 1)
     rows = range(floor((y - radius) / _CELL_M), floor((y + radius) / _CELL_M) + 1)
     return [(i, j) for i in columns for j in rows]

@@ -1,4 +1,4 @@
-"""Kerbs: where pavements stand above the carriageways they line, and what stands on them."""
+"""Kerbs: where pavements are raised above carriageways, and the objects that stand on them."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ Array = NDArray[np.float64]
 
 KERB_M = 0.13  # height
 _RAMP_M = 0.7  # length of the slope where a kerb is dropped
-_STEP_M = 0.5  # between the places where the ground is looked at
+_STEP_M = 0.5  # distance between the points at which the ground is sampled
 _SHORTEST_M = 2.0
-_LOOK_M = (0.4, 0.8, 1.2)  # from the kerb
-_HUNG = ("pole", "wire")  # keep their heights, which belong together
+_LOOK_M = (0.4, 0.8, 1.2)  # distances from the kerb at which the ground is sampled
+_HUNG = ("pole", "wire")  # poles and wires keep their heights, which match
 
 
 def lay_kerbs(roads: Iterable[Road], ground: Ground) -> tuple[Kerb, ...]:
-    """Kerbs along both sides of every road wherever its verge is pavement within the place.
+    """Return kerbs along both sides of every road, where its verge is pavement.
 
-    They are dropped where another carriageway, a drive or a car park's entrance crosses.
+    Kerbs are lowered to the ground where another carriageway, a drive or the entrance of a car park
+    crosses.
     """
     half = 0.5 * len(ground.labels) * ground.texel_m
     kerbs = []
@@ -41,21 +42,21 @@ def lay_kerbs(roads: Iterable[Road], ground: Ground) -> tuple[Kerb, ...]:
 
 
 def raised(objects: Sequence[WorldObject], kerbs: Sequence[Kerb]) -> tuple[WorldObject, ...]:
-    """The objects, those that stand on raised pavements lifted to their height."""
+    """Return the objects, with those on raised pavements lifted by the pavement's height."""
     rises = Rises(kerbs)
 
-    def lifted(thing: WorldObject) -> WorldObject:
-        rise = 0.0 if thing.class_name in _HUNG else rises.at(thing.centre[:2])
-        return replace(thing, centre=thing.centre + np.array([0, 0, rise])) if rise else thing
+    def lifted(item: WorldObject) -> WorldObject:
+        rise = 0.0 if item.class_name in _HUNG else rises.at(item.centre[:2])
+        return replace(item, centre=item.centre + np.array([0, 0, rise])) if rise else item
 
-    return tuple(lifted(thing) for thing in objects)
+    return tuple(lifted(item) for item in objects)
 
 
 class Rises:
-    """How far raised pavements stand above the ground."""
+    """The heights of raised pavements above the ground."""
 
     def __init__(self, kerbs: Sequence[Kerb]) -> None:
-        """Every stretch between two pairs of points, with its first front corner as origin."""
+        """Divide every kerb into the quadrilaterals between its pairs of points."""
         joined = [np.stack([k.front[:-1], k.front[1:], k.back[:-1], k.back[1:]], 1) for k in kerbs]
         corners = np.concatenate([np.empty((0, 4, 2)), *joined])
         ends = [np.stack([k.rise[:-1], k.rise[1:]], 1) for k in kerbs]
@@ -70,7 +71,7 @@ class Rises:
             self._circles.add(middle, radius)
 
     def at(self, point: Array) -> float:
-        """Metres above the ground at a point (2,); 0 where no pavement is raised."""
+        """Return the height at a point (2,), metres; 0 where no pavement is raised."""
         rise = 0.0
         for k in self._circles.near(point, 0.1):
             t, s = self._into[k] @ (point - self._origin[k])
@@ -81,7 +82,7 @@ class Rises:
 
 
 def _on_pavement(road: Road, side: float, ground: Ground, half_m: float) -> NDArray[np.bool_]:
-    """Whether the verge is pavement at every `_STEP_M` of a road."""
+    """Return whether the verge of a road is pavement, at every ``_STEP_M`` along it."""
     length = float(np.linalg.norm(np.diff(road.line, axis=0), axis=1).sum())
     at = np.arange(0.0, length, _STEP_M)
     pavement = np.ones(len(at), bool)
@@ -93,7 +94,7 @@ def _on_pavement(road: Road, side: float, ground: Ground, half_m: float) -> NDAr
 
 
 def _runs(on: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Arc lengths, metres, where runs of True begin and end."""
+    """Return the arc lengths in metres at which runs of True begin and end."""
     edges = np.diff(np.concatenate([[0], on.astype(int), [0]]))
     starts, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
     return list(zip((_STEP_M * starts).tolist(), (_STEP_M * ends).tolist(), strict=True))
@@ -110,7 +111,7 @@ def _kerb(road: Road, side: float, start: float, end: float) -> Kerb:
 
 
 def _beside(road: Road, left_m: float, at_m: Array) -> Array:
-    """Points (N, 2) `left_m` to the left of a road's centre line, as its ribbon is painted."""
+    """Return points (N, 2) ``left_m`` to the left of a road's centre line, as ``ribbon`` does."""
     corners = np.concatenate([[0.0], np.linalg.norm(np.diff(road.line, axis=0), axis=1).cumsum()])
     tangent = np.gradient(road.line, axis=0)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], -1)

@@ -1,4 +1,4 @@
-"""Ground cover: labels painted from regions."""
+"""The raster of the ground cover, painted from regions."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from scene.bundle.labels import CLASSES
 from simulate.place.world import Ground, Marking, Region
 
 TEXEL_M = 0.1
-MAX_TEXELS = 4096  # a side; larger places get coarser texels, not larger images
+MAX_TEXELS = 4096  # a side; larger places have coarser texels instead of larger images
 SHIFT = 4  # fractional bits of OpenCV's sub-pixel drawing
 
 
 def texel_size(area_m: float) -> float:
-    """Side of a ground texel in metres for a place of `area_m` metres a side."""
+    """Return the side of a ground texel in metres, for a place of ``area_m`` metres a side."""
     return max(TEXEL_M, area_m / MAX_TEXELS)
 
 
 def paint(
     area_m: float, regions: Iterable[Region], markings: Iterable[Marking], base: str = "grass"
 ) -> Ground:
-    """Paint `regions` over `base` in order, later over earlier, on a raster of the whole area."""
+    """Paint regions over a base class on a raster of the whole area, later ones over earlier."""
     n = round(area_m / texel_size(area_m))
     texel = area_m / n
     labels = np.full((n, n), CLASSES[base], np.uint8)
@@ -37,6 +37,6 @@ def paint(
 
 
 def to_raster(points: NDArray[np.float64], texel: float, n: int) -> NDArray[np.int32]:
-    """World metres (K, 2) to OpenCV's fixed-point pixel coordinates (centres at integers)."""
+    """Convert world metres (K, 2) to OpenCV's fixed-point pixels, whose centres are integers."""
     pixels = points / texel + 0.5 * n - 0.5
     return np.asarray(np.round(pixels * (1 << SHIFT)), np.int32)

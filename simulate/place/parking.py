@@ -1,19 +1,19 @@
-"""Car parks: marked bays, about half of them taken."""
+"""Car parks with marked bays, about half of them occupied."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from simulate.place.objects import car, van
 from simulate.place.site import Site
 from simulate.place.streets import Frame
-from simulate.place.things import car, van
 
 BAY_M = (2.6, 5.0)  # a parking bay
 AISLE_M = 6.0  # between two rows of bays
 
 
 def car_park(site: Site, at: Frame, length: float, rows: int) -> None:
-    """`rows` aisles with marked bays on both sides, about half of them taken."""
+    """Lay ``rows`` aisles with marked bays on both sides, about half of them occupied."""
     rng = site.rng
     wide, deep = BAY_M
     count = int((length - 1.0) / wide)

@@ -1,4 +1,4 @@
-"""How a place is composed: its streets, what fills the blocks between them, what lines them."""
+"""Plans of places: the streets, the use of the blocks between them, and the objects along them."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from simulate.place.streets import Block, divide, lay_streets, outlines
 from simulate.place.world import Surroundings, World
 
 MIN_AREA_M, MAX_AREA_M = 100.0, 2000.0
-_CORE_M = 600.0  # farther from the middle, a place thins out into its open land
-_OUTSKIRTS_OPEN = 0.92  # share of open land out there
+_CORE_M = 600.0  # farther from the middle, most blocks are open land
+_OUTSKIRTS_OPEN = 0.92  # share of open land among those blocks
 
 Use = Callable[[Site, Block], None]
-"""Fills a block."""
+"""A function that fills a block."""
 Lining = Callable[[Site], None]
-"""Puts things along the roads."""
+"""A function that places objects along the roads."""
 
 
 @dataclass(frozen=True)
 class Quarter:
-    """What the blocks of a place, or of one part of it, hold.
+    """The use of the blocks of a place, or of one part of it.
 
-    The blocks nearest the middle hold one of each use in `first`, so that every place has every
-    class; of the others a share `open_share` is open land, and the rest is drawn from `uses` by
-    their weights. `name` is what the part is known by, when a place has several.
+    The blocks nearest the middle get one use of ``first`` each, so that every place has every
+    class. Of the other blocks, a share ``open_share`` is open land, and the rest is drawn from
+    ``uses`` by their weights. ``name`` is the name of the part, where a place has several.
     """
 
     first: tuple[Use, ...]
@@ -41,7 +41,7 @@ class Quarter:
     name: str = ""
 
     def fill(self, site: Site, blocks: Sequence[Block]) -> None:
-        """Give each of the `blocks`, nearest the middle first, its use."""
+        """Choose the use of each block and fill it. Blocks come nearest the middle first."""
         first = [self.first[i] for i in site.rng.permutation(len(self.first))]
         uses, weights = tuple(self.uses), tuple(self.uses.values())
         for i, block in enumerate(blocks):
@@ -58,10 +58,16 @@ class Quarter:
 class Plan:
     """The recipe of a kind of place.
 
-    `block_m` is the typical distance between streets and `verge` the ground class along them.
-    The place is divided among `quarters`, one column of blocks after the other, so that the streets
-    along its first axis lead from each to the next. `before` lines the roads before the blocks are
-    filled, `after` when they are. `least_m` is the smallest side that has room for all quarters.
+    The place is divided among the quarters, one column of blocks after the other, so that the
+    streets along its first axis lead from each quarter to the next.
+
+    Attributes:
+        block_m: Typical distance between streets, metres.
+        quarters: The parts of the place.
+        after: Functions that place objects along the roads after the blocks are filled.
+        before: Functions that place objects along the roads before the blocks are filled.
+        verge: Ground class along the streets.
+        least_m: The smallest side, metres, that has room for all quarters.
     """
 
     block_m: float
@@ -72,10 +78,11 @@ class Plan:
     least_m: float = MIN_AREA_M
 
     def build(self, seed: int, area_m: float) -> World:
-        """A place of `area_m` metres a side; seed and area decide everything in it.
+        """Build a place of ``area_m`` metres a side. Seed and area decide everything in it.
 
-        Raises InputError when `area_m` is outside `least_m`..2000 m, the seed is negative, or the
-        place needs more objects than can be told apart.
+        Raises:
+            InputError: ``area_m`` is not within ``least_m`` and 2000 m, the seed is negative, or
+                the place needs more objects than there are ids.
         """
         if not self.least_m <= area_m <= MAX_AREA_M:
             raise InputError(

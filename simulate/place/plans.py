@@ -1,4 +1,4 @@
-"""The plans of the presets, but for the town's, which has its own module."""
+"""The plans of all presets except ``town``, which has its own module."""
 
 from __future__ import annotations
 

@@ -6,22 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.geometry.rectangle import rectangle
+from simulate.place.objects import small
 from simulate.place.roadside import off_junction
 from simulate.place.site import Footing, Site
-from simulate.place.things import small
 from simulate.place.world import Heightfield, polyline_length, polyline_points
 
 Array = NDArray[np.float64]
 
-_PITCH_M = 42.0  # between poles
-_ATTACHED_M = 8.75  # above the ground at the pole
-APART_M = 1.7  # the two wires
+_PITCH_M = 42.0  # distance between poles
+_ATTACHED_M = 8.75  # height of the wires above the ground at a pole
+APART_M = 1.7  # distance between the two wires
 RADIUS_M = 0.03
-_SAG = 0.02  # of the span
+_SAG = 0.02  # as a share of the span
 
 
 def power_lines(site: Site) -> None:
-    """A line along every third of the roads that cross the place, the middle one first."""
+    """Place a power line along every third road that crosses the place, from the middle one on."""
     crossing = [r for r in site.roads if polyline_length(r.line) > site.area_m]
     crossing.sort(key=lambda r: float(np.linalg.norm(r.line, axis=1).min()))
     for road in crossing[::3]:
@@ -35,7 +35,7 @@ def power_lines(site: Site) -> None:
 
 
 def _pole(site: Site, line: Array, s: float, offset: float) -> Array | None:
-    """Where beside a (K, 2) line, at `s` metres or a little on, a pole has been put up."""
+    """Place a pole beside a line (K, 2), at ``s`` metres or up to 12 m farther; return where."""
     for on in np.arange(0.0, 15.0, 3.0):
         (p,), (along,) = polyline_points(line, s + on)
         at = p + offset * np.array([-along[1], along[0]])
@@ -46,7 +46,7 @@ def _pole(site: Site, line: Array, s: float, offset: float) -> Array | None:
 
 
 def _wires(site: Site, ends: Array) -> None:
-    """The wires between two poles (2, 2); trees keep off the ground below."""
+    """Hang the wires between two poles (2, 2), and keep the ground below free of trees."""
     length = float(np.linalg.norm(ends[1] - ends[0]))
     z = hanging(site.terrain, ends)
     site.span("wire", ends, (z[0], z[-1]), APART_M + 2 * RADIUS_M, z.min() - 2 * RADIUS_M)
@@ -55,7 +55,7 @@ def _wires(site: Site, ends: Array) -> None:
 
 
 def hanging(terrain: Heightfield, ends: Array) -> Array:
-    """Heights (9,) of a wire from pole to pole (2, 2): a parabola under the chord, metres."""
+    """Return the heights (9,) in metres of a wire between two poles (2, 2), which is a parabola."""
     a, b = terrain.height(ends[:, 0], ends[:, 1]) + _ATTACHED_M
     t = np.linspace(0, 1, 9)
     sag = _SAG * float(np.linalg.norm(ends[1] - ends[0]))

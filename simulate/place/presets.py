@@ -1,4 +1,4 @@
-"""The presets, which are the kinds of places that can be built, by name."""
+"""The presets: kinds of places that can be built, by name."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from simulate.place.world import World
 
 
-def _is_plan(found: object) -> bool:
-    from simulate.place.plan import Plan  # not before it is needed: the command line lists presets
+def _is_plan(entry: object) -> bool:
+    from simulate.place.plan import Plan  # late, because the command line lists presets
 
-    return isinstance(found, Plan)
+    return isinstance(entry, Plan)
 
 
 PRESETS: Final[Registry[Plan]] = Registry(

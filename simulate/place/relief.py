@@ -1,4 +1,4 @@
-"""The lie of the land."""
+"""The relief of the terrain."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from simulate.place.world import Heightfield
 
 _SPACING_M = 2.0
-_MAX_NODES = 500  # a side; the shortest wave is 90 m, so that coarser nodes lose nothing
+_MAX_NODES = 500  # a side; enough, because the shortest wave is 90 m long
 
 
 def relief(area_m: float, rng: np.random.Generator) -> Heightfield:
-    """Rolling ground: a few long waves, a few metres high, slopes of some per cent."""
+    """Return rolling ground: a few long waves, a few metres high, with slopes of some per cent."""
     n = int(np.ceil(area_m / max(_SPACING_M, area_m / _MAX_NODES))) + 1
     axis = np.linspace(-0.5 * area_m, 0.5 * area_m, n)
     z = np.zeros((n, n))

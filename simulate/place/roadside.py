@@ -1,19 +1,19 @@
-"""What stands and moves along roads."""
+"""Objects along roads: lamps, trees, street furniture and vehicles."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.place.site import PAVEMENT_M, Footing, Site, Thing
-from simulate.place.things import LAMP_M, car, small, tree, truck
+from simulate.place.objects import LAMP_M, car, small, tree, truck
+from simulate.place.site import PAVEMENT_M, Footing, ObjectSpec, Site
 from simulate.place.world import polyline_length, polyline_points
 
 Array = NDArray[np.float64]
 
 
 def street_lamps(site: Site) -> None:
-    """Lamps along every road, their arms over the kerb."""
+    """Place lamps along every road, with their arms over the kerb."""
     for road in site.roads:
         side = site.choose((1.0, -1.0))
         for s in np.arange(site.rng.uniform(5, 20), polyline_length(road.line), 27.0):
@@ -22,12 +22,12 @@ def street_lamps(site: Site) -> None:
             yaw = float(np.arctan2(-across[1], -across[0]))
             at = p + (0.5 * road.width_m + 0.2) * across
             if off_junction(site, at, 1.5):
-                lamp = Thing("lamp", "lamp", LAMP_M, (0.25, 0.26, 0.27))
+                lamp = ObjectSpec("lamp", "lamp", LAMP_M, (0.25, 0.26, 0.27))
                 site.place(lamp, at, yaw, Footing(on_road=True))
 
 
 def avenues(site: Site) -> None:
-    """Trees along both sides of every road, behind its pavements, wherever there is room."""
+    """Place trees along both sides of every road, behind its pavements, where there is room."""
     for road in site.roads:
         for side in (1.0, -1.0):
             for s in np.arange(site.rng.uniform(3, 9), polyline_length(road.line), 9.0):
@@ -38,7 +38,7 @@ def avenues(site: Site) -> None:
 
 
 def street_furniture(site: Site) -> None:
-    """Bins, hydrants, signs and bollards by turns on the pavements."""
+    """Place bins, hydrants, signs and bollards in turn on the pavements."""
     kinds = ("sign", "bin", "hydrant", "bollard")
     placed = 0
     for road in site.roads:
@@ -47,7 +47,7 @@ def street_furniture(site: Site) -> None:
             (p,), (along,) = polyline_points(road.line, s)
             side = site.choose((1.0, -1.0))
             at = p + side * (0.5 * road.width_m + 1.2) * np.array([-along[1], along[0]])
-            # Signs face those who drive towards them on their right.
+            # Signs face the drivers that come towards them on the right-hand lane.
             yaw = float(np.arctan2(side * along[1], side * along[0]))
             if off_junction(site, at, 6.0):
                 kind = kinds[placed % len(kinds)]
@@ -55,8 +55,12 @@ def street_furniture(site: Site) -> None:
 
 
 def traffic(site: Site, parked: float = 0.28) -> None:
-    """Vehicles driving on the right of every road, and on a share `parked` of the places along
-    the side streets."""
+    """Place vehicles on the right-hand lanes of all roads, and parked ones along side streets.
+
+    Args:
+        site: The place.
+        parked: The share of the parking places along side streets that are occupied.
+    """
     rng = site.rng
     for road in site.roads:
         length = polyline_length(road.line)
@@ -90,7 +94,7 @@ def traffic(site: Site, parked: float = 0.28) -> None:
 
 
 def deliveries(site: Site) -> None:
-    """Lorries standing at the kerb."""
+    """Place lorries that stand at the kerb."""
     for road in site.roads:
         for s in np.arange(site.rng.uniform(10, 40), polyline_length(road.line), 30.0):
             (p,), (along,) = polyline_points(road.line, s)
@@ -101,5 +105,5 @@ def deliveries(site: Site) -> None:
 
 
 def off_junction(site: Site, at: Array, clear_m: float) -> bool:
-    """Whether only one road comes within `clear_m` of `at` (2,)."""
+    """Return whether only one road comes within ``clear_m`` metres of a point (2,)."""
     return len(site.roads_within(at[None], clear_m)) <= 1

@@ -1,4 +1,4 @@
-"""A place under construction: who stands where. Everything placed claims its footprint."""
+"""A place while it is built. Every object that is placed claims its footprint."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ PAVEMENT_M = 2.0  # on both sides of every road
 
 
 @dataclass(frozen=True)
-class Thing:
-    """What is put down.
+class ObjectSpec:
+    """An object before it has a place.
 
     Attributes:
         class_name: class of the object.
         shape: name of its mesh.
         size: length, width and height, metres.
         colour: linear albedo of its painted parts.
-        style: of a building; None otherwise.
+        style: style of a building; None otherwise.
     """
 
     class_name: str
@@ -51,7 +51,7 @@ class Thing:
 
 @dataclass(frozen=True)
 class Footing:
-    """What an object may stand on, and how far it keeps from others.
+    """Ground on which an object may stand, and its distance to others.
 
     Attributes:
         on_road: whether it may stand on roads and pavements.
@@ -65,6 +65,7 @@ class Footing:
 
 
 ANYWHERE_FREE: Final = Footing()
+"""The footing of most objects: neither roads nor reserved ground."""
 
 
 class Site:
@@ -83,20 +84,20 @@ class Site:
         self.markings: list[Marking] = []
         self.objects: list[WorldObject] = []
         self._claims: list[Array] = []
-        self._reserved: list[bool] = []  # whether a claim is only reserved ground
-        self._circles = CircleGrid()  # around the claims
-        # Every straight piece of every road: start, step, half width, number of its road.
+        self._reserved: list[bool] = []  # whether each claim is only reserved ground
+        self._circles = CircleGrid()  # circles around the claims
+        # Every straight piece of every road: start, step, half width and index of its road.
         self._pieces = np.empty((0, 4))
         self._half_width = np.empty(0)
         self._road_of = np.empty(0, int)
-        self._reach = CircleGrid()  # from a piece's middle to the farthest point of its carriageway
+        self._reach = CircleGrid()  # circles around the carriageway of each piece
 
     def choose(self, options: Sequence[T]) -> T:
-        """One of `options`, uniformly."""
+        """Draw one of the options, with equal probabilities."""
         return options[int(self.rng.integers(len(options)))]
 
     def chance(self, probability: float) -> bool:
-        """True with `probability`."""
+        """Return True with a probability."""
         return bool(self.rng.random() < probability)
 
     def lay_roads(self, roads: Sequence[Road]) -> None:
@@ -119,7 +120,7 @@ class Site:
             self._reach.add(centre, r)
 
     def roads_within(self, points: Array, clear_m: float) -> set[int]:
-        """Indices of the roads whose carriageway comes within `clear_m` of any point (M, 2)."""
+        """Return the indices of roads with a carriageway within ``clear_m`` of any point (M, 2)."""
         centre = points.mean(0)
         near = self._reach.near(centre, float(np.hypot(*(points - centre).T).max()) + clear_m)
         if not near:
@@ -140,29 +141,39 @@ class Site:
         self.markings.append(Marking(np.asarray(line, float), width_m))
 
     def free(self, at: ArrayLike, size: Sequence[float], yaw: float) -> bool:
-        """Whether nothing stands on, and nothing reserves, a rectangle (2,) metres at (2,)."""
+        """Return whether a rectangle of a size (2,), metres, at a point (2,) is free."""
         return not self._taken(rectangle(at, size, yaw), on_reserved=False)
 
     def reserve(self, polygon: Array) -> None:
-        """Keep a rectangle (4, 2) free of everything placed later but `on_reserved`."""
+        """Reserve a rectangle (4, 2). Only objects placed ``on_reserved`` may stand there later."""
         self._claim(polygon, reserved=True)
 
     def place(
         self,
-        thing: Thing,
+        spec: ObjectSpec,
         at: ArrayLike,
         yaw: float,
         footing: Footing = ANYWHERE_FREE,
     ) -> bool:
-        """Put a thing with its box centred over `at` (2,) metres; False when it has no room.
+        """Place an object where there is room for it.
 
-        `yaw` is in radians. Buildings stand on the lowest ground under them, hedges and fences
-        follow the ground, everything else stands on the ground under its centre.
+        Buildings stand on the lowest ground under them, hedges and fences follow the ground, and
+        all other objects stand on the ground under their centre.
 
-        Raises InputError when there are more objects than ids.
+        Args:
+            spec: The object.
+            at: Centre of its box (2,), metres.
+            yaw: Direction of its length, radians anticlockwise from east.
+            footing: Ground on which it may stand, and its least distance to other objects.
+
+        Returns:
+            Whether there was room.
+
+        Raises:
+            InputError: There are more objects than ids.
         """
         at = np.asarray(at, float)
-        length, width, height = thing.size
+        length, width, height = spec.size
         corners = rectangle(at, (length, width), yaw)
         if np.abs(corners).max() > 0.5 * self.area_m:
             return False
@@ -177,13 +188,13 @@ class Site:
         samples = np.vstack([corners, 0.5 * (corners + np.roll(corners, 1, 0)), at])
         ground = self.terrain.height(samples[:, 0], samples[:, 1])
         base = float(ground[-1])
-        if thing.class_name == "building":
+        if spec.class_name == "building":
             base = float(ground.min())
-        elif thing.class_name in ("hedge", "fence"):
+        elif spec.class_name in ("hedge", "fence"):
             base = float(ground.min())
             height += float(np.ptp(ground))
         centre = np.array([at[0], at[1], base + 0.5 * height])
-        self._add(thing, centre, np.array([length, width, height], float), yaw)
+        self._add(spec, centre, np.array([length, width, height], float), yaw)
         return True
 
     def span(
@@ -194,23 +205,27 @@ class Site:
         width_m: float,
         low_m: float,
     ) -> None:
-        """Hang something between two points in the air: it claims no ground.
+        """Place an object that hangs between two points and claims no ground.
 
-        `ends` (2, 2) and the `heights` above them in world metres; `low_m` is the height of its
-        lowest point.
+        Args:
+            class_name: Class of the object.
+            ends: Its two ends (2, 2), seen from above, metres.
+            heights: Heights of the two ends, world metres.
+            width_m: Its width.
+            low_m: Height of its lowest point, world metres.
         """
         a, b = ends
         size = np.array([np.linalg.norm(b - a), width_m, max(heights) - low_m])
         centre = np.array([*(0.5 * (a + b)), 0.5 * (max(heights) + low_m)])
         yaw = float(np.arctan2(*(b - a)[::-1]))
-        cable = Thing(class_name, class_name, size.tolist(), (0.05, 0.05, 0.05))
+        cable = ObjectSpec(class_name, class_name, size.tolist(), (0.05, 0.05, 0.05))
         self._add(cable, centre, size, yaw)
 
     def flood(self, shore: Array, bank_m: float) -> None:
-        """Paint still water inside a `shore` (K, 2), and level the ground under it.
+        """Paint still water inside a shore (K, 2), and level the ground under it.
 
-        The ground around it slopes to the water over `bank_m` metres beyond the last cell of the
-        terrain that the water touches; nothing may stand there yet.
+        The ground around it slopes to the water over ``bank_m`` metres, beyond the last cell of the
+        terrain that the water touches. No object may stand there yet.
         """
         spacing, nodes = self.terrain.spacing_m, self.terrain.nodes.copy()
         axis = np.arange(len(nodes)) * spacing - self.terrain.half_side_m
@@ -236,8 +251,8 @@ class Site:
         self.terrain = Heightfield(nodes, spacing)
         self.paint("water", shore)
 
-    def _add(self, thing: Thing, centre: Array, size: Array, yaw: float) -> None:
-        """Add an object with its box (3,) metres, which may be higher than the thing's own."""
+    def _add(self, spec: ObjectSpec, centre: Array, size: Array, yaw: float) -> None:
+        """Add an object with its box (3,) metres, which may be higher than its own size."""
         number = len(self.objects) + 1
         if number > MAX_OBJECT_ID:
             raise InputError(
@@ -248,13 +263,13 @@ class Site:
         self.objects.append(
             WorldObject(
                 number,
-                thing.class_name,
+                spec.class_name,
                 centre,
                 size,
                 yaw,
-                thing.shape,
-                thing.colour,
-                thing.style,
+                spec.shape,
+                spec.colour,
+                spec.style,
             )
         )
 
@@ -274,6 +289,6 @@ class Site:
 
 
 def _outline(corners: Array) -> Array:
-    """Points (20, 2) along the sides of a rectangle (4, 2)."""
+    """Return points (20, 2) along the sides of a rectangle (4, 2)."""
     steps = np.linspace(0, 1, 5, endpoint=False)[:, None, None]
     return np.asarray((corners + steps * (np.roll(corners, -1, 0) - corners)).reshape(-1, 2))

@@ -1,4 +1,4 @@
-"""A street plan: a grid of roads with gaps, carried into the world by a smooth warp."""
+"""Street plans: a grid of roads with gaps, bent by a smooth warp."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from simulate.place.world import Road, polyline_length, polyline_points, ribbon
 Array = NDArray[np.float64]
 
 _MAIN_M, _SIDE_M = 8.0, 6.2  # carriageway widths
-_STEP_M = 3.0  # between the points of a centre line
+_STEP_M = 3.0  # distance between the points of a centre line
 
 
 @dataclass(frozen=True)
 class Warp:
-    """Carries plan metres (u, v) into world metres: a rotation plus two gentle waves."""
+    """Maps plan metres (u, v) to world metres: a rotation plus two gentle waves."""
 
     rotation: float
     amplitude: Array  # (2, 2) metres, wave x axis
@@ -29,7 +29,7 @@ class Warp:
 
     @staticmethod
     def random(rng: np.random.Generator, pitch_m: float) -> Warp:
-        """A warp whose bends are in proportion to the distance between streets."""
+        """Draw a warp whose bends are in proportion to the distance between streets."""
         heading = rng.uniform(0, 2 * np.pi, 2)
         number = 2 * np.pi / (pitch_m * rng.uniform(2.4, 3.6, 2))
         return Warp(
@@ -40,7 +40,7 @@ class Warp:
         )
 
     def __call__(self, uv: ArrayLike) -> Array:
-        """World (..., 2) metres of plan points (..., 2) metres."""
+        """Map plan points (..., 2) to world points (..., 2), metres."""
         p = np.asarray(uv, float)
         p = p + np.sin(p @ self.wave.T + self.phase) @ self.amplitude
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
@@ -49,8 +49,10 @@ class Warp:
 
 @dataclass(frozen=True)
 class Frame:
-    """Metres along (a) and away from (b) a street, from a plan corner; `sign` -1 turns it
-    round."""
+    """Coordinates of a block: metres along a street (a) and away from it (b), from a corner.
+
+    ``sign`` -1 turns the frame round.
+    """
 
     warp: Warp
     u: float
@@ -58,29 +60,29 @@ class Frame:
     sign: int = 1
 
     def shifted(self, a: float, b: float = 0.0) -> Frame:
-        """The same frame with its origin moved to (a, b)."""
+        """Return the same frame with its origin moved to (a, b)."""
         return Frame(self.warp, self.u + self.sign * a, self.v + self.sign * b, self.sign)
 
     def point(self, a: ArrayLike, b: ArrayLike) -> Array:
-        """World (..., 2) of local metres a, b."""
+        """Map local metres a, b to world points (..., 2)."""
         a, b = np.asarray(a, float), np.asarray(b, float)
         return self.warp(
             np.stack(np.broadcast_arrays(self.u + self.sign * a, self.v + self.sign * b), -1)
         )
 
     def yaw(self, a: float, b: float) -> float:
-        """World direction, radians, of the local a axis at (a, b)."""
+        """Return the world direction, radians, of the local a axis at (a, b)."""
         dx, dy = self.point(a + 0.5, b) - self.point(a - 0.5, b)
         return float(np.arctan2(dy, dx))
 
     def quad(self, a0: float, a1: float, b0: float, b1: float) -> Array:
-        """World corners (4, 2) of the local rectangle [a0, a1] x [b0, b1]."""
+        """Return the world corners (4, 2) of the local rectangle [a0, a1] x [b0, b1]."""
         return self.point([a0, a1, a1, a0], [b0, b0, b1, b1])
 
 
 @dataclass(frozen=True)
 class Block:
-    """The land between four streets, inside their pavements: plan metres."""
+    """The land between four streets, inside their pavements, in plan metres."""
 
     warp: Warp
     u0: float
@@ -90,33 +92,34 @@ class Block:
 
     @property
     def length(self) -> float:
-        """Extent along u, metres."""
+        """Return the extent along u, metres."""
         return self.u1 - self.u0
 
     @property
     def depth(self) -> float:
-        """Extent along v, metres."""
+        """Return the extent along v, metres."""
         return self.v1 - self.v0
 
     def front(self, sign: int) -> Frame:
-        """The frame of the street at v0 (+1) or of the one at v1 (-1)."""
+        """Return the frame of the street at v0 (sign +1) or at v1 (sign -1)."""
         if sign > 0:
             return Frame(self.warp, self.u0, self.v0)
         return Frame(self.warp, self.u1, self.v1, -1)
 
     def centre(self) -> Array:
-        """World (2,) of the middle."""
+        """Return the middle of the block in the world, (2,) metres."""
         return self.warp([0.5 * (self.u0 + self.u1), 0.5 * (self.v0 + self.v1)])
 
 
 def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Block]:
-    """Lay roads, verges and markings about `pitch_m` metres apart; the blocks between them.
+    """Lay roads, verges and markings, and return the blocks between them.
 
-    The blocks cover the area and come nearest the origin first.
+    The roads are about ``pitch_m`` metres apart. The blocks cover the area, and those nearest the
+    origin come first.
     """
     rng = site.rng
     warp = Warp.random(rng, pitch_m)
-    cells = int(np.ceil(0.5 * site.area_m * 1.3 / pitch_m)) + 1  # each side of the origin
+    cells = int(np.ceil(0.5 * site.area_m * 1.3 / pitch_m)) + 1  # on each side of the origin
     lines = [
         pitch_m * (np.arange(-cells, cells + 1) + rng.uniform(-0.14, 0.14, 2 * cells + 1))
         for _ in range(2)
@@ -125,7 +128,7 @@ def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Blo
     main[int(rng.integers(2))][cells] = True
     widths = [np.where(m, _MAIN_M, _SIDE_M) for m in main]
     (us, vs), (u_main, v_main), (u_widths, v_widths) = lines, main, widths
-    # Streets along v may be missing between two streets along u, which makes T junctions.
+    # Pieces of streets along v may be missing, which makes T junctions.
     present = rng.random((len(us), len(vs) - 1)) > 0.22
     present[u_main] = True
 
@@ -147,7 +150,7 @@ def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Blo
     blocks = []
     for i in range(len(us) - 1):
         for j in range(len(vs) - 1):
-            # The warp may squeeze a block, so keep a little more than the pavement.
+            # The warp may narrow a block, so the inset is a little wider than the pavement.
             inset_u, inset_v = (
                 0.5 * w[k : k + 2] * 1.05 + PAVEMENT_M + 0.5
                 for w, k in ((u_widths, i), (v_widths, j))
@@ -167,9 +170,9 @@ def lay_streets(site: Site, pitch_m: float, verge: str = "pavement") -> list[Blo
 
 
 def divide(blocks: Sequence[Block], area_m: float, count: int) -> list[list[Block]]:
-    """The blocks in `count` bands of as equal a width as whole columns allow, along u.
+    """Divide blocks into ``count`` bands along u, as equal in width as whole columns allow.
 
-    Each keeps the order of `blocks`. A column outside the area belongs to the nearest band.
+    Each band keeps the order of the blocks. A column outside the area belongs to the nearest band.
     """
     columns = sorted({(b.u0, b.u1) for b in blocks})
     inside = [c for c in columns if abs(sum(c)) < 1.1 * area_m]
@@ -180,7 +183,7 @@ def divide(blocks: Sequence[Block], area_m: float, count: int) -> list[list[Bloc
 
 
 def outlines(bands: Sequence[Sequence[Block]], area_m: float) -> list[Array]:
-    """World outline (K, 2) of each band of blocks, from the middle of one street to the next."""
+    """Return the world outline (K, 2) of each band of blocks, between the middles of streets."""
     warp = bands[0][0].warp
     edges = [max(b.u1 for b in a) + min(b.u0 for b in c) for a, c in pairwise(bands)]
     ends = [-area_m, *(0.5 * edge for edge in edges), area_m]
@@ -190,7 +193,7 @@ def outlines(bands: Sequence[Sequence[Block]], area_m: float) -> list[Array]:
 
 
 def _pave(site: Site, junctions: Array, verge: str) -> None:
-    """Paint verges, carriageways and markings of every road; `junctions` (M, 2)."""
+    """Paint verges, carriageways and markings of all roads, which meet at junctions (M, 2)."""
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     disc = np.stack([np.cos(turn), np.sin(turn)], -1)
     for road in site.roads:
@@ -201,7 +204,7 @@ def _pave(site: Site, junctions: Array, verge: str) -> None:
     for junction in junctions:
         if len(site.roads_within(junction[None], 0.5)) < 2:
             continue
-        # Rounded kerbs: the carriageways widen where they meet.
+        # Carriageways widen at junctions, with rounded kerbs.
         site.paint("road", junction + 5.2 * disc, 0.45)
     for road in site.roads:
         if road.main:
@@ -220,7 +223,7 @@ def _centre_line(site: Site, road: Road, junctions: Array) -> None:
 
 
 def _crossings(site: Site, road: Road, junctions: Array) -> None:
-    """Zebra crossings on some approaches of the junctions this road passes."""
+    """Paint zebra crossings before some of the junctions that this road passes."""
     for junction in junctions:
         near = np.linalg.norm(road.line - junction, axis=1)
         if near.min() > _STEP_M:

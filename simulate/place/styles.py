@@ -1,4 +1,4 @@
-"""Styles of buildings of each kind: roofs, facades and colours, drawn at random."""
+"""Random styles of buildings of each kind: roofs, facades and colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A town: blocks of housing, flats, trade and parks, and fields between them."""
+"""The plan of a town: blocks of housing, flats, trade and parks, and fields between them."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ TOWN = Plan(
 
 
 def build_town(seed: int, area_m: float) -> World:
-    """A town; see ``Plan.build``."""
+    """Build a town; see ``Plan.build``."""
     return TOWN.build(seed, area_m)

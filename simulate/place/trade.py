@@ -1,18 +1,18 @@
-"""Blocks where people work: halls, yards and car parks."""
+"""Industrial blocks: halls, yards and car parks."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from simulate.place.objects import CONTAINER_M, building, fenced, small, steel, tree, truck
 from simulate.place.parking import AISLE_M, BAY_M, car_park
-from simulate.place.site import PAVEMENT_M, Site, Thing
+from simulate.place.site import PAVEMENT_M, ObjectSpec, Site
 from simulate.place.streets import Block
 from simulate.place.styles import hall_style
-from simulate.place.things import CONTAINER_M, building, fenced, small, steel, tree, truck
 
 
 def trade(site: Site, block: Block) -> None:
-    """A hall or two, a car park before them, containers and lorries beside them."""
+    """Place one or two halls, a car park in front, and containers and lorries beside them."""
     rng = site.rng
     at = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth
@@ -33,7 +33,7 @@ def trade(site: Site, block: Block) -> None:
         size = (share - 3.0, min(b1 - b0, rng.uniform(18.0, 34.0)), height)
         building(site, "hall", at, (a, b), size, style)
 
-    # The yard: rows of containers, then lorries wherever room is left.
+    # The yard has rows of containers, and lorries where there is room.
     yard0, yard1 = hall_end + 3.0, length - 1.0
     for b in np.arange(b1 - 1.5, b0 + 1.5, -2.9):
         shape = "long_container" if yard1 - yard0 > 13.5 and site.chance(0.4) else "container"
@@ -42,7 +42,7 @@ def trade(site: Site, block: Block) -> None:
         while a + 0.5 * size[0] < yard1:
             if site.chance(0.55):
                 yaw = at.yaw(a, b) + rng.normal(0, 0.015)
-                site.place(Thing("container", shape, size, steel(site)), at.point(a, b), yaw)
+                site.place(ObjectSpec("container", shape, size, steel(site)), at.point(a, b), yaw)
             a += size[0] + 0.6
     for _ in range(12):
         a, b = rng.uniform(yard0, yard1), rng.uniform(lot + 3.5, b1)
@@ -52,7 +52,7 @@ def trade(site: Site, block: Block) -> None:
 
 
 def works(site: Site, block: Block) -> None:
-    """A factory hall behind its car park, a fenced yard with pallets, containers and lorries."""
+    """Place a factory hall behind a car park, and a fenced yard with pallets and containers."""
     rng = site.rng
     at = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth
@@ -83,13 +83,13 @@ def works(site: Site, block: Block) -> None:
         else:
             shape = "container"
             yaw = at.yaw(a, b)
-            container = Thing("container", shape, CONTAINER_M[shape], steel(site))
+            container = ObjectSpec("container", shape, CONTAINER_M[shape], steel(site))
             site.place(container, at.point(a, b), yaw)
     fenced(site, at, length, depth, 2.0)
 
 
 def tank_farm(site: Site, block: Block) -> None:
-    """Rows of tanks on concrete inside a fence, lorries waiting."""
+    """Place rows of tanks on concrete inside a fence, and waiting lorries."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth

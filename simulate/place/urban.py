@@ -1,4 +1,4 @@
-"""Blocks in the middle of a city: closed building fronts round a court, and paved squares."""
+"""Blocks of a city centre: closed fronts of buildings around a court, and paved squares."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from itertools import pairwise
 
 import numpy as np
 
+from simulate.place.objects import bench, small, tree
 from simulate.place.parking import AISLE_M, BAY_M, car_park
-from simulate.place.site import PAVEMENT_M, Footing, Site, Thing
+from simulate.place.site import PAVEMENT_M, Footing, ObjectSpec, Site
 from simulate.place.streets import Block
 from simulate.place.styles import front_style
-from simulate.place.things import bench, small, tree
 
-_SETBACK_M = 0.35  # from the edge of the block to the fronts
+_SETBACK_M = 0.35  # distance from the edge of the block to the fronts
 _DEPTH_M = 11.0
-_PASSAGE_M = 4.2  # the way into the court
+_PASSAGE_M = 4.2  # width of the passage into the court
 
 
 def fronts(site: Site, block: Block) -> None:
-    """Buildings wall to wall along all four streets, a court with parked cars behind them."""
+    """Place buildings wall to wall along all four streets, around a court with parked cars."""
     length, depth = block.length, block.depth
     site.paint("pavement", block.front(1).quad(-1.2, length + 1.2, -1.2, depth + 1.2), 0.6)
     inner = _SETBACK_M + _DEPTH_M
     for side in (1, -1):
-        # One passage, through the row along the first street.
+        # The only passage leads through the row along the first street.
         way_in = site.rng.uniform(0.4, 0.6) * length if side > 0 else None
         _row(site, block, side, 0.0, (_SETBACK_M, length - _SETBACK_M), way_in)
     for quarter_turn in (1, -1):
@@ -46,10 +46,11 @@ def _row(
     span: tuple[float, float],
     way_in: float | None,
 ) -> None:
-    """Buildings over a span, first to last metre, along one street of a block.
+    """Place buildings along one street of a block.
 
-    `turn` 0 is a street along the block's length, a quarter turn one along its depth; `way_in` is
-    where a passage leads through.
+    ``turn`` is 0 for a street along the block's length and a quarter turn for one along its depth.
+    ``span`` is the first and the last metre of the buildings along the street.
+    ``way_in`` is the position of the passage in metres, or None.
     """
     at = block.front(side)
     start, end = span
@@ -69,17 +70,17 @@ def _row(
         height = 2.8 * floors + 0.6 + style.roof_height_m
         along, across = 0.5 * (first + last), _SETBACK_M + 0.5 * _DEPTH_M
         a, b = (along, across) if turn == 0 else (across, along)
-        # A bend in the street may leave less room: then a slit opens to the neighbour.
+        # Where the street bends there may be less room; narrower buildings leave a gap there.
         for share in (1.0, 0.985, 0.96, 0.93, 0.88, 0.8):
             size = ((last - first) * share - 0.02, _DEPTH_M * (0.5 + 0.5 * share), height)
             yaw = at.yaw(a, b) + turn
-            front = Thing("building", "front", size, style=style)
+            front = ObjectSpec("building", "front", size, style=style)
             if site.place(front, at.point(a, b), yaw, Footing(gap_m=0.0)):
                 break
 
 
 def square(site: Site, block: Block) -> None:
-    """A paved square: rows of trees with benches, bins and bollards between them."""
+    """Lay a paved square with rows of trees, and benches, bins and bollards between them."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth

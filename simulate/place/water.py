@@ -1,4 +1,4 @@
-"""Blocks with still water: a lake in the green, a dock among quays."""
+"""Blocks with still water: a lake in a park, and a dock."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from itertools import pairwise
 
 import numpy as np
 
-from simulate.place.site import PAVEMENT_M, Footing, Site, Thing
+from simulate.place.objects import CONTAINER_M, bench, small, steel, tree, truck
+from simulate.place.site import PAVEMENT_M, Footing, ObjectSpec, Site
 from simulate.place.streets import Block
-from simulate.place.things import CONTAINER_M, bench, small, steel, tree, truck
 from simulate.place.world import ribbon
 
 _AFLOAT = Footing(on_reserved=True, gap_m=0.4)
-_STRIPS = 10  # of ground kept free where an ellipse of water lies
+_STRIPS = 10  # number of strips by which the ground of an ellipse of water is reserved
 
 
 def lake(site: Site, block: Block) -> None:
-    """A lake with boats, a path round it with benches, tables and bins, and trees."""
+    """Lay a lake with boats, trees, and a path around it with benches, tables and bins."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth
     site.paint("grass", at.quad(0, length, 0, depth), float(rng.random()))
     bank = 4.0
-    land = bank + 1.5 * site.terrain.spacing_m + 1.0  # from the shore to the edge of the block
+    land = bank + 1.5 * site.terrain.spacing_m + 1.0  # from the shore to the block's edge
     half_a, half_b = (0.5 * side - land for side in (length, depth))
     if min(half_a, half_b) < 5.0:
         return
@@ -57,7 +57,7 @@ def lake(site: Site, block: Block) -> None:
         along = path[k + 1] - path[k]
         yaw = float(np.arctan2(along[1], along[0]))
         kind = kinds[k // 3 % len(kinds)]
-        if kind == "bench":  # looks at the water
+        if kind == "bench":  # faces the water
             bench(site, spot, yaw + np.pi)
         else:
             small(site, kind, spot, yaw)
@@ -66,7 +66,7 @@ def lake(site: Site, block: Block) -> None:
 
 
 def dock(site: Site, block: Block) -> None:
-    """A basin with boats between quays with bollards, containers and lorries."""
+    """Lay a basin with boats between quays with bollards, containers and lorries."""
     rng = site.rng
     at = block.front(1)
     length, depth = block.length, block.depth
@@ -92,7 +92,7 @@ def dock(site: Site, block: Block) -> None:
         for a in np.arange(16.0, length - 4.0, size[0] + 0.6):
             if site.chance(0.6):
                 yaw = at.yaw(a, b) + rng.normal(0, 0.015)
-                container = Thing("container", "container", size, steel(site))
+                container = ObjectSpec("container", "container", size, steel(site))
                 site.place(container, at.point(a, b), yaw)
     for _ in range(8):
         a, b = rng.uniform(2, 14), rng.uniform(3, b0 - 3)

@@ -1,4 +1,4 @@
-"""What a simulated place is made of: terrain, ground cover and oriented objects. Plain data."""
+"""A simulated place as plain data: terrain, ground cover and oriented objects."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from scene.geometry.rectangle import rectangle
 
 Rgb = tuple[float, float, float]
 
-MAX_OBJECT_ID = 32767  # Blender's Object.pass_index
+MAX_OBJECT_ID = 32767  # the largest value of Blender's Object.pass_index
 MIRRORED_M = 64.0
-"""How far beyond its edge a place is continued by its mirror image; farther out is country."""
+"""Width (m) of the strip around a place in which the ground is the place's mirror image."""
 
 
 def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
@@ -30,7 +30,7 @@ def _mirrored(index: NDArray[np.int64], size: int) -> NDArray[np.int64]:
 class Heightfield:
     """Heights on a square grid of nodes centred on the origin, mirrored beyond its edge.
 
-    `nodes` is (n, n) float64 metres, row = y (south to north), column = x (west to east).
+    ``nodes`` is (n, n) float64 metres; rows run from south to north, columns from west to east.
     """
 
     nodes: NDArray[np.float64]
@@ -38,11 +38,11 @@ class Heightfield:
 
     @property
     def half_side_m(self) -> float:
-        """Distance from the origin to the edge of the grid, metres."""
+        """Return the distance from the origin to the edge of the grid, metres."""
         return 0.5 * (len(self.nodes) - 1) * self.spacing_m
 
     def height(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Ground height in metres at world x, y (metres, any one shape), bilinear."""
+        """Return the bilinear ground height in metres at world x, y (metres, of any one shape)."""
         last = len(self.nodes) - 1
         cells = []
         for coordinate in (x, y):
@@ -60,8 +60,7 @@ class Heightfield:
 
 @dataclass(frozen=True)
 class Road:
-    """A carriageway: centre line (K, 2) in metres, width in metres, whether it has a centre line
-    painted."""
+    """A carriageway: centre line (K, 2) and width in metres, and whether the line is painted."""
 
     line: NDArray[np.float64]
     width_m: float
@@ -70,7 +69,10 @@ class Road:
 
 @dataclass(frozen=True)
 class Region:
-    """A polygon (K, 2) in metres of one ground class; `tone` in 0..1 tells neighbours apart."""
+    """A polygon (K, 2) in metres of one ground class.
+
+    Its tone, 0 to 1, makes neighbours look different.
+    """
 
     class_name: str
     polygon: NDArray[np.float64]
@@ -89,8 +91,10 @@ class Marking:
 class Kerb:
     """A pavement raised above the ground along one side of a carriageway.
 
-    `front` and `back` are its kerb and its far edge, (K, 2) metres each, `rise` (K,) metres how
-    far it stands above the ground at each pair of their points; 0 at both ends.
+    Attributes:
+        front: The kerb (K, 2), metres.
+        back: The far edge (K, 2), metres.
+        rise: Height (K,) above the ground at each pair of points, metres; 0 at both ends.
     """
 
     front: NDArray[np.float64]
@@ -108,9 +112,9 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Ground:
-    """Ground cover on a raster centred on the origin, row = y (south to north), column = x.
+    """Ground cover on a raster centred on the origin; rows run from south to north.
 
-    `labels` and `tone` are (n, n) uint8; `tone` is the regions' tone times 255.
+    ``labels`` and ``tone`` are (n, n) uint8. ``tone`` is the tone of the regions times 255.
     """
 
     texel_m: float
@@ -119,8 +123,10 @@ class Ground:
     markings: tuple[Marking, ...]
 
     def label(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.uint8]:
-        """Semantic label at world x, y (metres, any one shape): mirrored for `MIRRORED_M` beyond
-        the raster, and farther out grass."""
+        """Return the semantic label at world x, y (metres, of any one shape).
+
+        The labels are mirrored within ``MIRRORED_M`` beyond the raster, and are grass farther out.
+        """
         n = len(self.labels)
         beyond = np.maximum(np.abs(x), np.abs(y)) - 0.5 * n * self.texel_m
         column, row = (
@@ -133,7 +139,7 @@ class Ground:
 
 
 class Facade(IntEnum):
-    """What the walls of a building look like. The numbers seed the images and never change."""
+    """Kinds of facades. The numbers seed the images, so they never change."""
 
     HOUSE_WHITE_FRAMES = 0
     HOUSE_GREEN_SHUTTERS = 1
@@ -154,15 +160,15 @@ Roofing = Literal["tile", "slate", "metal", "flat"]
 
 @dataclass(frozen=True)
 class BuildingStyle:
-    """How a building looks inside its box.
+    """The appearance of a building inside its box.
 
     Attributes:
         floors: Number of floors.
         roof: Shape of the roof. Ridges run along the x axis of the box.
         roof_height_m: Height of the roof above the walls, metres.
         eaves_m: How far the roof overhangs the walls, metres.
-        facade: What the walls look like.
-        roofing: What the roof is covered with.
+        facade: Kind of facade.
+        roofing: Material of the roof.
         wall_rgb: Albedo of the walls, linear RGB.
         roof_rgb: Albedo of the roof, linear RGB.
         wing: Fractions of the depth and of the width of the box that the main body of an L-shaped
@@ -184,10 +190,11 @@ class BuildingStyle:
 
 @dataclass(frozen=True)
 class WorldObject:
-    """One labelled thing: an oriented box, `shape` naming the mesh that fills it.
+    """A labelled object: an oriented box and the name of the mesh that fills it.
 
-    `centre` (3,) world metres, `size` (3,) metres along the box's own axes, `yaw` radians
-    anticlockwise from east. `colour` is linear RGB. Buildings carry a style.
+    ``centre`` (3,) is in world metres, ``size`` (3,) in metres along the box's axes, and ``yaw`` in
+    radians anticlockwise from east. ``shape`` names the mesh. ``colour`` is linear RGB. Buildings
+    have a style.
     """
 
     id: int
@@ -200,7 +207,7 @@ class WorldObject:
     style: BuildingStyle | None = None
 
     def footprint(self) -> NDArray[np.float64]:
-        """The box's four corners seen from above, (4, 2) metres, anticlockwise."""
+        """Return the four corners of the box seen from above, (4, 2) metres, anticlockwise."""
         return rectangle(self.centre[:2], self.size[:2], self.yaw)
 
 
@@ -208,7 +215,7 @@ class WorldObject:
 class World:
     """A place: `area_m` metres a side, centred on the origin, east-north-up, Z up.
 
-    `surroundings` do not overlap and cover the place, or there are none.
+    Its surroundings do not overlap and cover the place, or there are none.
     """
 
     seed: int
@@ -224,8 +231,7 @@ class World:
 def polyline_points(
     line: NDArray[np.float64], at_m: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points (M, 2) and unit directions (M, 2) at arc lengths `at_m` (M,) metres on a (K, 2)
-    line."""
+    """Return points (M, 2) and unit directions (M, 2) at arc lengths (M,), metres, on a line."""
     at = np.atleast_1d(np.asarray(at_m, float))
     steps = np.diff(line, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
@@ -236,12 +242,12 @@ def polyline_points(
 
 
 def polyline_length(line: NDArray[np.float64]) -> float:
-    """Length in metres of a (K, 2) line."""
+    """Return the length in metres of a line (K, 2)."""
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
 
 
 def ribbon(line: NDArray[np.float64], width_m: float) -> NDArray[np.float64]:
-    """Outline (2 K, 2) of a (K, 2) line thickened to `width_m` metres."""
+    """Return the outline (2 K, 2) of a line (K, 2) that is ``width_m`` metres wide."""
     tangent = np.gradient(line, axis=0)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
     normal *= 0.5 * width_m / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -249,7 +255,7 @@ def ribbon(line: NDArray[np.float64], width_m: float) -> NDArray[np.float64]:
 
 
 def class_lookup(objects: Sequence[WorldObject]) -> NDArray[np.uint8]:
-    """Table (max id + 1,) of semantic labels by object id; entry 0 is 0."""
+    """Return a table (max id + 1,) of semantic labels by object id. Entry 0 is 0."""
     table = np.zeros(max((o.id for o in objects), default=0) + 1, np.uint8)
     for o in objects:
         table[o.id] = CLASSES[o.class_name]

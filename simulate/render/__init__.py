@@ -1,1 +1,1 @@
-"""The processes that import Blender, and those who watch over them."""
+"""The processes that import Blender, and the code that starts and watches them."""

@@ -1,7 +1,7 @@
-"""Renders frames with Cycles: `python -m simulate.render.blender CHUNK.json`, one process each.
+"""A process that renders frames with Cycles: ``python -m simulate.render.blender CHUNK.json``.
 
-The only module that imports bpy. Standard output carries one JSON line per finished frame and
-nothing else; what Blender itself prints there is thrown away.
+This is the only module that imports ``bpy``. The process prints one JSON line per finished frame to
+standard output and nothing else. What Blender prints there is discarded.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from simulate.render.job import Board, FrameDone, RenderChunk, frame_path
 from simulate.render.process import end_with, keep_to_one_core
 
 _SENSOR_MM = 36.0
-# Cycles looks the first ray of a pixel up in a table of its filter, and so misses the centre by
-# this much to the right and upwards (px; found by ray casting, the same at every pixel).
+# Cycles takes the first ray of a pixel from a table of its filter, which puts it this far (px) to
+# the right of the centre and above it. We measured it by ray casting; it is equal at every pixel.
 _FIRST_RAY_PX = 0.000526
-_NEAR_M = 0.1  # nothing closer is seen
-# Area of the box around an object that may have parts thinner than a pixel, a lamp or a bin.
+_NEAR_M = 0.1  # near clipping distance
+# Objects with a smaller box in the picture may have parts thinner than a pixel, as lamps do.
 _SMALL_PX = 1000.0
-_NO_SURFACE_M = 1e9  # Cycles writes 1e10 where a ray hits nothing
+_NO_SURFACE_M = 1e9  # Cycles writes a depth of 1e10 where a ray hits nothing
 
 
 def main(chunk_path: str) -> None:
-    """Render the frames of a RenderChunk file that are not there yet."""
+    """Render the frames of a ``RenderChunk`` file that do not exist yet."""
     reports = _claim_stdout()
     chunk = RenderChunk.model_validate_json(Path(chunk_path).read_text())
     end_with(chunk.parent)
@@ -65,10 +65,10 @@ def main(chunk_path: str) -> None:
         world = changed_world(base, job.change, job.first_new_id).world
         _build_scene(world, condition(job.condition, job.origin))
     _set_up_render(job.camera, job.samples, chunk.threads)
-    bpy.context.scene.cycles.use_denoising = job.board is None  # which would move its edges
+    bpy.context.scene.cycles.use_denoising = job.board is None  # it would move the board's edges
     rays = pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
     caster = _Caster()
-    held = None  # bytes, after the first frame
+    first_bytes = None  # memory after the first frame
     with scratch(Path(chunk_path).parent) as folder:
         for frame, rows in job.poses.items():
             path = frame_path(chunk.out_dir, frame)
@@ -76,7 +76,7 @@ def main(chunk_path: str) -> None:
                 continue
             start = time.monotonic()
             pose = np.asarray(rows, float)
-            # Every frame has its own noise, the same whoever renders it and in what order.
+            # The noise of a frame depends on its number alone, not on the process or the order.
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             travel = np.array(job.travel.get(frame, (0.0, 0.0, 0.0)))
@@ -91,13 +91,13 @@ def main(chunk_path: str) -> None:
             save_layers(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
-            held = held or resident_bytes()
-            if resident_bytes() - held >= chunk.may_grow_bytes:
+            first_bytes = first_bytes or resident_bytes()
+            if resident_bytes() - first_bytes >= chunk.may_grow_bytes:
                 break
 
 
 def _claim_stdout() -> TextIO:
-    """The real standard output; what others write to descriptor 1 goes nowhere from now on."""
+    """Return the real standard output, and discard what others write to descriptor 1."""
     reports = os.fdopen(os.dup(1), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
@@ -109,12 +109,12 @@ def _claim_stdout() -> TextIO:
 
 
 def _build_scene(world: World, light: Condition) -> None:
-    """Fill an empty Blender file with the world under a condition."""
+    """Add the world under a condition to an empty Blender file."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     albedo = ground.bake(world.ground, light, world.seed)
     mirror = ground.mirror(world.ground, light, world.seed)
     materials = build_materials(bpy.data, light, albedo, mirror)
-    # Meshes first: a mesh that is given a material looks through every object there is.
+    # Meshes come first, because adding a material to a mesh takes time for every existing object.
     surfaces = [
         _mesh_data(name, surface, materials)
         for name, surface in (("terrain", ground_mesh(world, light)), ("kerbs", kerbs_mesh(world)))
@@ -122,32 +122,32 @@ def _build_scene(world: World, light: Condition) -> None:
     ]
     shared: dict[str, Any] = {}
     meshes = []
-    for thing in world.objects:
-        own = _own_mesh(thing, world)
+    for item in world.objects:
+        own = _own_mesh(item, world)
         if own is not None:
-            meshes.append(_mesh_data(f"{thing.id:05d}", own, materials))
+            meshes.append(_mesh_data(f"{item.id:05d}", own, materials))
             continue
-        if thing.shape not in shared:
-            shared[thing.shape] = _mesh_data(thing.shape, shape_mesh(thing.shape), materials)
-        meshes.append(shared[thing.shape])
+        if item.shape not in shared:
+            shared[item.shape] = _mesh_data(item.shape, shape_mesh(item.shape), materials)
+        meshes.append(shared[item.shape])
     for surface in surfaces:
         _add(surface.name, surface)
-    for thing, data in zip(world.objects, meshes, strict=True):
-        # Blender keeps its objects sorted: names that only grow are put at the end at once.
-        placed = _add(f"{thing.id:05d}", data)
-        placed.pass_index = thing.id
-        placed.location = thing.centre
-        placed.rotation_euler = (0.0, 0.0, thing.yaw)
-        placed.color = (*thing.colour, 1.0)
-        if thing.shape in shared:
-            placed.scale = thing.size
-        if thing.class_name == "building":  # whose mesh starts at the ground
-            placed.location.z -= 0.5 * thing.size[2]
+    for item, data in zip(world.objects, meshes, strict=True):
+        # Blender sorts its objects by name. Ascending names are inserted at the end, which is fast.
+        placed = _add(f"{item.id:05d}", data)
+        placed.pass_index = item.id
+        placed.location = item.centre
+        placed.rotation_euler = (0.0, 0.0, item.yaw)
+        placed.color = (*item.colour, 1.0)
+        if item.shape in shared:
+            placed.scale = item.size
+        if item.class_name == "building":  # the origin of its mesh is at the ground
+            placed.location.z -= 0.5 * item.size[2]
     _add_light(light)
 
 
 def _build_board(board: Board) -> None:
-    """Fill an empty Blender file with a chessboard that shines by itself on a grey ground."""
+    """Add a self-luminous chessboard on a grey ground to an empty Blender file."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     materials: dict[str, Any] = {}
     for name, shade in (("white", 0.8), ("black", 0.02), ("grey", 0.3)):
@@ -162,21 +162,21 @@ def _build_board(board: Board) -> None:
     _add("board", _mesh_data("board", board_mesh(board), materials))
 
 
-def _own_mesh(thing: WorldObject, world: World) -> Mesh | None:
-    """The mesh of an object that shares its with no other, in metres."""
-    if thing.class_name == "building":
-        return building_mesh(thing)
-    if thing.class_name == "hedge":
-        return hedge_mesh(thing, world.terrain)
-    if thing.class_name == "fence":
-        return fence_mesh(thing, world.terrain)
-    if thing.class_name == "wire":
-        return wire_mesh(thing, world.terrain)
+def _own_mesh(item: WorldObject, world: World) -> Mesh | None:
+    """Return the mesh of an object that has its own, in metres, or None for shared shapes."""
+    if item.class_name == "building":
+        return building_mesh(item)
+    if item.class_name == "hedge":
+        return hedge_mesh(item, world.terrain)
+    if item.class_name == "fence":
+        return fence_mesh(item, world.terrain)
+    if item.class_name == "wire":
+        return wire_mesh(item, world.terrain)
     return None
 
 
 def _mesh_data(name: str, mesh: Mesh, materials: dict[str, Any]) -> Any:
-    """A Blender mesh with its materials and the attributes they read."""
+    """Make a Blender mesh with its materials and the attributes that they read."""
     data = bpy.data.meshes.new(name)
     data.vertices.add(len(mesh.vertices))
     data.vertices.foreach_set("co", mesh.vertices.ravel())
@@ -197,14 +197,14 @@ def _mesh_data(name: str, mesh: Mesh, materials: dict[str, Any]) -> Any:
 
 
 def _add(name: str, data: Any) -> Any:
-    """An object in the scene."""
-    thing = bpy.data.objects.new(name, data)
-    bpy.context.scene.collection.objects.link(thing)
-    return thing
+    """Add an object to the Blender scene."""
+    item = bpy.data.objects.new(name, data)
+    bpy.context.scene.collection.objects.link(item)
+    return item
 
 
 def _add_light(light: Condition) -> None:
-    """The sun, and a sky that brightens towards the horizon."""
+    """Add the sun, and a sky that is brighter towards the horizon."""
     sun = bpy.data.lights.new("sun", "SUN")
     sun.energy, sun.color, sun.angle = light.sun.watts, light.sun.rgb, np.radians(light.sun.angle)
     elevation, azimuth = np.radians([light.sun.elevation, light.sun.azimuth])
@@ -228,8 +228,9 @@ def _add_light(light: Condition) -> None:
     tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs[0], output.inputs["Surface"])
-    # A smooth sky is met often enough by the rays that leave surfaces. Were it sampled as a lamp
-    # too, half the shadow rays would miss the sun: a third more processor time, and more noise.
+    # Rays from surfaces hit a smooth sky often enough. If it were also sampled as a lamp, half of
+    # the
+    # shadow rays would go to the sky instead of the sun, for a third more time and more noise.
     sky.cycles.sampling_method = "NONE"
     bpy.context.scene.view_settings.exposure = light.exposure
 
@@ -238,7 +239,7 @@ def _add_light(light: Condition) -> None:
 
 
 def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
-    """Camera intrinsics and every setting of Cycles that decides what pixels hold."""
+    """Set the camera's intrinsics and all settings of Cycles that change the pixels."""
     scene = bpy.context.scene
     data = bpy.data.cameras.new("camera")
     data.sensor_fit = "HORIZONTAL"
@@ -273,7 +274,7 @@ def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
     cycles.caustics_reflective = cycles.caustics_refractive = False
     cycles.use_denoising = True
     cycles.denoiser = "OPENIMAGEDENOISE"
-    # Guides used as they are: 3.0 instead of 5.4 CPU seconds a frame, no difference one can see.
+    # Without prefiltered guides, a frame takes 3.0 instead of 5.4 CPU seconds and looks the same.
     cycles.denoising_prefilter = "FAST"
     layer = scene.view_layers[0]
     layer.use_pass_z = layer.use_pass_normal = layer.use_pass_object_index = True
@@ -282,8 +283,10 @@ def _set_up_render(camera: PinholeCamera, samples: int, threads: int) -> None:
 def _render(
     cam_from_world: NDArray[np.float64], travel: NDArray[np.float64], folder: Path
 ) -> dict[str, NDArray[Any]]:
-    """One frame's rgb, depth, instance and normal, of a camera that moves by `travel` (3,) metres
-    while it is read out."""
+    """Render rgb, depth, instance and normal of one frame.
+
+    The camera moves by ``travel`` (3,) metres while the frame is read out.
+    """
     scene = bpy.context.scene
     world_from_cam = np.linalg.inv(cam_from_world)
     # Blender's camera looks along -z with y up.
@@ -302,7 +305,7 @@ def _render(
     with OpenEXR.File(str(folder / "passes.exr"), separate_channels=True) as exr:
         channels = {name.split(".", 1)[1]: c.pixels for name, c in exr.channels().items()}
     depth = channels["Depth.Z"]
-    # Cycles measures depth from where the camera is at the frame; rows are elsewhere.
+    # Cycles measures depth from the camera's position at the frame, and rows have their own.
     ahead = (row_shift(travel, len(depth)) + late_by(travel, len(depth))) @ cam_from_world[2, :3]
     depth = np.where(depth < _NO_SURFACE_M, depth - ahead[:, None], 0)
     normal = np.stack([channels[f"Normal.{axis}"] for axis in "XYZ"], -1)
@@ -316,8 +319,10 @@ def _render(
 
 
 def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
-    """Let Cycles read the picture out row by row while the camera, standing at the middle of the
-    picture, moves by `travel`."""
+    """Make Cycles expose the picture row by row while the camera moves by ``travel`` (3,) metres.
+
+    The camera's current position is that of the middle row.
+    """
     camera = scene.camera
     camera.animation_data_clear()
     scene.render.use_motion_blur = bool(travel.any())
@@ -326,7 +331,7 @@ def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
     scene.render.motion_blur_shutter = 1.0  # from half a frame before to half a frame after
     scene.render.motion_blur_position = "CENTER"
     scene.cycles.rolling_shutter_type = "TOP"
-    scene.cycles.rolling_shutter_duration = 0.0  # a row at a time, no streaks
+    scene.cycles.rolling_shutter_duration = 0.0  # row by row and without streaks
     now = scene.frame_current
     middle = np.array(camera.location) - late_by(travel, scene.render.resolution_y)
     for step in (-1, 1):
@@ -338,28 +343,28 @@ def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
 
 
 class _Caster:
-    """Casts rays at objects, as `simulate.camera.resample` asks for them."""
+    """Casts rays at objects for ``simulate.camera.resample``."""
 
     def __init__(self) -> None:
         bpy.context.view_layer.update()
         self._objects: dict[int, list[Any]] = {}
-        for thing in bpy.context.scene.objects:
-            if thing.type == "MESH":
-                self._objects.setdefault(thing.pass_index, []).append(thing)
-        things = [(number, things[0]) for number, things in self._objects.items() if number > 0]
-        self._numbers = [number for number, _ in things]
-        boxes = [np.insert(np.array(thing.bound_box), 3, 1, axis=1) for _, thing in things]
+        for item in bpy.context.scene.objects:
+            if item.type == "MESH":
+                self._objects.setdefault(item.pass_index, []).append(item)
+        items = [(number, items[0]) for number, items in self._objects.items() if number > 0]
+        self._numbers = [number for number, _ in items]
+        boxes = [np.insert(np.array(item.bound_box), 3, 1, axis=1) for _, item in items]
         self._corners = np.array(
             [
-                box @ np.array(thing.matrix_world).T
-                for box, (_, thing) in zip(boxes, things, strict=True)
+                box @ np.array(item.matrix_world).T
+                for box, (_, item) in zip(boxes, items, strict=True)
             ]
         ).reshape(-1, 8, 4)
 
     def small(
         self, cam_from_world: NDArray[np.float64], f: float
     ) -> dict[int, NDArray[np.float64]]:
-        """Boxes, as `simulate.camera.resample` asks for them, in a pinhole picture."""
+        """Return the boxes of small objects in a pinhole picture, as ``resample`` takes them."""
         x, y, z = np.moveaxis((self._corners @ cam_from_world.T)[..., :3], -1, 0)
         ahead = (z > _NEAR_M).all(-1)
         xy = np.stack([x, y], -1) / np.where(ahead[:, None], z, 1)[..., None]
@@ -375,13 +380,14 @@ class _Caster:
         def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
             nearest = np.full(len(rays), np.inf)
             ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
-            for thing in self._objects[number]:
-                local_from_cam = np.linalg.inv(np.array(thing.matrix_world)) @ world_from_cam
+            for item in self._objects[number]:
+                local_from_cam = np.linalg.inv(np.array(item.matrix_world)) @ world_from_cam
                 origin = local_from_cam[:3, 3]
                 directions = ahead @ local_from_cam[:3, :3].T
                 start = origin.tolist()
-                # One list, then arrays: numpy a ray would cost more than the rays themselves.
-                answers = [thing.ray_cast(start, way) for way in directions.tolist()]
+                # A list is filled first, because numpy calls for each ray would cost more than the
+                # ray.
+                answers = [item.ray_cast(start, way) for way in directions.tolist()]
                 hit = np.array([answer[0] for answer in answers], bool)
                 at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
                 # Along (x/z, y/z, 1) the planar depth is the length.

@@ -23,6 +23,6 @@ def board_mesh(board: Board) -> Mesh:
     for j in range(-1, board.rows):
         for i in range(-1, board.columns):
             square(i, i + 1, j, j + 1, 0.0, "white" if (i + j) % 2 else "black")
-    square(-2, board.columns + 1, -2, board.rows + 1, 1e-3 * side, "white")  # the quiet margin
+    square(-2, board.columns + 1, -2, board.rows + 1, 1e-3 * side, "white")  # the white margin
     square(-99, 99, -99, 99, 1.0, "grey")
     return out.build()

@@ -1,4 +1,4 @@
-"""Is there room for what is going to be rendered?"""
+"""A check that the disk has room for the frames to be rendered."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from pathlib import Path
 from scene.bundle.frames import LAYERS
 from scene.errors import InputError
 
-# Bytes per pixel of a rendered frame before it is packed: rgb and every layer, as they are.
+# Bytes per pixel of a rendered frame before it is packed: rgb and all layers, uncompressed.
 _RAW = 3 + sum(dtype.itemsize * (3 if layer == "normal" else 1) for layer, dtype in LAYERS.items())
-# Of which packing leaves a fifth to a quarter at 512 pixels, and more of smaller frames.
+# An upper bound after packing, which leaves a fifth to a quarter at 512 pixels and more of smaller
+# frames.
 _PACKED = 0.5 * _RAW
 
 
 def bytes_needed(left: dict[str, tuple[int, int]], pixels: int) -> int:
-    """Disk space that sessions still need, an upper bound.
+    """Return an upper bound of the disk space that sessions still need, bytes.
 
     Args:
-        left: by session, frames still to be rendered and frames still to be packed.
-        pixels: of a frame.
+        left: numbers of frames still to be rendered and still to be packed, by session.
+        pixels: number of pixels of a frame.
     """
     packed = sum(to_pack for _, to_pack in left.values())
     # Rendered frames of one session at a time wait to be packed.
@@ -28,10 +29,10 @@ def bytes_needed(left: dict[str, tuple[int, int]], pixels: int) -> int:
 
 
 def require_space(folder: Path, needed: int) -> None:
-    """Refuse to begin what the disk of `folder`, which need not exist yet, cannot hold.
+    """Check the free space on the disk of a folder, which need not exist yet.
 
     Raises:
-        InputError: less than `needed` bytes are free there.
+        InputError: less than ``needed`` bytes are free.
     """
     existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     free = shutil.disk_usage(existing).free

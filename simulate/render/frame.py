@@ -1,4 +1,4 @@
-"""What becomes of a rendered frame outside Blender: rays, the rolling shutter, labels, the file."""
+"""Steps of rendering a frame that need no Blender: rays, rolling shutter, labels and the file."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from simulate.place.world import World, class_lookup
 
 
 def late_by(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
-    """Return how far (3,) metres Cycles has the camera ahead: it takes the time of a row's end."""
+    """Return the offset (3,), metres, by which Cycles exposes rows late: at the end of each row."""
     return 0.5 * travel / height
 
 
 def row_shift(travel: NDArray[np.float64], height: int) -> NDArray[np.float64]:
-    """Return where the camera is at every row, (height, 3) metres from where it is at the middle.
+    """Return the camera's offset (height, 3), metres, at every row from that at the middle row.
 
     The camera moves by ``travel`` (3,) metres while a picture is read out.
     """
@@ -61,7 +61,7 @@ def semantic_labels(
 
 
 def save_layers(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Write the layers of a frame, first under another name: a file ``path`` is always complete."""
+    """Write the layers of a frame under another name, then rename: ``path`` is always complete."""
     partial = path.with_suffix(".partial")
     with partial.open("wb") as file:
         np.savez(file, **arrays)

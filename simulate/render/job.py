@@ -1,4 +1,4 @@
-"""What the rendering processes are told, and what they answer."""
+"""The messages to and from the rendering processes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from simulate.place.change import Change
 
 
 class Board(BaseModel):
-    """A chessboard on the plane z = 0, in metres: the origin is its first inner corner, x runs
-    along its `columns` inner corners, y along its `rows`, and its face is seen from below (-z).
+    """A chessboard on the plane z = 0, in metres.
+
+    The origin is its first inner corner. x runs along its ``columns`` inner corners and y along its
+    ``rows``. Its face is seen from below (-z).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -25,14 +27,16 @@ class Board(BaseModel):
 
 
 class RenderJob(BaseModel):
-    """One flight under one condition.
+    """The frames of one flight under one condition.
 
-    `poses` maps frame numbers to `cam_from_world`, row by row: OpenCV axes, metres. `samples` is
-    paths per pixel, denoised afterwards. `origin` is where on earth the sun is seen from. `change`
-    and `first_new_id` make the world as `simulate.place.change.changed_world` does. `lens` is the
-    camera of the photographs, as `str(scene.camera.Camera)`, when it is not the pinhole `camera`,
-    which then covers its view. `travel` is how far a frame's camera moves, in world metres, while
-    its rows are read out from top to bottom; its pose is that of the middle of the picture.
+    - ``poses`` maps frame numbers to ``cam_from_world`` (4, 4), OpenCV axes, metres.
+    - ``samples`` is the number of paths per pixel before denoising.
+    - ``origin`` is the geodetic origin, from which the position of the sun follows.
+    - ``change`` and ``first_new_id`` make the world, as ``simulate.place.change.changed_world``.
+    - ``lens`` is the camera of the photographs as ``str(scene.geometry.camera.Camera)``, when it is
+      not the pinhole ``camera``, which then covers its view.
+    - ``travel`` is how far the camera of a frame moves, in world metres, while its rows are read
+      out from top to bottom. Its pose is that of the middle of the picture.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -67,29 +71,29 @@ class RenderJob(BaseModel):
 
 
 class RenderChunk(BaseModel):
-    """What one Blender process is told: a job whose poses are its own share of the frames.
+    """The instructions of one Blender process: a job with its share of the poses.
 
-    It ends early, to be followed by another, once its memory has grown by `may_grow_bytes` since
-    its first frame; and it ends with the process `parent`.
+    The process ends early, and another continues, once its memory has grown by ``may_grow_bytes``
+    since its first frame. It also ends when the process ``parent`` ends.
     """
 
     model_config = ConfigDict(extra="forbid")
 
     job: RenderJob
-    rays: Path | None  # npy (H, W, 2): x/z and y/z of the lens's pixels; None: of the pinhole's
+    rays: Path | None  # npy (H, W, 2): x/z and y/z of the lens's pixels; None for the pinhole's
     out_dir: Path
-    threads: int = Field(ge=0)  # 0: as many as there are processors
+    threads: int = Field(ge=0)  # 0 stands for one per processor
     may_grow_bytes: int = Field(ge=0)
     parent: int
 
 
 class FrameDone(BaseModel):
-    """The line a Blender process prints for each finished frame."""
+    """The line that a Blender process prints for each finished frame."""
 
     frame: int
     seconds: float
 
 
 def frame_path(out_dir: Path, frame: int) -> Path:
-    """Where a finished frame lies: NNNNNN.npz."""
+    """Return the path of a finished frame, NNNNNN.npz."""
     return out_dir / f"{frame:06d}.npz"

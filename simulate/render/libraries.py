@@ -1,7 +1,7 @@
-"""The system libraries that Blender's module needs and no Python package brings.
+"""The system libraries that Blender's module needs and that no Python package contains.
 
-``python -m simulate.render.libraries`` checks them, installs what is missing where it
-may (root and apt), and otherwise prints the line that does.
+``python -m simulate.render.libraries`` checks them. As root with apt it installs missing ones, and
+otherwise it prints the command that does.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final
 
 from scene.runtime.debian import check, require_packages
 
-# Shared library -> Debian package, of bpy 4.5.
+# Debian package of each shared library that bpy 4.5 needs.
 PACKAGES: Final = {
     "libX11.so.6": "libx11-6",
     "libXrender.so.1": "libxrender1",
@@ -27,7 +27,7 @@ PACKAGES: Final = {
 
 
 def missing_packages() -> list[str]:
-    """Debian packages of the libraries that cannot be loaded."""
+    """Return the Debian packages of the libraries that cannot be loaded."""
     return [package for library, package in PACKAGES.items() if not _loads(library)]
 
 
@@ -40,13 +40,13 @@ def _loads(library: str) -> bool:
 
 
 def require_libraries(install: bool = False) -> None:
-    """Make sure Blender's libraries are there.
+    """Check that Blender's libraries can be loaded.
 
     Args:
-        install: install missing ones, where this process is root and apt is there.
+        install: whether to install missing ones, where this process is root and apt exists.
 
     Raises:
-        InputError: some are missing; the message holds the line that installs them.
+        InputError: libraries are missing; the message contains the command that installs them.
     """
     require_packages(missing_packages, "Blender needs system libraries that are", install)
 

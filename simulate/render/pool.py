@@ -1,4 +1,4 @@
-"""Renders a flight: hands frames to Blender processes and watches over them."""
+"""Rendering of a flight: starts Blender processes, gives them frames and watches them."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _APT_PACKAGES = (
 )
 
 
-# What Blender leaks, if it leaks, ends with its process: after so many frames, ...
+# A process ends after this many frames, which frees any memory that Blender leaks.
 FRAMES_PER_PROCESS = 200
-# ... or when it holds so much more than after its first frame.
+# It also ends when it takes this much more memory than after its first frame (bytes).
 _MAY_GROW_BYTES = 1_000_000_000
 
 
 class RenderError(RuntimeError):
-    """A rendering process failed; the message says in one line why."""
+    """A rendering process failed. The message gives the reason in one line."""
 
 
 def render(
@@ -43,16 +43,22 @@ def render(
     jobs: int = 1,
     on_frame: Callable[[int], None] | None = None,
 ) -> None:
-    """Render every frame of `job` that `out_dir` does not hold yet, with `jobs` processes.
+    """Render every frame of a job that does not exist yet.
 
-    A frame is `NNNNNN.npz` with rgb (H, W, 3) uint8 sRGB, depth (H, W) float32 planar metres
-    (0: no surface), instance (H, W) uint16 object ids (0: ground or sky), semantic (H, W) uint8
-    labels (not of a board) and normal (H, W, 3) int8 world normals times 127. It appears only when
-    complete.
-    `on_frame` is called in this thread with the number of each frame as it is finished.
+    A frame is a file ``NNNNNN.npz`` with rgb (H, W, 3) uint8 sRGB, depth (H, W) float32 planar
+    metres (0: no surface), instance (H, W) uint16 object ids (0: ground or sky), semantic (H, W)
+    uint8 labels (not for a board) and normal (H, W, 3) int8 world normals times 127. The file
+    appears only when it is complete.
+
+    Args:
+        job: the frames.
+        out_dir: folder of the frames.
+        jobs: number of processes.
+        on_frame: is called in this thread with the number of each finished frame.
 
     Raises:
-        InputError: an unknown preset or condition, or no sun at the origin that day.
+        InputError: the preset or condition is unknown, or the sun does not rise at the origin that
+            day.
         RenderError: a process died; the frames finished before remain.
     """
     with closing(rendering(job, out_dir, jobs)) as frames:
@@ -64,10 +70,10 @@ def render(
 def rendering(
     job: RenderJob, out_dir: Path, jobs: int = 1, threads: int | None = None
 ) -> Generator[int, None, None]:
-    """Do what `render` does; yield the number of each frame as it is finished.
+    """Render as ``render`` does, and yield the number of each finished frame.
 
-    `threads` are those of each process, which share the processors where it is None. One process
-    alone finishes frames in the order of their numbers.
+    Each process has ``threads`` threads; with None, the processes share the processors. A single
+    process finishes frames in the order of their numbers.
     """
     condition(job.condition, job.origin)
     preset(job.preset)
@@ -105,8 +111,9 @@ def rendering(
 
 
 def _lens_rays(lens: str) -> NDArray[np.float64]:
-    """x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
-    from scene.geometry.camera import Camera  # torch, which Blender's processes need not load
+    """Return the rays x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
+    # Imported here, because it loads torch, which Blender's processes do not need.
+    from scene.geometry.camera import Camera
 
     camera = Camera.parse(lens.split())
     rays, _ = camera.unproject(camera.pixel_grid())
@@ -114,7 +121,7 @@ def _lens_rays(lens: str) -> NDArray[np.float64]:
 
 
 class _Child:
-    """A Blender process whose lines arrive in a queue."""
+    """A Blender process. Its output lines are put into a queue."""
 
     def __init__(self, chunk: Path) -> None:
         root = str(Path(__file__).resolve().parents[2])
@@ -127,12 +134,13 @@ class _Child:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
-                # Blender has a folder of its own for temporary files, which a killed one leaves.
+                # Blender's temporary files are in this folder, because a killed process leaves
+                # them.
                 env={**os.environ, "PYTHONPATH": path, "TMPDIR": str(chunk.parent.resolve())},
             )
 
     def listen(self, lines: queue.Queue[tuple[_Child, str | None]]) -> None:
-        """Put every line, then None at the end, from a thread of its own."""
+        """Start a thread that puts every line into the queue, and None at the end."""
 
         def pump() -> None:
             assert self.process.stdout is not None
@@ -143,7 +151,7 @@ class _Child:
         threading.Thread(target=pump, daemon=True).start()
 
     def check(self) -> None:
-        """RenderError when the process ended badly."""
+        """Raise RenderError when the process failed."""
         code = self.process.wait()
         if code == 0:
             return
@@ -155,7 +163,7 @@ class _Child:
         raise RenderError(f"the rendering process {how}: {last}")
 
     def stop(self) -> None:
-        """End the process if it still runs."""
+        """End the process if it is still running."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
@@ -167,9 +175,13 @@ def _work_off(
     start: Callable[[list[int]], _Child],
     out_dir: Path,
 ) -> Iterator[int]:
-    """Keep `jobs` processes at work until no share is left, each share with a process of its own,
-    and yield the frames they finish; RenderError as soon as one has failed. What a process leaves
-    of its share goes to another."""
+    """Run up to ``jobs`` processes, one per share, and yield the frames that they finish.
+
+    Frames that a process leaves go to another process.
+
+    Raises:
+        RenderError: a process failed.
+    """
     lines: queue.Queue[tuple[_Child, str | None]] = queue.Queue()
     running: dict[_Child, list[int]] = {}
     try:

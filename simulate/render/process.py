@@ -1,4 +1,4 @@
-"""What a rendering process knows of itself: its core, and whether it is still wanted."""
+"""Settings of a rendering process: when it ends, and the core on which it runs."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _PR_SET_PDEATHSIG = 1
 
 
 def end_with(parent: int) -> None:
-    """Be killed when the process `parent` ends, however it ends; at once when it has ended.
+    """Ask the kernel to kill this process when the process ``parent`` ends for any reason.
 
-    A killed run must leave no process behind that writes the frames its successor renders. Only
-    Linux offers this; elsewhere nothing happens.
+    Otherwise a killed run would leave processes that write the frames that the next run renders.
+    Only Linux offers this; on other systems nothing happens.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -27,17 +27,17 @@ def end_with(parent: int) -> None:
 
 
 def keep_to_one_core() -> None:
-    """Let this process run on one core alone, which no other such process takes until it ends.
+    """Bind this process to one core that no other rendering process uses.
 
-    Told to render with one thread, Blender keeps a second that looks for work without rest: it
-    takes a core, does nothing, and slows down whoever else renders on the machine. On one core it
-    gives way. Cores are marked as taken by names of the kernel's that end with their owner. Where
-    all are taken, and where the system is not Linux, nothing happens.
+    With one thread, Blender starts a second one that polls for work. It would occupy a core and
+    slow down other renderers on the machine. On a single core it yields to the first. A core is
+    reserved by a name in the kernel that disappears with the process. Where no core is free, and on
+    systems other than Linux, nothing happens.
     """
     if sys.platform != "linux":
         return
     cores = list(os.sched_getaffinity(0))
-    random.shuffle(cores)  # containers on one machine may share its cores and not its names
+    random.shuffle(cores)  # containers may share cores but not these names
     for core in cores:
         mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
@@ -45,8 +45,8 @@ def keep_to_one_core() -> None:
         except OSError:
             mark.close()
             continue
-        for thread in Path("/proc/self/task").iterdir():  # later ones follow who starts them
-            with suppress(ProcessLookupError):  # one that has ended meanwhile
+        for thread in Path("/proc/self/task").iterdir():  # later threads inherit the core
+            with suppress(ProcessLookupError):  # the thread has ended in the meantime
                 os.sched_setaffinity(int(thread.name), {core})
         mark.detach()
         return

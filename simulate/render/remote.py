@@ -1,4 +1,4 @@
-"""Renders a flight on a cluster: shares of its frames go out, finished files come back."""
+"""Rendering of a flight on a cluster: workers receive shares and send back finished files."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from scene.storage.scratch import scratch
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import FRAMES_PER_PROCESS, rendering
 
-# A share of fewer frames costs more for its place, which is built first, than for them.
+# With fewer frames in a share, building the place takes longer than rendering them.
 _WORTH_A_PROCESS = 8
 
 
 def frame_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
-    """Render all frames of a job with one process and one thread: the work of a crew.
+    """Render all frames of a job with one process and one thread, on a worker.
 
-    Yields the number and the file of each, in the order of their numbers.
+    Yields:
+        The number and the file of each frame, in the order of their numbers.
     """
     with (
         scratch() as folder,
@@ -28,22 +29,22 @@ def frame_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
         for frame in frames:
             path = frame_path(folder, frame)
             yield frame, path.read_bytes()
-            path.write_bytes(b"")  # it is there, and takes no room
+            path.write_bytes(b"")  # the file exists and takes no space
 
 
 def render_remotely(
-    crew: WorkerPool[RenderJob, tuple[int, bytes]],
+    workers: WorkerPool[RenderJob, tuple[int, bytes]],
     job: RenderJob,
     out_dir: Path,
     on_frame: Callable[[int], None],
 ) -> None:
-    """Render every frame of `job` that `out_dir` does not hold yet, as `pool.render` does.
+    """Render every frame of a job that does not exist yet, as ``pool.render`` does.
 
-    Only this process writes to `out_dir`: no folder need be shared.
+    Only this process writes to ``out_dir``, so the workers need no shared folder.
     """
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
-    with closing(crew.map(divided(job, missing, crew.cores))) as files:
+    with closing(workers.map(divided(job, missing, workers.cores))) as files:
         for frame, data in files:
             with atomic_write(frame_path(out_dir, frame)) as partial:
                 partial.write_bytes(data)
@@ -51,6 +52,6 @@ def render_remotely(
 
 
 def divided(job: RenderJob, frames: Sequence[int], cores: int) -> Iterator[RenderJob]:
-    """Shares of a job's frames for the workers of so many cores."""
+    """Yield shares of a job's frames for workers with ``cores`` cores."""
     for share in split_work(frames, cores, _WORTH_A_PROCESS, FRAMES_PER_PROCESS):
         yield job.model_copy(update={"poses": {i: job.poses[i] for i in share}})

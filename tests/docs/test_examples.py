@@ -55,6 +55,12 @@ def test_every_example_is_short_and_tested() -> None:
         assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) < MOST_LINES
 
 
+def test_the_page_includes_every_example() -> None:
+    page = (EXAMPLES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
+    for path in EXAMPLES.glob("*.py"):
+        assert f'--8<-- "examples/{path.name}"' in page
+
+
 def test_a_scene_with_its_map(scene: Path) -> None:
     assert (scene / "scene.json").is_file()
     assert (scene / "map" / "points3D.bin").is_file()

@@ -1,4 +1,4 @@
-"""The judge of places learns from towns whose things are known."""
+"""The classifier of places learns from towns whose objects are known."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from scene.errors import InputError
 
 
 def made(seed: int, count: int = 3000) -> Lessons:
-    """Places that are on things where two figures together say so."""
+    """Return places that are on objects where two figures together say so."""
     rng = np.random.default_rng(seed)
     figures = rng.normal(3, 5, (count, FIGURES)).astype(np.float32)
-    on_thing = (figures[:, 0] - 3) * (figures[:, 4] - 3) > 0
-    small = np.where(on_thing, rng.integers(1, 9, count), 0)
-    return Lessons(figures, on_thing, small, frozenset(range(1, 9)))
+    on_object = (figures[:, 0] - 3) * (figures[:, 4] - 3) > 0
+    small = np.where(on_object, rng.integers(1, 9, count), 0)
+    return Lessons(figures, on_object, small, frozenset(range(1, 9)))
 
 
 def test_it_learns_what_only_figures_together_say() -> None:
     judge = learn([made(seed) for seed in range(5)], LearningOptions(steps=1000))
     other = made(2)
-    right = (judge.likely(other.figures) > 0.5) == other.on_thing
+    right = (judge.likely(other.figures) > 0.5) == other.on_object
     assert right.mean() > 0.85
-    assert "8 of 8 small things" in report(judge, other)[-1]
-    blind = report(PlaceClassifier().eval(), other._replace(on_thing=np.zeros(3000, bool)))
+    assert "8 of 8 small objects" in report(judge, other)[-1]
+    blind = report(PlaceClassifier().eval(), other._replace(on_object=np.zeros(3000, bool)))
     assert blind[0].startswith("95% of 0 places") and "0 of 8" in blind[0]
 
 
@@ -45,13 +45,13 @@ def test_the_same_seed_learns_the_same() -> None:
 
 def test_a_rendered_town_teaches(rendered: Scene) -> None:
     found = lessons(rendered.path)
-    assert found.figures.shape == (len(found.on_thing), FIGURES)
+    assert found.figures.shape == (len(found.on_object), FIGURES)
     assert np.isfinite(found.figures).all()
-    assert found.on_thing.any() and not found.on_thing.all()
-    assert found.on_thing[found.small > 0].all()
-    # Who was taught elsewhere knows things here.
+    assert found.on_object.any() and not found.on_object.all()
+    assert found.on_object[found.small > 0].all()
+    # A classifier that was trained elsewhere recognises objects here.
     likely = read_classifier().likely(found.figures)
-    assert likely[found.on_thing].mean() > likely[~found.on_thing].mean() + 0.3
+    assert likely[found.on_object].mean() > likely[~found.on_object].mean() + 0.3
 
 
 def test_a_judge_of_other_figures_is_refused(tmp_path: Path) -> None:

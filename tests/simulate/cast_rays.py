@@ -37,12 +37,12 @@ def main(job_path: str, out: str) -> None:
         rotation, centre = cam_from_world[:3, :3], np.linalg.inv(cam_from_world)[:3, 3]
         for k, (column, row) in enumerate(pixels[f]):
             ray = np.array([*rays[row, column], 1.0])
-            hit, at, _, _, thing, _ = bpy.context.scene.ray_cast(
+            hit, at, _, _, item, _ = bpy.context.scene.ray_cast(
                 graph, Vector(centre), Vector(ray @ rotation)
             )
             if hit:
                 found["depth"][f, k] = (rotation @ (np.array(at) - centre))[2]
-                found["instance"][f, k] = thing.pass_index
+                found["instance"][f, k] = item.pass_index
     np.savez(out, columns=pixels[..., 0], rows=pixels[..., 1], **found)
 
 

@@ -48,14 +48,14 @@ def main(job_path: str, dots_path: str, out: str) -> None:
     np.save(out, picture)
 
 
-def shining(thing: bpy.types.ID, output: str, strength: float) -> bpy.types.ID:
-    thing.use_nodes = True
-    tree = thing.node_tree
+def shining(item: bpy.types.ID, output: str, strength: float) -> bpy.types.ID:
+    item.use_nodes = True
+    tree = item.node_tree
     tree.nodes.clear()
     glow = tree.nodes.new("ShaderNodeEmission")
     glow.inputs["Color"].default_value = (strength, strength, strength, 1.0)
     tree.links.new(glow.outputs[0], tree.nodes.new(output).inputs["Surface"])
-    return thing
+    return item
 
 
 if __name__ == "__main__":

@@ -67,18 +67,18 @@ def test_shares_are_kept(town: World) -> None:
 
 def test_new_places_are_free_and_on_the_ground(town: World) -> None:
     changed = changed_world(town, MUCH)
-    things = changed.world.objects
+    items = changed.world.objects
     new = {*changed.declared.added, *(number for _, number in changed.declared.moved)}
     assert len(new) > 15
     rises = Rises(town.kerbs)
-    for thing in things:
-        if thing.id in new:
-            box = thing.footprint()
+    for item in items:
+        if item.id in new:
+            box = item.footprint()
             assert np.abs(box).max() <= 0.5 * town.area_m
-            base = thing.centre[2] - 0.5 * thing.size[2]
-            at = thing.centre[:2]
+            base = item.centre[2] - 0.5 * item.size[2]
+            at = item.centre[:2]
             assert base == pytest.approx(float(town.terrain.height(*at)) + rises.at(at))
-            assert not any(overlap(box, o.footprint()) for o in things if o is not thing)
+            assert not any(overlap(box, o.footprint()) for o in items if o is not item)
 
 
 def test_an_id_means_one_object_in_every_session(town: World) -> None:

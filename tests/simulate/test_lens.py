@@ -197,13 +197,13 @@ def test_ground_and_objects_are_where_they_stand(flown) -> None:
         assert np.median(error) < 0.002  # the triangulation of the terrain
         assert np.percentile(error, 99) < 0.02
         for number in set(np.unique(instance).tolist()) - {0}:
-            thing = by_id[number]
-            seen = world[instance == number] - thing.centre
-            cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
+            item = by_id[number]
+            seen = world[instance == number] - item.centre
+            cos, sin = np.cos(item.yaw), np.sin(item.yaw)
             seen[:, :2] = seen[:, :2] @ np.array([[cos, -sin], [sin, cos]])
-            foundation = 1.5 if thing.class_name == "building" else 0.0
-            assert (np.abs(seen[:, :2]) <= 0.5 * thing.size[:2] + 0.03).all(), thing
-            assert (np.abs(seen[:, 2]) <= 0.5 * thing.size[2] + foundation + 0.03).all(), thing
+            foundation = 1.5 if item.class_name == "building" else 0.0
+            assert (np.abs(seen[:, :2]) <= 0.5 * item.size[:2] + 0.03).all(), item
+            assert (np.abs(seen[:, 2]) <= 0.5 * item.size[2] + foundation + 0.03).all(), item
 
 
 def test_presets_are_drones_of_the_size_asked_for() -> None:

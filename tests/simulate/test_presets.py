@@ -100,28 +100,28 @@ def test_no_two_solid_things_intersect(place):
     _, world = place
     solid = [o for o in world.objects if o.class_name != "wire"]
     near = CircleGrid()
-    for thing in solid:
-        centre, radius = thing.centre[:2], 0.5 * float(np.hypot(*thing.size[:2]))
+    for item in solid:
+        centre, radius = item.centre[:2], 0.5 * float(np.hypot(*item.size[:2]))
         for k in near.near(centre, radius):
-            assert not overlap(thing.footprint(), solid[k].footprint()), (thing, solid[k])
+            assert not overlap(item.footprint(), solid[k].footprint()), (item, solid[k])
         near.add(centre, radius)
 
 
 def test_meshes_fill_their_boxes(place):
     _, world = place
-    for thing in world.objects:
-        half = 0.5 * thing.size
-        if thing.class_name == "building":
-            vertices = building_mesh(thing).vertices - [0, 0, half[2]]
-        elif thing.class_name in ("hedge", "fence", "wire"):
-            own = {"hedge": hedge_mesh, "fence": fence_mesh, "wire": wire_mesh}[thing.class_name]
-            vertices = own(thing, world.terrain).vertices
+    for item in world.objects:
+        half = 0.5 * item.size
+        if item.class_name == "building":
+            vertices = building_mesh(item).vertices - [0, 0, half[2]]
+        elif item.class_name in ("hedge", "fence", "wire"):
+            own = {"hedge": hedge_mesh, "fence": fence_mesh, "wire": wire_mesh}[item.class_name]
+            vertices = own(item, world.terrain).vertices
         else:
-            vertices = shape_mesh(thing.shape).vertices * thing.size
+            vertices = shape_mesh(item.shape).vertices * item.size
         assert_allclose(vertices[:, :2].max(0), half[:2], rtol=0.15, atol=0.1)
         assert vertices[:, 2].max() == pytest.approx(half[2], abs=0.12)
         assert (np.abs(vertices[:, :2]) <= half[:2] + 1e-3).all()
-        if thing.class_name == "wire":
+        if item.class_name == "wire":
             assert vertices[:, 2].min() == pytest.approx(-half[2], abs=1e-3)
 
 
@@ -149,12 +149,12 @@ def test_water_is_flat_and_boats_alone_are_on_it(place):
         assert len(np.unique(np.round(z, 6))) <= 12  # one level for each lake
         slope = np.abs(world.terrain.height(x + 0.2, y) - z)
         assert slope.max() < 1e-9
-    for thing in world.objects:
-        wet = world.ground.label(*thing.centre[:2]) == CLASSES["water"]
-        if thing.class_name == "boat":
-            assert world.ground.label(*thing.footprint().T).tolist() == [CLASSES["water"]] * 4
-        elif thing.class_name != "wire":
-            assert not wet, thing
+    for item in world.objects:
+        wet = world.ground.label(*item.centre[:2]) == CLASSES["water"]
+        if item.class_name == "boat":
+            assert world.ground.label(*item.footprint().T).tolist() == [CLASSES["water"]] * 4
+        elif item.class_name != "wire":
+            assert not wet, item
 
 
 def test_a_place_with_too_many_things_is_refused_in_one_line(monkeypatch):

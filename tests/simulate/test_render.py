@@ -123,17 +123,17 @@ def test_object_points_lie_in_their_boxes_and_reach_their_tops(summer):
         for number in np.unique(arrays["instance"]):
             if number == 0:
                 continue
-            thing = by_id[int(number)]
+            item = by_id[int(number)]
             seen = world[arrays["instance"] == number]
-            local = seen - thing.centre
-            cos, sin = np.cos(thing.yaw), np.sin(thing.yaw)
+            local = seen - item.centre
+            cos, sin = np.cos(item.yaw), np.sin(item.yaw)
             local[:, :2] = local[:, :2] @ np.array([[cos, -sin], [sin, cos]])
-            below = 1.5 if thing.class_name == "building" else 0.0  # foundations
-            assert (np.abs(local[:, :2]) <= 0.5 * thing.size[:2] + 0.03).all(), thing
-            assert (local[:, 2] <= 0.5 * thing.size[2] + 0.03).all(), thing
-            assert (local[:, 2] >= -0.5 * thing.size[2] - below - 0.03).all(), thing
-            if thing.class_name in ("car", "container") and len(seen) > 12:
-                tops.append(0.5 * thing.size[2] - local[:, 2].max())
+            below = 1.5 if item.class_name == "building" else 0.0  # foundations
+            assert (np.abs(local[:, :2]) <= 0.5 * item.size[:2] + 0.03).all(), item
+            assert (local[:, 2] <= 0.5 * item.size[2] + 0.03).all(), item
+            assert (local[:, 2] >= -0.5 * item.size[2] - below - 0.03).all(), item
+            if item.class_name in ("car", "container") and len(seen) > 12:
+                tops.append(0.5 * item.size[2] - local[:, 2].max())
     assert len(tops) > 3
     assert np.median(tops) < 0.05
 

@@ -76,35 +76,35 @@ def test_every_class_is_present(town):
 
 def test_objects_stand_on_the_ground(town):
     rises = Rises(town.kerbs)
-    for thing in town.objects:
-        x, y = np.vstack([thing.footprint(), thing.centre[:2]]).T
+    for item in town.objects:
+        x, y = np.vstack([item.footprint(), item.centre[:2]]).T
         ground_z = town.terrain.height(x, y)
-        base = thing.centre[2] - 0.5 * thing.size[2]
-        if thing.class_name in ("building", "hedge", "fence"):
+        base = item.centre[2] - 0.5 * item.size[2]
+        if item.class_name in ("building", "hedge", "fence"):
             assert base <= ground_z.min() + 1e-9
         else:
-            assert base == pytest.approx(ground_z[-1] + rises.at(thing.centre[:2]))
+            assert base == pytest.approx(ground_z[-1] + rises.at(item.centre[:2]))
 
 
 def test_only_vehicles_and_lamps_stand_on_carriageways(town):
-    for thing in town.objects:
-        if thing.class_name not in ("car", "van", "truck", "lamp"):
-            label = town.ground.label(*thing.centre[:2])
-            assert label != CLASSES["road"], thing
+    for item in town.objects:
+        if item.class_name not in ("car", "van", "truck", "lamp"):
+            label = town.ground.label(*item.centre[:2])
+            assert label != CLASSES["road"], item
 
 
 def test_own_meshes_fill_their_boxes(town):
-    for thing in town.objects:
-        half = 0.5 * thing.size
-        if thing.class_name == "building":
-            vertices = building_mesh(thing).vertices - [0, 0, half[2]]
+    for item in town.objects:
+        half = 0.5 * item.size
+        if item.class_name == "building":
+            vertices = building_mesh(item).vertices - [0, 0, half[2]]
             vertices = vertices[vertices[:, 2] > -half[2]]  # foundations go below the box
-        elif thing.class_name == "hedge":
-            vertices = hedge_mesh(thing, town.terrain).vertices
-        elif thing.class_name == "fence":
-            vertices = fence_mesh(thing, town.terrain).vertices
+        elif item.class_name == "hedge":
+            vertices = hedge_mesh(item, town.terrain).vertices
+        elif item.class_name == "fence":
+            vertices = fence_mesh(item, town.terrain).vertices
         else:
-            vertices = shape_mesh(thing.shape).vertices * thing.size
+            vertices = shape_mesh(item.shape).vertices * item.size
         assert_allclose(vertices[:, :2].max(0), half[:2], rtol=0.15, atol=0.1)
         assert vertices[:, 2].max() == pytest.approx(half[2], abs=0.12)
         assert (np.abs(vertices[:, :2]) <= half[:2] + 1e-3).all()
@@ -113,8 +113,8 @@ def test_own_meshes_fill_their_boxes(town):
 def test_class_lookup(town):
     table = class_lookup(town.objects)
     assert table[0] == 0
-    for thing in town.objects:
-        assert table[thing.id] == CLASSES[thing.class_name]
+    for item in town.objects:
+        assert table[item.id] == CLASSES[item.class_name]
 
 
 def test_large_towns_are_quick_enough_to_build_in_a_test():

@@ -1,4 +1,4 @@
-"""Single things of every kind: their sizes, their colours, and how they are put down."""
+"""Functions that place single objects, with their sizes and colours."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.place.site import ANYWHERE_FREE, Footing, Site, Thing
+from simulate.place.site import ANYWHERE_FREE, Footing, ObjectSpec, Site
 from simulate.place.streets import Frame
 from simulate.place.styles import vary
 from simulate.place.world import BuildingStyle, Rgb
@@ -54,7 +54,7 @@ CONTAINER_M: dict[str, Size] = {
 }
 _GREY: Rgb = (0.20, 0.205, 0.21)
 _CREOSOTE: Rgb = (0.12, 0.085, 0.06)
-# Size, and the colours its painted parts come in.
+# Size of each small object, and the colours of its painted parts.
 _SMALL: dict[str, tuple[Size, tuple[Rgb, ...]]] = {
     "bin": ((0.60, 0.60, 1.05), ((0.03, 0.10, 0.05), _GREY, (0.035, 0.04, 0.05))),
     "hydrant": ((0.40, 0.48, 0.85), ((0.45, 0.03, 0.02), (0.50, 0.36, 0.03))),
@@ -77,10 +77,10 @@ def small(
     yaw: float,
     footing: Footing = ANYWHERE_FREE,
 ) -> bool:
-    """A thing that is its own class and shape: bin, hydrant, sign, table, bale, boat, ..."""
+    """Place a small object whose class is also its shape, such as a bin, a hydrant or a boat."""
     size, colours = _SMALL[kind]
     colour = vary(site, site.choose(colours))
-    return site.place(Thing(kind, kind, size, colour), at, yaw, footing)
+    return site.place(ObjectSpec(kind, kind, size, colour), at, yaw, footing)
 
 
 def steel(site: Site) -> Rgb:
@@ -90,11 +90,11 @@ def steel(site: Site) -> Rgb:
 def building(
     site: Site, shape: str, at: Frame, spot: Local, size: Size, style: BuildingStyle
 ) -> bool:
-    """A building facing the street of its frame, smaller when the warp leaves it less room."""
+    """Place a building that faces the street of its frame, smaller where there is less room."""
     where, yaw = at.point(*spot), at.yaw(*spot)
     for share in (1.0, 0.9, 0.8, 0.7):
         fitted = (size[0] * share, size[1] * share, size[2])
-        if site.place(Thing("building", shape, fitted, style=style), where, yaw):
+        if site.place(ObjectSpec("building", shape, fitted, style=style), where, yaw):
             return True
     return False
 
@@ -109,12 +109,12 @@ def tree(site: Site, at: Array, radius: float, conifers: float = 0.12) -> bool:
     else:
         size = (2 * radius, 2 * radius, radius * rng.uniform(2.1, 2.9) + 1.2)
         shape = f"broadleaf_{rng.integers(6)}"
-    return site.place(Thing("tree", shape, size, colour), at, rng.uniform(-np.pi, np.pi))
+    return site.place(ObjectSpec("tree", shape, size, colour), at, rng.uniform(-np.pi, np.pi))
 
 
 def bench(site: Site, at: Array, yaw: float) -> bool:
-    thing = Thing("bench", "bench", _BENCH_M, (0.20, 0.12, 0.07))
-    return site.place(thing, at, yaw, Footing(gap_m=0.05))
+    spec = ObjectSpec("bench", "bench", _BENCH_M, (0.20, 0.12, 0.07))
+    return site.place(spec, at, yaw, Footing(gap_m=0.05))
 
 
 def barrier(
@@ -125,9 +125,9 @@ def barrier(
     end: Local,
     section: tuple[float, float],
 ) -> None:
-    """A straight hedge or fence between two local points; shortened ends keep corners apart.
+    """Place a straight hedge or fence between two local points, shortened at corners.
 
-    `section` is its thickness and height, metres.
+    ``section`` is its thickness and height, metres.
     """
     p, q = at.point(*start), at.point(*end)
     length = float(np.linalg.norm(q - p)) - 0.3
@@ -135,12 +135,12 @@ def barrier(
         return
     yaw = float(np.arctan2(*(q - p)[::-1]))
     colour = vary(site, (1.0, 1.0, 1.0) if kind == "hedge" else (0.22, 0.16, 0.11))
-    thing = Thing(kind, kind, (length, *section), colour)
-    site.place(thing, 0.5 * (p + q), yaw, Footing(gap_m=0.02))
+    spec = ObjectSpec(kind, kind, (length, *section), colour)
+    site.place(spec, 0.5 * (p + q), yaw, Footing(gap_m=0.02))
 
 
 def fenced(site: Site, at: Frame, length: float, depth: float, high: float) -> None:
-    """Fences along both sides and the back of a block, in pieces that follow its bends."""
+    """Place fences along both sides and the back of a block, in pieces that follow its bends."""
     for b in np.arange(0.8, depth - 13.0, 12.0):
         for a in (0.3, length - 0.3):
             barrier(site, "fence", at, (a, b), (a, b + 12.0), (0.10, high))
@@ -151,14 +151,14 @@ def fenced(site: Site, at: Frame, length: float, depth: float, high: float) -> N
 def car(site: Site, at: Array, yaw: float, gap_m: float = 0.15) -> bool:
     shape = site.choose(tuple(_CARS))
     paint = vary(site, site.choose(_PAINTS))
-    thing = Thing("car", shape, _CARS[shape], paint)
-    return site.place(thing, at, yaw, Footing(on_road=True, on_reserved=True, gap_m=gap_m))
+    spec = ObjectSpec("car", shape, _CARS[shape], paint)
+    return site.place(spec, at, yaw, Footing(on_road=True, on_reserved=True, gap_m=gap_m))
 
 
 def van(site: Site, at: Array, yaw: float) -> bool:
     paint = vary(site, site.choose(_PAINTS[:4]))
-    thing = Thing("van", "van", _TRUCKS["van"], paint)
-    return site.place(thing, at, yaw, Footing(on_road=True, on_reserved=True))
+    spec = ObjectSpec("van", "van", _TRUCKS["van"], paint)
+    return site.place(spec, at, yaw, Footing(on_road=True, on_reserved=True))
 
 
 def truck(
@@ -172,5 +172,5 @@ def truck(
     shape = site.choose(shapes)
     paint = vary(site, site.choose(_PAINTS[:2] + STEEL))
     class_name = "van" if shape == "van" else "truck"
-    thing = Thing(class_name, shape, _TRUCKS[shape], paint)
-    return site.place(thing, at, yaw, Footing(on_road=on_road, on_reserved=on_road))
+    spec = ObjectSpec(class_name, shape, _TRUCKS[shape], paint)
+    return site.place(spec, at, yaw, Footing(on_road=on_road, on_reserved=on_road))
