@@ -56,6 +56,18 @@ class StartOptions(Config):
 _DEFAULTS: Final = StartOptions()
 
 
+def known_part(prior: Prior | None) -> Prior | None:
+    """Return what a prior knows of the whole pose, for methods that begin at one pose.
+
+    A prior without a horizontal position is none, and an attitude without a heading is none.
+    """
+    if prior is None or not prior.has_position:
+        return None
+    if prior.cam_from_world_rotation is None or prior.has_heading:
+        return prior
+    return Prior(prior.position, prior.position_sigma)
+
+
 def starts(
     prior: Prior | None,
     sparse_map: SparseMap,

@@ -49,9 +49,21 @@ def north_angle(cam_from_world: NDArray[np.float64]) -> float:
         >>> north_angle(np.diag([1.0, -1.0, -1.0]))
         0.0
     """
-    east_axis, north_axis, up_axis = cam_from_world.T
     if not looks_down(cam_from_world):
+        up_axis = cam_from_world[:, 2]
         return float(np.arctan2(up_axis[0], -up_axis[1]))
+    return map_angle(cam_from_world)
+
+
+def map_angle(cam_from_world: NDArray[np.float64]) -> float:
+    """Return the clockwise angle (rad) by which a picture lies closest to a map, north up.
+
+    It is that of ``north_angle`` for views from above, and is defined for flat views too.
+
+    Args:
+        cam_from_world: rotation (3, 3).
+    """
+    east_axis, north_axis, _ = cam_from_world.T
     # The turn about the optical axis that best brings east to the right and north up.
     return float(np.arctan2(north_axis[0] + east_axis[1], east_axis[0] - north_axis[1]))
 
@@ -93,8 +105,7 @@ class WarpedImage:
 
     def in_photograph(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map pixels of the view (N, 2) to pixels of the photograph."""
-        back = np.linalg.inv(self.affine[:, :2])
-        return np.asarray((xy - self.affine[:, 2]) @ back.T)
+        return np.asarray((xy - self.affine[:, 2]) @ self._back.T)
 
     def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether pixels of the view (..., 2) show the photograph, 8 px inside its edge."""
@@ -102,6 +113,10 @@ class WarpedImage:
         there = self.in_photograph(xy.reshape(-1, 2))
         inside = (there >= MARGIN / scale) & (there <= self.size - MARGIN / scale)
         return np.asarray(inside.all(1).reshape(xy.shape[:-1]))
+
+    @cached_property
+    def _back(self) -> NDArray[np.float64]:
+        return np.asarray(np.linalg.inv(self.affine[:, :2]))
 
     @cached_property
     def whole(self) -> bool:

@@ -352,7 +352,7 @@ def _digest(query: Query, path: Path) -> str:
     if prior is not None:
         arrays = (prior.position, prior.position_sigma, prior.cam_from_world_rotation)
         words += ["" if numbers is None else str(numbers.tolist()) for numbers in arrays]
-        words.append(str(prior.attitude_sigma_deg))
+        words.append(f"{prior.attitude_sigma_deg} {prior.heading_sigma_deg}")
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 

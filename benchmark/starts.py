@@ -30,8 +30,12 @@ from scene.storage.files import read_text
 from scene.storage.images import read_rgb
 
 _ERROR: Final = re.compile(r"error=([0-9.]+)m,([0-9.]+)deg")
+_GRAVITY: Final = re.compile(r"gravity(?:=([0-9.]+)deg)?")
+_GPS: Final = re.compile(r"gps=([0-9.]+)m")
 _TOP: Final = re.compile(r"retrieval(?:=([1-9][0-9]{0,8}))?")
 _USUAL_TOP: Final = 10
+# What a gimbal knows of its tilt.
+_USUAL_TILT_DEG: Final = 3.0
 # No rotation has a larger angle.
 _MOST_DEG: Final = 180.0
 
@@ -48,15 +52,17 @@ class Start:
         kind: "prior" gives the prior pose of the data set, "none" gives nothing, "retrieval" gives
             the ``top`` map photographs that look most like the query, "pairs" gives map photographs
             from a file, and "error" gives the reference pose, shifted by exactly ``metres`` and
-            rotated by exactly ``degrees`` in random directions.
+            rotated by exactly ``degrees`` in random directions. "gravity" gives the attitude,
+            tilted by exactly ``degrees`` and turned to a random heading, and no position; "gps"
+            gives the position alone, wrong by exactly ``metres``.
         top: number of map photographs of "retrieval".
-        metres: position error of "error".
-        degrees: attitude error of "error".
+        metres: position error of "error" and "gps".
+        degrees: attitude error of "error", and of the tilt of "gravity".
         pairs: names of map photographs by the name of the query, for "pairs".
     """
 
     name: str
-    kind: Literal["prior", "none", "retrieval", "pairs", "error"]
+    kind: Literal["prior", "none", "retrieval", "pairs", "error", "gravity", "gps"]
     top: int = 0
     metres: float = 0.0
     degrees: float = 0.0
@@ -80,6 +86,12 @@ class Start:
         if self.kind == "error":
             return lambda query: query.load(
                 moved_prior(query.reference, query.name, self.metres, self.degrees)
+            )
+        if self.kind == "gravity":
+            return lambda query: query.load(tilted_prior(query.reference, query.name, self.degrees))
+        if self.kind == "gps":
+            return lambda query: query.load(
+                position_prior(query.reference, query.name, self.metres)
             )
         if self.kind == "retrieval":
             similar = _similar(dataset, sparse_map, self.top, cache)
@@ -105,7 +117,8 @@ NONE: Final = Start("none", "none")
 
 
 def parse_start(text: str) -> Start:
-    """Read ``prior``, ``none``, ``retrieval[=K]``, ``pairs=FILE`` or ``error=3m,5deg``.
+    """Read a start: ``prior``, ``none``, ``retrieval[=K]``, ``pairs=FILE``, ``error=3m,5deg``,
+    ``gravity[=3deg]`` or ``gps=50m``.
 
     A pair list is hloc's: lines "query reference".
 
@@ -118,24 +131,79 @@ def parse_start(text: str) -> Start:
         top = int(match.group(1) or _USUAL_TOP)
         return Start(f"retrieval={top}", "retrieval", top=top)
     if match := _ERROR.fullmatch(text):
-        try:
-            metres, degrees = float(match.group(1)), float(match.group(2))
-        except ValueError:
-            raise InputError(f"start {text!r}: not a number of metres and degrees") from None
-        if metres > FARTHEST_M or degrees > _MOST_DEG:
-            raise InputError(
-                f"start {text!r}: an error is at most {FARTHEST_M:g} metres and {_MOST_DEG:g} "
-                "degrees"
-            )
-        # A name such as 1e+06 could not be read again.
-        size = [np.format_float_positional(value, trim="-") for value in (metres, degrees)]
-        name = "error={}m,{}deg".format(*size)
+        metres, degrees = _size(text, match.group(1)), _size(text, match.group(2))
+        name = f"error={_written(metres)}m,{_written(degrees)}deg"
         return Start(name, "error", metres=metres, degrees=degrees)
+    if match := _GRAVITY.fullmatch(text):
+        degrees = _size(text, match.group(1) or str(_USUAL_TILT_DEG))
+        return Start(f"gravity={_written(degrees)}deg", "gravity", degrees=degrees)
+    if match := _GPS.fullmatch(text):
+        metres = _size(text, match.group(1))
+        return Start(f"gps={_written(metres)}m", "gps", metres=metres)
     if text.startswith("pairs="):
         return _pairs(Path(text.removeprefix("pairs=")))
     raise InputError(
-        f"unknown start {text!r}: prior, none, retrieval[=K], pairs=FILE or error=3m,5deg"
+        f"unknown start {text!r}: prior, none, retrieval[=K], pairs=FILE, error=3m,5deg, "
+        "gravity[=3deg] or gps=50m"
     )
+
+
+def _size(text: str, number: str) -> float:
+    """Return a number of metres or degrees of a start."""
+    try:
+        size = float(number)
+    except ValueError:
+        raise InputError(f"start {text!r}: not a number of metres and degrees") from None
+    if size > FARTHEST_M or (f"{number}deg" in text and size > _MOST_DEG):
+        raise InputError(
+            f"start {text!r}: an error is at most {FARTHEST_M:g} metres and {_MOST_DEG:g} degrees"
+        )
+    return size
+
+
+def _written(size: float) -> str:
+    """Return a number as it can be read again: 1e+06 could not."""
+    return np.format_float_positional(size, trim="-")
+
+
+def _generator(name: str) -> np.random.Generator:
+    """Return random numbers that the name of a query decides."""
+    digest = hashlib.sha256(name.encode()).digest()
+    return np.random.default_rng(int.from_bytes(digest[:8], "little"))
+
+
+def tilted_prior(reference: Pose, name: str, degrees: float) -> Prior:
+    """Return a prior that knows gravity alone, as a gimbal without a compass does.
+
+    Args:
+        reference: true pose ``cam_from_world``, float64.
+        name: name of the query, which seeds heading and direction of the error.
+        degrees: angle between the prior's gravity and the true one.
+    """
+    rng = _generator(name)
+    towards, heading = rng.uniform(0, 2 * np.pi, 2)
+    axis = np.radians(degrees) * np.array([np.cos(towards), np.sin(towards), 0.0])
+    tilt = so3_exp(torch.from_numpy(axis))
+    turn = so3_exp(torch.tensor([0.0, 0.0, heading], dtype=torch.float64))
+    return Prior(
+        position=np.zeros(3),
+        position_sigma=np.full(3, np.inf),
+        cam_from_world_rotation=(reference.rotation @ tilt @ turn).numpy(),
+        attitude_sigma_deg=max(degrees, 0.01),
+        heading_sigma_deg=np.inf,
+    )
+
+
+def position_prior(reference: Pose, name: str, metres: float) -> Prior:
+    """Return a prior that knows the position alone.
+
+    Args:
+        reference: true pose ``cam_from_world``, float64.
+        name: name of the query, which seeds the direction of the error.
+        metres: distance of the prior's position from the camera centre.
+    """
+    moved = moved_prior(reference, name, metres, 0.0)
+    return Prior(moved.position, moved.position_sigma)
 
 
 def moved_prior(reference: Pose, name: str, metres: float, degrees: float) -> Prior:
@@ -150,9 +218,7 @@ def moved_prior(reference: Pose, name: str, metres: float, degrees: float) -> Pr
         metres: distance of the prior's position from the camera centre.
         degrees: angle between the attitudes of the prior and the camera.
     """
-    digest = hashlib.sha256(name.encode()).digest()
-    rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
-    direction, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+    direction, axis = (v / np.linalg.norm(v) for v in _generator(name).standard_normal((2, 3)))
     rotation = so3_exp(torch.from_numpy(np.radians(degrees) * axis))
     return Prior(
         position=reference.centre().numpy() + metres * direction,

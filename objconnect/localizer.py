@@ -11,6 +11,7 @@ from baselines.checkpoint import shipped
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.options import FeaturemetricConfig
 from baselines.place.finder import PlaceOptions
+from baselines.sift import SiftConfig
 from objconnect.network import read_network
 
 SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
@@ -24,6 +25,7 @@ class ObjConnectConfig(FeaturemetricConfig):
     references: int = Field(8, ge=1)
     multistart: bool = True
     place: PlaceOptions = Field(PlaceOptions())
+    matches: SiftConfig | None = Field(SiftConfig())
 
 
 class ObjConnectLocalizer(FeaturemetricLocalizer):

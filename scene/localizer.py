@@ -33,12 +33,27 @@ class Prior:
         position_sigma: standard deviation of ``position`` per axis, (3,) metres; None if unknown.
         cam_from_world_rotation: attitude, (3, 3); None if unknown.
         attitude_sigma_deg: standard deviation of the attitude, degrees; None if unknown.
+        heading_sigma_deg: standard deviation of the heading, degrees, where it is not that of the
+            attitude: infinite where a gimbal knows the tilt and no compass the heading.
     """
 
     position: NDArray[np.float64]
     position_sigma: NDArray[np.float64] | None = None
     cam_from_world_rotation: NDArray[np.float64] | None = None
     attitude_sigma_deg: float | None = None
+    heading_sigma_deg: float | None = None
+
+    @property
+    def has_position(self) -> bool:
+        """Whether the horizontal position was measured, however well."""
+        return self.position_sigma is None or bool(np.isfinite(self.position_sigma[:2]).all())
+
+    @property
+    def has_heading(self) -> bool:
+        """Whether the attitude was measured, heading included, however well."""
+        sigma = self.heading_sigma_deg
+        sigma = self.attitude_sigma_deg if sigma is None else sigma
+        return self.cam_from_world_rotation is not None and (sigma is None or sigma < np.inf)
 
 
 @dataclass(frozen=True)
@@ -83,6 +98,8 @@ def query_error(query: Query) -> str:
         return "the prior's attitude is not finite"
     if prior.attitude_sigma_deg is not None and not prior.attitude_sigma_deg >= 0:
         return "the prior's attitude has a sigma that is no standard deviation"
+    if prior.heading_sigma_deg is not None and not prior.heading_sigma_deg >= 0:
+        return "the prior's heading has a sigma that is no standard deviation"
     return ""
 
 

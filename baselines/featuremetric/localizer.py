@@ -9,11 +9,13 @@ steps that make the cost larger are not taken, and the pose has a covariance.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
@@ -29,12 +31,19 @@ from baselines.featuremetric.problem import LEAST_SIDE, ProblemBuilder, fit
 from baselines.featuremetric.references import ReferenceSource, references
 from baselines.place.finder import PlaceFinder
 from baselines.retrieval import OnDemand, References
-from baselines.starts import starts, with_all_headings
+from baselines.sift import SiftConfig, SiftLocalizer
+from baselines.starts import known_part, starts, with_all_headings
 from baselines.views import WarpedImage, with_heading
+from scene.errors import InputError
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 from scene.storage.scratch import scratch
+
+log = logging.getLogger(__name__)
+
+# How far to look around a pose from matches, which are right or nowhere near.
+_MATCHED_RADIUS: Final = SearchRadius(1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -106,6 +115,9 @@ class FeaturemetricLocalizer:
         # photographs.
         described = OnDemand(self._observations.coarse, len(self._observations))
         self._retrieval = References.build(sparse_map, described, config.retrieval)
+        self._matches: SiftLocalizer | None = None
+        if config.multistart and config.matches is not None:
+            self._matches = _matcher(config.matches, sparse_map, images, cache)
         if config.multistart and config.place.candidates:
             self._places = PlaceFinder(self._extract, config.place)
             self._places.prepare(sparse_map, images, source.extractor_key, cache)
@@ -119,6 +131,18 @@ class FeaturemetricLocalizer:
             reason = f"the image is {side} pixels wide or high, {LEAST_SIDE} are needed"
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
+        lost = self.config.multistart and query.references is None and not _whole(query.prior)
+        asked, query = query, replace(query, prior=known_part(query.prior))
+        matched = self._matched(query, clock) if lost else None
+        if matched is not None and matched.cam_from_world is not None:
+            attempt = self._attempt_near(query, matched.cam_from_world, clock, _MATCHED_RADIUS)
+            if not attempt.reason:
+                return self._estimate([attempt], [], clock)
+            if matched.inliers >= self.config.search.matched_accept_inliers:
+                return replace(matched, seconds=clock.seconds)
+        places = self._found_places(asked, clock) if lost else []
+        if places:
+            return self._estimate(self._attempts_at_places(query, places, clock), places, clock)
         with clock.stage("retrieval"):
             chosen = self._chosen(query)
             if not len(chosen):
@@ -126,15 +150,19 @@ class FeaturemetricLocalizer:
             begin = starts(query.prior, self._map, chosen, self.config.starts)
             if self.config.multistart and _heading_unknown(query.prior):
                 begin = with_all_headings(begin, self.config.starts)
-        places = self._found_places(query, clock)
-        attempts = self._attempts(query, chosen, begin, places, clock)
+        return self._estimate(self._attempts(query, chosen, begin, clock), begin, clock)
+
+    def _estimate(
+        self, attempts: Sequence[_Attempt], begin: Sequence[Pose], clock: Stopwatch
+    ) -> Estimate:
+        """Return the best of some attempts; where none is accepted, the first start."""
         best = min(attempts, key=lambda attempt: (bool(attempt.reason), attempt.fit))
         seen = int(best.alignment.seen)
         iterations = sum(int(each.alignment.iterations) for each in attempts)
         if best.reason:
             return Estimate(
                 Status.FALLBACK,
-                [*places, *begin][0],
+                begin[0],
                 inliers=seen,
                 iterations=iterations,
                 seconds=clock.seconds,
@@ -151,15 +179,33 @@ class FeaturemetricLocalizer:
             seconds=clock.seconds,
         )
 
+    def _matched(self, query: Query, clock: Stopwatch) -> Estimate | None:
+        """Return the pose that matches of local features give."""
+        if self._matches is None:
+            return None
+        with clock.stage("matches"):
+            return self._matches.localize(query)
+
     def _found_places(self, query: Query, clock: Stopwatch) -> list[Pose]:
-        """Return the starts of the place search, where nothing else says where to begin."""
-        config = self.config
-        if not config.multistart or not config.place.candidates:
-            return []
-        if query.prior is not None or query.references is not None:
+        """Return the starts of the place search."""
+        if not self.config.place.candidates:
             return []
         with clock.stage("place"):
             return [candidate.pose for candidate in self._places.find(query)]
+
+    def _attempts_at_places(
+        self, query: Query, places: Sequence[Pose], clock: Stopwatch
+    ) -> list[_Attempt]:
+        """Try the starts of the place search until the fit of one is good enough to stop.
+
+        The image is then aligned once more from there: it is turned and scaled better.
+        """
+        attempts: list[_Attempt] = []
+        for place in places:
+            attempts.append(self._attempt_at_place(query, place, clock))
+            if attempts[-1].fit < self.config.search.stop_fit:
+                return [*attempts, self._attempt_at_place(query, attempts[-1].pose, clock)]
+        return attempts
 
     def _attempt_at_place(self, query: Query, start: Pose, clock: Stopwatch) -> _Attempt:
         """Align the image from a start of the place search, and accept no pose that fits poorly:
@@ -175,19 +221,14 @@ class FeaturemetricLocalizer:
         query: Query,
         chosen: NDArray[np.int64],
         begin: Sequence[Pose],
-        places: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[_Attempt]:
-        """Try starts until the fit of one is good enough to stop, those of the place search first.
+        """Try starts until the fit of one is good enough to stop.
 
         Where there were several starts, the image is then aligned once more from the best pose:
         seen from there it is turned and scaled better.
         """
         attempts: list[_Attempt] = []
-        for place in places:
-            attempts.append(self._attempt_at_place(query, place, clock))
-            if attempts[-1].fit < self.config.search.stop_fit:
-                return [*attempts, self._attempt_at_place(query, attempts[-1].pose, clock)]
         for batch, enough in self._in_turn(query, chosen, begin, clock):
             attempts += batch
             best = min(attempts, key=lambda attempt: attempt.fit)
@@ -357,6 +398,24 @@ def _photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:
 def _known_pose(pose: Pose) -> Prior:
     """Return a prior that knows position and attitude."""
     return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
+
+
+def _whole(prior: Prior | None) -> bool:
+    """Return whether a prior says where the camera is and which way it is turned."""
+    return prior is not None and prior.has_position and prior.has_heading
+
+
+def _matcher(
+    config: SiftConfig, sparse_map: SparseMap, images: Path, cache: Path
+) -> SiftLocalizer | None:
+    """Return the localizer by matches; None for a map that was not built from its features."""
+    localizer = SiftLocalizer(config)
+    try:
+        localizer.prepare(sparse_map, images, cache)
+    except InputError as error:
+        log.info("no starts from matches: %s", error)
+        return None
+    return localizer
 
 
 def _heading_unknown(prior: Prior | None) -> bool:

@@ -12,6 +12,7 @@ from baselines.featuremetric.maps import Precision
 from baselines.featuremetric.references import ReferenceOptions
 from baselines.place.finder import PlaceOptions
 from baselines.retrieval import RetrievalOptions
+from baselines.sift import SiftConfig
 from baselines.starts import StartOptions
 from scene.config import Config
 
@@ -40,6 +41,12 @@ class SearchOptions(Config):
         gt=0,
         description="A pose from the place search is accepted when its fit is below this: wrong "
         "poses were seen to fit at 0.91 and more.",
+    )
+    matched_accept_inliers: int = Field(
+        30,
+        ge=4,
+        description="A pose from matches of so many inliers is accepted where the alignment from "
+        "there fails.",
     )
     covariance_inflation: float = Field(
         3.0,
@@ -125,8 +132,12 @@ class FeaturemetricConfig(Config):
     )
     place: PlaceOptions = Field(
         PlaceOptions(candidates=0),
-        description="Search of the whole map for images without a prior pose; it needs "
-        "``multistart``, and no candidates mean no search.",
+        description="Search of the map for images whose position or heading is not known; it "
+        "needs ``multistart``, and no candidates mean no search.",
+    )
+    matches: SiftConfig | None = Field(
+        None,
+        description="Matches of SIFT features, which are tried before the search; None for none.",
     )
     search: SearchOptions = Field(
         SearchOptions(), description="Which starts are tried, and when a pose is accepted."

@@ -17,7 +17,7 @@ from baselines.place.grid import ground_grid
 from baselines.place.mosaic import Mosaic, empty_mosaic, make_mosaic
 from baselines.place.search import Candidate, Hypotheses, PlaceSearch
 from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
-from baselines.views import WarpedImage, north_angle
+from baselines.views import WarpedImage, map_angle
 from scene.config import Config
 from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior, Query
@@ -52,14 +52,14 @@ class PlaceOptions(Config):
     """
 
     candidates: int = Field(5, ge=0)
-    headings: int = Field(24, ge=1)
-    turns: int = Field(1, ge=1)
-    altitudes: tuple[float, ...] = (0.8, 1.0, 1.2)
+    headings: int = Field(12, ge=1)
+    turns: int = Field(5, ge=1)
+    altitudes: tuple[float, ...] = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
     cell_px: int = Field(16, ge=4)
     channels: int = Field(32, ge=1)
-    longest: int = Field(512, ge=64)
+    longest: int = Field(256, ge=64)
     least_overlap: float = Field(0.3, gt=0, le=1)
-    farthest: float = Field(3.0, gt=0)
+    farthest: float = Field(2.0, gt=0)
 
 
 class PlaceFinder:
@@ -114,7 +114,7 @@ class PlaceFinder:
             own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
             largest = self._extract.largest_scale(image.camera)
             scale = scale_to(self._resolution, own, largest)
-            angle = north_angle(image.cam_from_world[:3, :3])
+            angle = map_angle(image.cam_from_world[:3, :3])
             rgb = read_rgb(images / image.name, image.camera)
             view, levels = self._extract(rgb, image.camera, angle, scale, 1)
             return view, levels[0]
@@ -135,7 +135,7 @@ class PlaceFinder:
             down = max(_FLATTEST, -float(pose.rotation[2, 2]))
             own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))
             scale = scale_to(self._resolution, own, self._extract.largest_scale(query.camera))
-            angle = north_angle(pose.rotation.numpy())
+            angle = map_angle(pose.rotation.numpy())
             view, levels = self._extract(query.image, query.camera, angle, scale, 1)
             return view, levels[0]
 
@@ -150,8 +150,10 @@ class PlaceFinder:
         base, headings = _DOWN, [k * step for k in range(options.headings)]
         if prior is not None and prior.cam_from_world_rotation is not None:
             base = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
-            if prior.attitude_sigma_deg is not None:
-                spread = 2 * math.radians(prior.attitude_sigma_deg)
+            degrees = prior.heading_sigma_deg
+            degrees = prior.attitude_sigma_deg if degrees is None else degrees
+            if degrees is not None:
+                spread = 2 * math.radians(degrees)
                 headings = [k * step for k in range(-_most(spread, step), _most(spread, step) + 1)]
         passes: list[Tensor] = [base @ so3_exp(heading * _UP) for heading in headings]
         altitudes = [part * self._height for part in options.altitudes]

@@ -43,9 +43,11 @@ class Mosaic:
     mean: Tensor
     components: Tensor
 
-    def reduced(self, features: Tensor) -> Tensor:
-        """Return features (..., C) of unit length as the mosaic holds its own, (..., K)."""
-        return torch.nn.functional.normalize((features - self.mean) @ self.components, dim=-1)
+    def reduced_map(self, features: Tensor) -> Tensor:
+        """Return features (1, C, h, w) as the mosaic holds its own, (1, K, h, w)."""
+        cells = torch.nn.functional.normalize(features[0].float(), dim=0).permute(1, 2, 0)
+        reduced = torch.nn.functional.normalize((cells - self.mean) @ self.components, dim=-1)
+        return reduced.permute(2, 0, 1)[None]
 
     @property
     def is_empty(self) -> bool:

@@ -16,10 +16,15 @@ from baselines.featuremetric.maps import FeatureMap
 from baselines.place.mosaic import Mosaic
 from baselines.views import WarpedImage
 from scene.geometry.pose import Pose, so3_exp
+from scene.storage.lru_cache import MEGABYTE, LruCache
 
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-# Places kept of each hypothesis.
+# Places kept of each look and altitude.
 _PEAKS: Final = 3
+# Cells by which the side of a query on the ground grows.
+_PATCH: Final = 16
+# Memory for transforms of the mosaic, one for each size of a query on the ground.
+_SPECTRA_MB: Final = 128
 # Numerical guard: a query of less confidence, summed over cells, shows nothing.
 _LEAST_WEIGHT: Final = 1e-3
 
@@ -55,11 +60,11 @@ class Hypotheses:
 
 
 class _LaidOut(NamedTuple):
-    """A query on the ground.
+    """A query on the ground, under several turns.
 
     Attributes:
-        features: (K, h, w) of cells, of unit length or 0.
-        confidence: (h, w).
+        features: (T, K, h, w) of cells, of unit length or 0.
+        confidence: (T, h, w).
         first: (2,) metres from the camera to the south-western cell, to the east and north.
     """
 
@@ -69,6 +74,24 @@ class _LaidOut(NamedTuple):
 
 
 Look = Callable[[Pose], tuple[WarpedImage, FeatureMap]]
+
+
+class _Peak(NamedTuple):
+    """A place under one hypothesis.
+
+    Attributes:
+        score: of the correlation.
+        x: world metres, east.
+        y: world metres, north.
+        altitude: height above ground, metres.
+        rotation: (3, 3) ``cam_from_world``.
+    """
+
+    score: float
+    x: float
+    y: float
+    altitude: float
+    rotation: Tensor
 
 
 class PlaceSearch:
@@ -85,14 +108,14 @@ class PlaceSearch:
         self,
         mosaic: Mosaic,
         least_overlap: float = 0.3,
-        farthest: float = 3.0,
+        farthest: float = 2.0,
         separation: float = 12.0,
     ) -> None:
         self._mosaic = mosaic
         self._overlap = least_overlap
         self._farthest = farthest
         self._separation = separation
-        self._spectra: dict[tuple[int, int], tuple[Tensor, Tensor]] = {}
+        self._spectra = LruCache(self._spectrum, _SPECTRA_MB * MEGABYTE)
 
     @torch.inference_mode()
     def __call__(self, look: Look, hypotheses: Hypotheses, count: int) -> list[Candidate]:
@@ -104,52 +127,59 @@ class PlaceSearch:
             hypotheses: to try.
             count: of the candidates.
         """
-        peaks: list[tuple[float, float, float, float, Tensor]] = []
+        peaks: list[_Peak] = []
         middle = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
+        turns = torch.tensor(hypotheses.turns, dtype=torch.float64)
         for rotation in hypotheses.passes:
             centre = torch.tensor([0.0, 0.0, middle], dtype=torch.float64)
             view, level = look(Pose(rotation, -rotation @ centre))
-            for turn in hypotheses.turns:
-                turned = rotation @ so3_exp(turn * _UP)
-                for altitude in hypotheses.altitudes:
-                    laid = self._laid_out(view, level, turned, altitude)
-                    if laid is None:
-                        continue
-                    for score, x, y in self._correlate(laid, hypotheses.within):
-                        peaks.append((score, x, y, altitude, turned))
-        peaks.sort(key=lambda peak: -peak[0])
-        return self._distinct(peaks, count)
+            reduced = FeatureMap(
+                self._mosaic.reduced_map(level.features), level.confidence, level.stride
+            )
+            turned = rotation @ so3_exp(turns[:, None] * _UP)
+            footprint = self._footprint(view, turned)
+            for altitude in hypotheses.altitudes:
+                laid = self._laid_out(view, reduced, turned, footprint, altitude)
+                if laid is not None:
+                    for score, x, y, turn in self._correlate(laid, hypotheses.within):
+                        peaks.append(_Peak(score, x, y, altitude, turned[turn]))
+        return [self._candidate(peak) for peak in self._distinct(peaks, count)]
 
-    def _distinct(
-        self, peaks: Sequence[tuple[float, float, float, float, Tensor]], count: int
-    ) -> list[Candidate]:
-        kept: list[Candidate] = []
-        places: list[tuple[float, float]] = []
-        for score, x, y, altitude, rotation in peaks:
-            if all(math.hypot(x - a, y - b) > self._separation for a, b in places):
-                places.append((x, y))
-                z = self._mosaic.grid.height_at(x, y) + altitude
-                centre = torch.tensor([x, y, z], dtype=torch.float64)
-                kept.append(Candidate(Pose(rotation, -rotation @ centre), score))
+    def _distinct(self, peaks: Sequence[_Peak], count: int) -> list[_Peak]:
+        """Return the best of peaks that are apart, best first."""
+        kept: list[_Peak] = []
+        for peak in sorted(peaks, key=lambda peak: -peak.score):
+            if all(math.hypot(peak.x - a.x, peak.y - a.y) > self._separation for a in kept):
+                kept.append(peak)
                 if len(kept) == count:
                     break
         return kept
 
+    def _candidate(self, peak: _Peak) -> Candidate:
+        z = self._mosaic.grid.height_at(peak.x, peak.y) + peak.altitude
+        centre = torch.tensor([peak.x, peak.y, z], dtype=torch.float64)
+        return Candidate(Pose(peak.rotation, -peak.rotation @ centre), peak.score)
+
     def _correlate(
         self, laid: _LaidOut, within: tuple[float, float, float] | None
-    ) -> Iterator[tuple[float, float, float]]:
-        """Yield score, east and north of the best positions under one hypothesis."""
+    ) -> Iterator[tuple[float, float, float, int]]:
+        """Yield score, east, north and turn of the best positions at one altitude."""
         grid, weight = self._mosaic.grid, laid.confidence
         rows, columns = grid.shape
-        size = (_fast(rows + weight.shape[0]), _fast(columns + weight.shape[1]))
-        features, known = self._spectrum(size)
-        layers = torch.cat([laid.features * weight, weight[None]])
+        size = (_fast(rows + weight.shape[1]), _fast(columns + weight.shape[2]))
+        spectra = self._spectra(size)
+        layers = torch.cat([laid.features * weight[:, None], weight[:, None]], 1)
         spectrum = torch.fft.rfft2(layers, s=size).conj()
-        product = torch.stack([(features * spectrum[:-1]).sum(0), known * spectrum[-1]])
+        products = [
+            torch.einsum("khw,tkhw->thw", spectra[:-1], spectrum[:, :-1]),
+            spectra[-1] * spectrum[:, -1],
+        ]
+        product = torch.stack(products)
         correlation, overlap = torch.fft.irfft2(product, s=size)
-        total = float(weight.sum())
-        score = correlation / (overlap.clamp_min(1e-6) * total).sqrt()
-        score[overlap < self._overlap * total] = -1.0
+        total = weight.sum((1, 2)).clamp_min(_LEAST_WEIGHT)[:, None, None]
+        scores = correlation / (overlap.clamp_min(1e-6) * total).sqrt()
+        scores[overlap < self._overlap * total] = -1.0
+        score, turn = scores.max(0)
         # Shifts beyond the grid are those to the south and west.
         north = torch.arange(size[0])
         east = torch.arange(size[1])
@@ -159,74 +189,104 @@ class PlaceSearch:
             away = torch.hypot(x[None] - within[0], y[:, None] - within[1])
             score[away > within[2]] = -1.0
         near = max(1, round(self._separation / grid.cell))
+        around = torch.arange(-near, near + 1)
         for _ in range(_PEAKS):
             row, column = divmod(int(score.argmax()), size[1])
             value = float(score[row, column])
             if value <= 0:
                 return
-            yield value, float(x[column]), float(y[row])
-            around = torch.arange(-near, near + 1)
+            yield value, float(x[column]), float(y[row]), int(turn[row, column])
             score[(row + around)[:, None] % size[0], (column + around)[None] % size[1]] = -1.0
 
-    def _spectrum(self, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        if size not in self._spectra:
-            mosaic = self._mosaic
-            self._spectra[size] = (
-                torch.fft.rfft2(mosaic.features, s=size),
-                torch.fft.rfft2(mosaic.known, s=size),
-            )
-        return self._spectra[size]
+    def _spectrum(self, size: tuple[int, int]) -> Tensor:
+        """Return the transforms of the mosaic's channels and, last, of what is known."""
+        layers = torch.cat([self._mosaic.features, self._mosaic.known[None]])
+        spectrum: Tensor = torch.fft.rfft2(layers, s=size)
+        return spectrum
 
     def _laid_out(
-        self, view: WarpedImage, level: FeatureMap, rotation: Tensor, altitude: float
+        self,
+        view: WarpedImage,
+        level: FeatureMap,
+        rotations: Tensor,
+        footprint: NDArray[np.float64],
+        altitude: float,
     ) -> _LaidOut | None:
-        """Lay the query's features out on level ground; None where it shows none."""
+        """Lay the query's features out on level ground; None where it shows none.
+
+        A cell counts as many cells of the feature map as it covers, one at most: what is far away
+        is seen in few pixels, however much ground it is.
+
+        Args:
+            view: of the query.
+            level: its features, reduced.
+            rotations: (T, 3, 3) ``cam_from_world`` of the photograph.
+            footprint: (2, 2) of ``_footprint``.
+            altitude: metres above the ground.
+        """
         cell = self._mosaic.grid.cell
-        low, high = self._footprint(view, rotation, altitude)
+        low, high = footprint * altitude
         if not (np.isfinite(low).all() and (high > low).all()):
             return None
         first = np.floor(low / cell) * cell + cell / 2
         columns, rows = np.maximum(np.ceil((high - first) / cell), 1).astype(int).tolist()
         x, y = np.meshgrid(first[0] + np.arange(columns) * cell, first[1] + np.arange(rows) * cell)
-        ground = np.stack([x, y, np.full_like(x, -altitude)], -1).reshape(-1, 3)
-        from_world = view.pose(Pose(rotation, torch.zeros(3, dtype=torch.float64)))
-        projected = view.camera.project(from_world.transform(torch.from_numpy(ground)))
-        xy = projected.xy.numpy()
-        inside = (projected.valid & view.camera.contains(projected.xy)).numpy() & view.shows(xy)
-        near = np.hypot(ground[:, 0], ground[:, 1]) <= self._farthest * altitude
-        seen = np.flatnonzero(inside & near)
-        if not len(seen):
+        # To the next multiple, so that few sizes of the transform occur.
+        rows, columns = (_PATCH * math.ceil(side / _PATCH) for side in (rows, columns))
+        near = np.hypot(x, y) <= self._farthest * altitude
+        ground = torch.from_numpy(np.stack([x[near], y[near], np.full(near.sum(), -altitude)], -1))
+        place = torch.from_numpy(np.flatnonzero(np.pad(near, _padding(near, rows, columns))))
+        turn = torch.from_numpy(view.view_from_camera)
+        seen = ground @ (turn @ rotations).mT
+        projected = view.camera.project(seen)
+        xy = projected.xy
+        inside = projected.valid & view.camera.contains(xy)
+        inside &= torch.from_numpy(view.shows(xy.numpy()))
+        if not bool(inside.any()):
             return None
-        features, confidence = level.sample(torch.from_numpy(xy[seen]).float())
-        patch = torch.zeros(rows * columns, self._mosaic.components.shape[1])
-        weight = torch.zeros(rows * columns)
-        patch[seen] = self._mosaic.reduced(features)
-        weight[seen] = confidence
+        features, confidence = level.sample(xy[inside].float())
+        focal = float(np.mean(view.camera.focal))
+        area = (focal * cell) ** 2 * altitude / seen[inside][:, 2] ** 3
+        confidence = confidence * (area / level.stride**2).clamp(max=1.0).float()
         if not float(confidence.sum()) > _LEAST_WEIGHT:
             return None
-        return _LaidOut(patch.T.reshape(-1, rows, columns), weight.reshape(rows, columns), first)
+        of_turn, of_place = torch.nonzero(inside, as_tuple=True)
+        patch = torch.zeros(len(rotations), rows * columns, features.shape[1])
+        weight = torch.zeros(len(rotations), rows * columns)
+        patch[of_turn, place[of_place]] = features
+        weight[of_turn, place[of_place]] = confidence
+        return _LaidOut(
+            patch.mT.reshape(len(rotations), -1, rows, columns),
+            weight.reshape(-1, rows, columns),
+            first,
+        )
 
-    def _footprint(
-        self, view: WarpedImage, rotation: Tensor, altitude: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the south-west and north-east corners (m, from the camera) of the ground that a
-        view shows, no farther away than is looked."""
+    def _footprint(self, view: WarpedImage, rotations: Tensor) -> NDArray[np.float64]:
+        """Return the south-western and north-eastern corner (2, 2) of the ground that a view shows
+        under any of some attitudes (T, 3, 3), from the camera, no farther away than is looked.
+
+        Lengths are in heights above the ground; NaN where no ray is of any use.
+        """
         camera = view.camera
         steps = np.linspace(0.0, 1.0, 9)
         u, v = np.meshgrid(steps * camera.width, steps * camera.height)
         edge = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2))
         rays, valid = camera.unproject(edge)
-        turn = view.pose(Pose(rotation, torch.zeros(3, dtype=torch.float64))).rotation
-        directions = (rays.double() @ turn).numpy()[valid.numpy()]
-        reach = self._farthest * altitude
+        if not bool(valid.any()):
+            return np.full((2, 2), np.nan)
+        turns = torch.from_numpy(view.view_from_camera) @ rotations
+        directions = (rays[valid].double() @ turns).reshape(-1, 3).numpy()
         flat = np.hypot(directions[:, 0], directions[:, 1])
         down = -directions[:, 2]
-        length = np.where(down > 1e-6, altitude * flat / np.maximum(down, 1e-6), np.inf)
-        length = np.minimum(length, reach)
+        length = np.where(down > 1e-6, flat / np.maximum(down, 1e-6), np.inf)
+        length = np.minimum(length, self._farthest)
         ground = directions[:, :2] / np.maximum(flat, 1e-9)[:, None] * length[:, None]
-        if not len(ground):
-            return np.full(2, np.nan), np.full(2, np.nan)
-        return ground.min(0), ground.max(0)
+        return np.stack([ground.min(0), ground.max(0)])
+
+
+def _padding(cells: NDArray[np.bool_], rows: int, columns: int) -> list[tuple[int, int]]:
+    """Return what ``np.pad`` adds to the north and east of cells (h, w)."""
+    return [(0, rows - cells.shape[0]), (0, columns - cells.shape[1])]
 
 
 def _fast(size: int) -> int:

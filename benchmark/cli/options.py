@@ -53,7 +53,9 @@ Start = Annotated[
         metavar="START",
         help="What the method is told about a query: prior (the pose that the data set gives), "
         "none, retrieval[=K] (the K map photographs that look most like it), pairs=FILE (a pair "
-        "list of hloc), or error=3m,5deg (the reference pose with an error of this size).",
+        "list of hloc), error=3m,5deg (the reference pose with an error of this size), "
+        "gravity[=3deg] (which way is down, but neither heading nor position), or gps=50m (the "
+        "position alone).",
     ),
 ]
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from baselines.prior import PriorConfig, PriorLocalizer
-from baselines.starts import starts, with_all_headings
+from baselines.starts import known_part, starts, with_all_headings
 from baselines.views import north_angle
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, so3_exp
@@ -142,3 +142,24 @@ def test_where_photographs_look_down_aslant_straight_down_is_tried_too(
         np.testing.assert_allclose(headings(down), headings(poses[:12]), atol=1e-9)
         for pose in down:
             np.testing.assert_allclose(pose.centre(), level.centre(), atol=1e-12)
+
+
+def test_what_is_known_in_part_is_left_out_of_a_start() -> None:
+    level = looking_down(10, 0).rotation.numpy()
+    position, sigma = np.array([1.0, 2, 3]), np.full(3, 5.0)
+    whole = Prior(position, sigma, level, 2.0)
+    assert known_part(whole) is whole and whole.has_position and whole.has_heading
+    assert known_part(None) is None
+    gravity = replace(whole, heading_sigma_deg=np.inf)
+    told = known_part(gravity)
+    assert told is not None and told.cam_from_world_rotation is None
+    assert told.position is position and told.position_sigma is sigma
+    nowhere = replace(whole, position_sigma=np.array([np.inf, np.inf, 1.0]))
+    assert known_part(nowhere) is None
+    barometer = replace(whole, position_sigma=np.array([5.0, 5.0, np.inf]))
+    assert known_part(barometer) is barometer
+
+
+def test_a_heading_may_be_surer_than_the_tilt() -> None:
+    compass = Prior(np.zeros(3), None, looking_down(10, 0).rotation.numpy(), np.inf, 5.0)
+    assert compass.has_heading and not replace(compass, heading_sigma_deg=None).has_heading

@@ -1,14 +1,16 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
-from benchmark.starts import moved_prior, parse_start
+from benchmark.starts import moved_prior, parse_start, position_prior, tilted_prior
 from scene.errors import InputError
 from scene.geometry.pose import Pose
 from tests.benchmark.made_data import MAP_NAMES, FakeLocalizer, pose_at
@@ -29,6 +31,9 @@ def meadow(made_flight: Path) -> Dataset:
         ("retrieval=3", "retrieval=3"),
         ("error=3m,5deg", "error=3m,5deg"),
         ("error=0.50m,10.0deg", "error=0.5m,10deg"),
+        ("gravity", "gravity=3deg"),
+        ("gravity=0.5deg", "gravity=0.5deg"),
+        ("gps=50m", "gps=50m"),
     ],
 )
 def test_names(text: str, name: str) -> None:
@@ -36,7 +41,21 @@ def test_names(text: str, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "luck", "retrieval=0", "retrieval=", "error=3", "error=1.2.3m,5deg", "error=m,deg"]
+    "text",
+    [
+        "",
+        "luck",
+        "retrieval=0",
+        "retrieval=",
+        "error=3",
+        "error=1.2.3m,5deg",
+        "error=m,deg",
+        "gps=50",
+        "gps=1e9m",
+        "gravity=3",
+        "gravity=181deg",
+        "gravity=1.2.3deg",
+    ],
 )
 def test_unknown_starts(text: str) -> None:
     with pytest.raises(InputError, match="start"):
@@ -52,6 +71,28 @@ def test_the_error_of_a_prior_is_exactly_as_told(metres: float, degrees: float) 
     pose = Pose(rotation, -(rotation @ torch.from_numpy(prior.position)))
     found = pose.error_to(reference)
     assert [float(part) for part in found] == pytest.approx([metres, degrees], abs=1e-6)
+
+
+def test_gravity_is_wrong_by_as_much_as_told_and_says_nothing_else() -> None:
+    reference, down = pose_at(3), torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+    headings = set()
+    for name in ("a.jpg", "b.jpg", "c.jpg"):
+        prior = tilted_prior(reference, name, 3.0)
+        assert prior.cam_from_world_rotation is not None
+        told = torch.from_numpy(prior.cam_from_world_rotation) @ down
+        true = reference.rotation @ down
+        assert math.degrees(math.acos(float(told @ true))) == pytest.approx(3.0, abs=1e-6)
+        assert not prior.has_position and not prior.has_heading
+        turned = prior.cam_from_world_rotation @ reference.rotation.numpy().T
+        headings.add(round(math.acos((turned.trace() - 1) / 2), 1))
+    assert len(headings) == 3
+
+
+def test_a_position_says_nothing_of_the_attitude() -> None:
+    prior = position_prior(pose_at(3), "d.jpg", 50.0)
+    off = np.linalg.norm(prior.position - pose_at(3).centre().numpy())
+    assert off == pytest.approx(50.0) and prior.cam_from_world_rotation is None
+    assert prior.has_position and not prior.has_heading
 
 
 def test_every_query_is_wrong_in_its_own_direction_and_always_the_same() -> None:
