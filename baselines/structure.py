@@ -34,7 +34,7 @@ from scene.storage.scratch import scratch
 
 # PnP needs four matches.
 _MIN_MATCHES = 4
-# Part of the key of what is cached per map: another number makes it anew.
+# Version in the key of the cache of a map. Another number rebuilds the cache.
 _FORMAT = 1
 
 

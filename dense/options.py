@@ -15,29 +15,29 @@ class SourceOptions(Config):
     min_common: int = Field(
         5,
         ge=1,
-        description="Photographs look at the same side of things when they share this many points "
-        "of the map.",
+        description="Photographs with at least this many common points of the map see the same "
+        "surfaces.",
     )
     grid: int = Field(
-        12, ge=1, description="The picture is covered on a grid of this many points a side."
+        12, ge=1, description="Sources must cover the points of a grid of this many points a side."
     )
     best_angle_deg: float = Field(
-        12.0, gt=0, description="Angle between the rays of two photographs that serves best."
+        12.0, gt=0, description="Best angle between the rays of two photographs."
     )
     narrower_deg: float = Field(
         5.0,
         gt=0,
-        description="Width of the Gaussian weight of smaller angles, which leave depth vague.",
+        description="Width of the Gaussian weight of smaller angles, which make the depth inexact.",
     )
     wider_deg: float = Field(
         15.0,
         gt=0,
-        description="Width of the Gaussian weight of larger angles, which change what is seen.",
+        description="Width of the Gaussian weight of larger angles, which change the appearance.",
     )
 
 
 class CostOptions(Config):
-    """What a plane costs at a pixel."""
+    """The cost of a plane at a pixel."""
 
     sigma_px: float = Field(
         4.0, gt=0, description="Width of the Gaussian weight of pixels in the window."
@@ -45,31 +45,34 @@ class CostOptions(Config):
     sigma_grey: float = Field(
         0.1,
         gt=0,
-        description="Difference in grey (0..1) over which the weight of a pixel falls by e.",
+        description="Difference in grey (0..1) at which the weight of a pixel falls by "
+        "the factor e.",
     )
     geometric_weight: float = Field(
         0.2,
         ge=0,
-        description="Cost per pixel of a plane that the map of another view sends back elsewhere, "
-        "...",
+        description="Additional cost per pixel of distance after a round trip through the map of "
+        "another view.",
     )
-    geometric_limit_px: float = Field(3.0, ge=0, description="... up to this distance.")
+    geometric_limit_px: float = Field(
+        3.0, ge=0, description="Largest distance of this round trip (px) that counts."
+    )
 
 
 class SearchOptions(Config):
-    """How the planes of a picture are sought."""
+    """The search for the planes of a picture."""
 
     coarsest_px: int = Field(
         160,
         ge=16,
-        description="The first planes are sought in a picture with a longer side of at most this.",
+        description="Largest long side of the smallest picture of the search (px).",
     )
-    first_rounds: int = Field(4, ge=1, description="Rounds of the search in that picture.")
+    first_rounds: int = Field(4, ge=1, description="Rounds of the search in the smallest picture.")
     rounds: int = Field(1, ge=1, description="Rounds in every larger picture.")
     steepest: float = Field(
         0.5,
         ge=0,
-        description="Largest slope of a guess by chance, pixels of disparity per pixel.",
+        description="Largest slope of a random first guess, pixels of disparity per pixel.",
     )
     step_px: float = Field(
         1.0, gt=0, description="Size of random steps, pixels of disparity; halved each round."
@@ -77,28 +80,32 @@ class SearchOptions(Config):
     step_slope: float = Field(
         0.2,
         gt=0,
-        description="Size of random steps of the slope, pixels of disparity per pixel; likewise.",
+        description="Size of random steps of the slope, pixels of disparity per pixel; halved each "
+        "round.",
     )
     margin: float = Field(
         0.2,
         ge=0,
         lt=1,
-        description="Guesses by chance lie this share beyond the inverse depths of the map's "
-        "points.",
+        description="Random inverse depths exceed the range of those of the map's points by this "
+        "share.",
     )
-    cost: CostOptions = Field(CostOptions(), description="What a plane costs.")
+    cost: CostOptions = Field(CostOptions(), description="The cost of a plane.")
 
 
 class AgreementOptions(Config):
-    """When depth maps agree, and what is kept."""
+    """Limits within which depth maps agree, and which depths are kept."""
 
     same_px: float = Field(
         1.0,
         gt=0,
-        description="Two maps agree on a pixel that goes there and comes back this close, ...",
+        description="Two maps agree where the round trip of a pixel ends within this "
+        "distance (px).",
     )
     same_depth: float = Field(
-        0.01, gt=0, description="... from a depth that differs by less than this share."
+        0.01,
+        gt=0,
+        description="Two maps agree where their depths differ by less than this share.",
     )
     confirmed: int = Field(
         2, ge=1, description="A depth is kept when this many sources confirm it."
@@ -112,11 +119,11 @@ class DenseOptions(Config):
     """How depth maps and the dense cloud are made."""
 
     sources: SourceOptions = Field(SourceOptions(), description="Which photographs are matched.")
-    search: SearchOptions = Field(SearchOptions(), description="How planes are sought.")
+    search: SearchOptions = Field(SearchOptions(), description="The search for planes.")
     agreement: AgreementOptions = Field(
-        AgreementOptions(), description="When maps agree, and what is kept."
+        AgreementOptions(), description="Limits within which depth maps agree, and which are kept."
     )
 
 
 DEFAULTS: Final = DenseOptions()
-"""The options unless others are asked for."""
+"""The default options."""

@@ -74,13 +74,13 @@ def choose_sources(
 def choose_all(
     sparse_map: SparseMap, count: int, enough: int, options: SourceOptions = DEFAULTS.sources
 ) -> dict[str, list[str]]:
-    """Sources of every photograph that has enough of them.
+    """Choose the sources of every photograph that has enough of them.
 
     Args:
-        sparse_map: with undistorted cameras.
-        count: at most so many for a photograph.
-        enough: a photograph with fewer is left out.
-        options: see ``choose_sources``.
+        sparse_map: map with undistorted cameras.
+        count: largest number of sources of a photograph.
+        enough: least number of sources; photographs with fewer are left out.
+        options: options of ``choose_sources``.
     """
     pairs = {}
     for name in sparse_map.names:
@@ -100,7 +100,7 @@ def choose_all(
 def _angle_deg(
     points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Angles (N,) between the rays from points (N, 3) to two centres (3,)."""
+    """Return the angles (N,) between the rays from points (N, 3) to two centres (3,)."""
     to_a, to_b = points - a, points - b
     cosine = (to_a * to_b).sum(1) / np.linalg.norm(to_a, axis=1) / np.linalg.norm(to_b, axis=1)
     return np.asarray(np.degrees(np.arccos(cosine.clip(-1, 1))))

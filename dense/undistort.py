@@ -18,7 +18,7 @@ from scene.maps.sparse_map import MapImage, SparseMap
 from scene.storage.atomic import atomic_write
 from scene.storage.images import read_rgb
 
-# Steps in which a pinhole that lies inside the picture is sought, and where the search ends.
+# Iterations of the search for a pinhole inside the picture, and the difference that ends it.
 _GROWTH = 1.02
 _MOST_GROWTH = 8.0
 # Quality of the JPEG files that COLMAP and other programs read.

@@ -9,38 +9,41 @@ from scene.config import Config
 
 
 class PairOptions(Config):
-    """Which photographs are matched with each other."""
+    """The choice of photographs that are matched with each other."""
 
     nearest: int = Field(
-        12, ge=0, description="Photographs nearest by GPS that each one is matched with."
+        12, ge=0, description="Number of nearest photographs by GPS with which each one is matched."
     )
     following: int = Field(
-        3, ge=0, description="Photographs taken next that each one is matched with."
+        3, ge=0, description="Number of following photographs with which each one is matched."
     )
     blind: int = Field(
         10,
         ge=1,
-        description="Photographs before and after that one without a position is matched with.",
+        description="Number of photographs before and after with which one without a position is "
+        "matched.",
     )
 
 
 class PlacementOptions(Config):
-    """How a model is placed in the world by GPS positions of which some are wrong."""
+    """The placement of a model in the world by GPS positions, some of which are wrong."""
 
     samples: int = Field(
-        500, ge=1, description="Random samples of positions that the placement is chosen from."
+        500,
+        ge=1,
+        description="Number of random samples of positions from which the placement is chosen.",
     )
     blunder_sigmas: float = Field(
         5.0,
         gt=0,
-        description="A position further from its camera than this many standard deviations of the "
-        "others is wrong, ...",
+        description="A position is wrong if it is further from its camera than this many standard "
+        "deviations of the others, and further than usual_error_m.",
     )
     usual_error_m: float = Field(
         5.0,
         ge=0,
-        description="... unless it is within this distance (m), by which receivers without "
-        "corrections are always off.",
+        description="Usual error (m) of receivers without corrections. Positions within it are not "
+        "wrong.",
     )
     min_sigma_m: float = Field(
         0.02, gt=0, description="Standard deviations of positions are at least this (m)."
@@ -49,7 +52,7 @@ class PlacementOptions(Config):
         0.05,
         ge=0,
         description="Least width of a flight, as a share of its length, at which its positions "
-        "tell how it is rotated about its course.",
+        "determine the rotation about its course.",
     )
     max_tilt_deg: float = Field(
         8.0,
@@ -66,7 +69,7 @@ class PlacementOptions(Config):
 
 
 class DelayOptions(Config):
-    """When positions are taken to be behind their photographs."""
+    """The detection of positions that are late relative to their photographs."""
 
     max_chance: float = Field(
         0.05,
@@ -79,54 +82,54 @@ class DelayOptions(Config):
         10,
         ge=1,
         le=20,
-        description="Up to this many lines all ways are tried; of more lines, as many ways as "
-        "these have are drawn at random.",
+        description="Up to this many lines, all ways are tried. For more lines, the same number of "
+        "ways is drawn at random.",
     )
     rounds: int = Field(
         3,
         ge=1,
-        description="Most estimates of the delay. Each moves the centres, and with them the "
-        "velocities that the next one is made from.",
+        description="Largest number of iterations of the delay. Each changes the centres, and so "
+        "the velocities from which the next one is computed.",
     )
 
 
 class AdjustmentOptions(Config):
-    """What of the lenses is adjusted together with the poses."""
+    """The parameters of the lenses that are adjusted together with the poses."""
 
     min_relief: float = Field(
         0.25,
         ge=0,
         description="Focal lengths of EXIF are adjusted where depths within a picture differ by "
-        "more than this share of them; over flatter ground EXIF knows them better.",
+        "more than this share. Over flatter ground, EXIF is better than an estimate.",
     )
     max_common_direction: float = Field(
         0.8,
         gt=0,
         le=1,
         description="Principal points are adjusted where the mean of the unit vectors to the right "
-        "of a lens's cameras is shorter than this: cameras that all face one way cannot tell a "
-        "principal point from a shift.",
+        "of a lens's cameras is shorter than this. If all cameras face one way, a principal point "
+        "cannot be distinguished from a shift.",
     )
     min_gain: float = Field(
         0.002,
         ge=0,
         lt=1,
-        description="Principal points leave the middle only where this lowers the reprojection "
-        "error by more than this share; else errors of GPS would move them.",
+        description="Principal points are refined only where this reduces the reprojection error "
+        "by more than this share. Otherwise errors of GPS would move them.",
     )
 
 
 class IngestOptions(Config):
-    """How a scene is made of photographs. The manifest of the scene records these options."""
+    """The options of ingest. The manifest of the scene records these options."""
 
     pairs: PairOptions = Field(PairOptions(), description="Which photographs are matched.")
     matching: MatchOptions = Field(MatchOptions(), description="Which of their features match.")
     placement: PlacementOptions = Field(
-        PlacementOptions(), description="How the model is placed by GPS."
+        PlacementOptions(), description="Placement of the model by GPS."
     )
-    delay: DelayOptions = Field(DelayOptions(), description="When GPS is taken to be late.")
+    delay: DelayOptions = Field(DelayOptions(), description="Detection of late GPS.")
     adjustment: AdjustmentOptions = Field(
-        AdjustmentOptions(), description="What of the lenses is adjusted."
+        AdjustmentOptions(), description="Parameters of the lenses that are adjusted."
     )
     guessed_focal: float = Field(
         1.2,
@@ -140,12 +143,14 @@ class IngestOptions(Config):
     max_attitude_error_deg: float = Field(
         30.0,
         gt=0,
-        description="A photograph that is further off than this contradicts its gimbal, which "
-        "itself is off by a few degrees, and its compass by more.",
+        description="A photograph contradicts its gimbal if their attitudes differ by more than "
+        "this. Usual errors of gimbals are a few degrees, and those of compasses are larger.",
     )
     min_attitude_sigma_deg: float = Field(
         0.1, gt=0, description="Standard deviations of attitudes are at least this."
     )
     covisibility_points: int = Field(
-        200, ge=1, description="Points of each photograph on which covisibility is measured."
+        200,
+        ge=1,
+        description="Number of points of each photograph by which covisibility is measured.",
     )

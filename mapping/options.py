@@ -9,32 +9,33 @@ from scene.config import Config
 
 
 class PairOptions(Config):
-    """Which photographs of a map are matched with each other."""
+    """The choice of photographs of a map that are matched with each other."""
 
     min_overlap: float = Field(
         0.2,
         ge=0,
         lt=1,
-        description="Share of one picture that must be seen in the other for a pair to be matched.",
+        description="A pair is matched when each picture shows at least this share of the other.",
     )
     max_neighbours: int = Field(
         20,
         ge=1,
-        description="Most others that a photograph is matched with, those of largest overlap.",
+        description="Each picture is matched with at most this many others, those of largest "
+        "overlap.",
     )
     following: int = Field(
         4,
         ge=0,
-        description="Photographs taken next that each one is matched with if they overlap at all: "
-        "through them flights hang together whose photographs hardly overlap.",
+        description="Number of following photographs with which each one is matched if they "
+        "overlap at all. This connects flights whose photographs hardly overlap.",
     )
 
 
 class MapOptions(Config):
-    """How a map is built."""
+    """The options of building a map."""
 
     pairs: PairOptions = Field(PairOptions(), description="Which photographs are matched.")
     matching: MatchOptions = Field(MatchOptions(), description="Which of their features match.")
     adjustment: AdjustmentOptions = Field(
-        AdjustmentOptions(), description="How structure from motion is adjusted and aligned."
+        AdjustmentOptions(), description="Adjustment and alignment of structure from motion."
     )

@@ -53,7 +53,7 @@ class MapReport:
         objects: coverage of the objects in the map's photographs, by size class.
         small_objects: coverage of the small objects, by class.
         kinds: shares of each kind of surface.
-        options: what the map was built with, see ``mapping.options``.
+        options: options with which the map was built, see ``mapping.options``.
     """
 
     images: int

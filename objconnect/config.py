@@ -11,14 +11,15 @@ from scene.config import Config
 
 
 class SegmentOptions(Config):
-    """How a picture is segmented into objects.
+    """The segmentation of an image into objects.
 
     Attributes:
-        long_side: most cells of the longer side of the picture that is segmented, which has at most
-            half the size of the image. 192 is still finer than the levels of an image of 512 pixels
-            that have objects; at 256 SLIC takes twice the time.
-        slic_iterations: of SLIC, which has settled after 5; 10 take twice the time.
-        slic_compactness: weight of distance against colour in SLIC.
+        long_side: images are segmented at half their size and with at most this many pixels on the
+            long side. 192 is finer than the levels with objects of an image of 512 pixels. At 256,
+            SLIC takes twice the time.
+        slic_iterations: number of iterations of SLIC. It has converged after 5; 10 take twice the
+            time.
+        slic_compactness: weight of distances relative to colours in SLIC.
         felzenszwalb_scale: k of Felzenszwalb and Huttenlocher, for colours in 0..1; segments grow
             with it.
         felzenszwalb_blur: standard deviation of their blur, cells.

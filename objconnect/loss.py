@@ -74,13 +74,13 @@ def total(
 ) -> Tensor:
     """Return the loss of equation (6), the weighted sum of (7) and (8), plus the contrastive loss.
 
-    Both losses are about one once features have begun to tell places apart.
+    Both losses are about one when features have begun to distinguish places.
 
     Args:
         contrast: the contrastive loss.
         features: L_2d-f.
         poses: L_3d-d; None in the warm-up.
-        options: the weights.
+        options: weights of the losses.
     """
     loss = contrast + options.feature_share * features
     return loss if poses is None else loss + options.pose_share * poses

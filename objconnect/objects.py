@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from objconnect.segmentation import NOTHING
 
-# Initial weights of a layer that adds to features, over their usual ones; training changes them.
+# Scale of the initial weights of a layer that adds to features. Training changes the weights.
 _SMALL = 0.1
 
 

@@ -45,12 +45,10 @@ _SAMPLES = 64  # samples per pixel; corners need exact edges
 _TRIES = 400  # attempts to draw a pose from which the whole board is visible
 _BORDER_PX = 4.0
 # Frontal views of a board do not determine the focal length. With these tilts, 20 views of 320 x
-# 240
-# and the measured noise give it within 0.044 % (one sigma); 10 to 40 degrees give 0.059 %.
+# 240 and the measured noise give it within 0.044 % (one sigma); 10 to 40 degrees give 0.059 %.
 _TILT_DEG = (20.0, 50.0)
 # Half sides of the windows in which corners are refined, over the spacing of corners. In a picture
-# a
-# window must contain one corner; in the frontal view a wider window averages more noise.
+# a window must contain one corner; in the frontal view a wider window averages more noise.
 _WINDOW, _FRONT_WINDOW = 0.35, 0.6
 _FRONT_BLUR_PX = 1.0  # standard deviation; gradients of unblurred edges are noisy
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-5)  # of corner refinement

@@ -20,7 +20,7 @@ _MAX_OFFSET: Final = 0.5
 _LEAST: Final = 16
 
 EDGE_RATIO: Final = 5.0
-"""Largest ratio of the two curvatures of a peak, unless another is asked for."""
+"""Default of the largest ratio of the two curvatures of a peak."""
 
 
 class Keypoints(NamedTuple):

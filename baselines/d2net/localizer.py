@@ -49,8 +49,8 @@ class D2NetConfig(StructureConfig):
     max_edge_ratio: float = Field(
         EDGE_RATIO,
         ge=1,
-        description="Largest ratio of the two curvatures of a keypoint's peak; beyond it lies an "
-        "edge, as in SIFT.",
+        description="Largest ratio of the two curvatures of a keypoint's peak; beyond it the "
+        "peak is an edge, as in SIFT.",
     )
     min_contrast: float = Field(
         1.0,

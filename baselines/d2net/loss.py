@@ -55,7 +55,7 @@ class Described(NamedTuple):
 def triplet_loss(
     image_a: Described, image_b: Described, options: LossOptions = LOSSES
 ) -> TripletLoss:
-    """Loss of one pair of images of corresponding places, in the same order."""
+    """Return the loss of one pair of images, whose points correspond by their order."""
     a = _descriptors(image_a.features, image_a.cells)
     b = _descriptors(image_b.features, image_b.cells)
     positive = 2 - 2 * (a * b).sum(1)

@@ -84,7 +84,7 @@ def both(batch: PairBatch) -> Tensor:
 
 
 def seen_by_b(batch: PairBatch) -> Seen:
-    """Return the points of a batch as the cameras b see them."""
+    """Return the points of a batch in the view of the cameras b."""
     return Seen(batch.points, batch.intrinsics_b, batch.valid)
 
 

@@ -95,12 +95,12 @@ class _Stretch:
 
 @dataclass(frozen=True)
 class PairSources:
-    """Where the pairs of a run come from.
+    """The sources of the pairs of a run.
 
     Attributes:
         rendered: pairs of training scenes.
         photographs: pairs of plain photographs, or None.
-        validation: pairs of scenes kept for choosing, or None to look at none.
+        validation: pairs of validation scenes, or None for no validation.
     """
 
     rendered: PairSource

@@ -1,4 +1,4 @@
-"""Options of training: how pairs of images are drawn, and what the losses weigh."""
+"""Options of training: how pairs of images are drawn, and the weights of the losses."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ class PairOptions(Config):
 
     Attributes:
         min_overlap: share of each other's ground that two frames of a scene must see.
-        max_turn_deg: pictures are turned north up before a network sees them. Frames that are then
-            still turned against each other by more show each other nothing a slim network could
-            learn.
-        heading_deg: what an aircraft's belief about its heading may be off by.
+        max_turn_deg: largest angle between the headings of two frames after both are turned north
+            up, as networks take them. A small network cannot learn from a pair with a larger one.
+        heading_deg: largest error of an aircraft's heading, by which pictures are turned north up.
         cross_share: share of the pairs whose frames are of different conditions.
-        zoom: range of the size of crops over the frames'.
-        level_share: share of the pairs whose frames, flown at different heights, are brought to the
-            same metres per pixel.
-        border_px: points closer to the edge of an image do not count.
+        zoom: range of the size of crops relative to the frames.
+        level_share: share of pairs whose frames of different heights are resized to the same metres
+            per pixel.
+        border_px: points closer to the edge of an image are left out.
         min_points: a pair with fewer points is drawn again.
-        same_depth: two depths of one place agree within this share.
-        start_deg: the start of the alignment is turned by up to this.
-        start_share: and moved by up to this share of the depth; an aircraft's own belief may be as
-            far off.
-        corner_threshold: of FAST, grey levels.
-        corner_share: share of the points that lie at corners; the rest lies anywhere, so that plain
-            ground is learned too.
-        plane_height_m: of the cameras over single photographs, which are taken for flat ground.
-        plane_tilt_deg: these cameras are tilted by up to this about each axis.
+        same_depth: largest relative difference of two depths of the same point.
+        start_deg: largest rotation of the start of an alignment from the truth.
+        start_share: largest translation of the start from the truth, as a share of the depth. Both
+            are as large as the errors of an aircraft's own pose.
+        corner_threshold: threshold of FAST, grey levels.
+        corner_share: share of the points that lie at corners. The other points are random, so that
+            features of plain ground are trained too.
+        plane_height_m: height of the cameras over single photographs, which are treated as flat
+            ground.
+        plane_tilt_deg: largest tilt of these cameras about each axis.
     """
 
     min_overlap: float = Field(0.3, gt=0, lt=1)
@@ -55,14 +55,14 @@ class PairOptions(Config):
 
 
 class ContrastOptions(Config):
-    """What a point's feature is contrasted with.
+    """The negatives of the contrastive loss.
 
     Attributes:
-        temperature: that the cosines are divided by.
-        elsewhere: other places of the image, at random.
-        beside: distances (cells) of further places beside the true one: they make the peak sharp,
-            and wide enough to be climbed.
-        same_place: other places closer than this (cells) to the true one do not count.
+        temperature: temperature by which the cosines are divided.
+        elsewhere: number of random negatives in the image.
+        beside: distances (cells) of further negatives from the true place. They make the peak of
+            the similarity sharp, and wide enough for alignment to converge.
+        same_place: negatives closer than this (cells) to the true place are left out.
     """
 
     temperature: float = Field(0.07, gt=0)
@@ -72,26 +72,27 @@ class ContrastOptions(Config):
 
 
 class LossOptions(Config):
-    """What the losses weigh, and which points and pairs count in them.
+    """The weights of the losses, and which points and pairs count in them.
 
     Attributes:
-        contrast: of the contrastive loss.
-        pose_share: weight of the pose loss. It is in pixels and the contrastive loss in nats: at
-            the end both are about one.
+        contrast: negatives of the contrastive loss.
+        pose_share: weight of the pose loss (pixels) relative to the contrastive loss (nats).
+            Finally both are about one.
         trust_share: weight of the loss of the confidence.
         feature_share: weight of the distance of features, equation (7), in objconnect.
-        pose_clamp_px: the pose loss of a level grows no further from here.
-        near_cells: a level counts only where the coarser one ended within this distance.
-        min_points: a pair with fewer points counts for nothing in the pose loss.
+        pose_clamp_px: largest error that counts in the pose loss of a level.
+        near_cells: a level counts only where the error after the coarser level is below this many
+            of its cells.
+        min_points: pairs with fewer points are left out of the pose loss.
         min_object_points: objects with fewer points are left out of the loss of their confidence.
-        iterations: of the alignment that the pose loss is taken of.
-        damping_rate: learning rate of the damping over that of the network: it is one number for
-            all pixels and needs larger steps.
-        triplet_margin: of D2-Net's triplet loss, squared distance.
-        triplet_safe_radius: cells (Chebyshev) from the true place within which a descriptor is no
-            negative of a triplet.
-        triplet_min_points: correspondences without which a pair has no triplet loss, as the authors
-            have it; half of what a batch has room for where that is less.
+        iterations: number of iterations of the alignment whose poses the pose loss measures.
+        damping_rate: learning rate of the damping relative to the filters'. It is large because a
+            factor is shared by all pixels.
+        triplet_margin: margin of D2-Net's triplet loss, squared distance.
+        triplet_safe_radius: descriptors within this many cells (Chebyshev distance) of the true
+            place are no negatives of a triplet.
+        triplet_min_points: least number of correspondences of a pair in the triplet loss, as the
+            authors have it, or half of the number that a batch has room for if that is less.
     """
 
     contrast: ContrastOptions = ContrastOptions()
@@ -110,6 +111,6 @@ class LossOptions(Config):
 
 
 PAIRS: Final = PairOptions()
-"""The default of how pairs are drawn."""
+"""The default options of pairs."""
 LOSSES: Final = LossOptions()
-"""The default of what the losses weigh."""
+"""The default options of the losses."""

@@ -115,8 +115,7 @@ class RenderedPairs:
             distance = float(in_b[good][anchor, 2] / points[anchor, 2])
             match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
         # Both frames are turned by the same quarter turns, because south of the equator light comes
-        # from
-        # the north.
+        # from the north.
         joint = np.pi / 2 * rng.integers(4)
         angle_a = joint + north_angle(a.cam_from_world[:3, :3])
         angle_b = joint + north_angle(b.cam_from_world[:3, :3])

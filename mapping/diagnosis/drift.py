@@ -23,8 +23,7 @@ CLOSE_M = 0.5
 # The surface is searched in this many pixels to each side of an observation.
 _REACH = 2
 # Each pixel is a disc in space. Its radius is this share of the pixel's side, so that the disc
-# covers
-# the corners of a pixel that is seen from the front.
+# covers the corners of a pixel that is seen from the front.
 _CORNER = float(np.sqrt(0.5))
 _NORMAL_SCALE = 127
 

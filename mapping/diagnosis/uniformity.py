@@ -19,8 +19,7 @@ from scene.maps.sparse_map import MapImage, SparseMap
 _VIEWS = 2
 _PER_SIDE = 64
 # Rays that meet the ground plane farther away than this many times the camera's height are left
-# out,
-# because they are near the horizon.
+# out, because they are near the horizon.
 _FARTHEST = 5.0
 
 

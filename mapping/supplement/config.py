@@ -26,25 +26,27 @@ class BlobOptions(Config):
 
 
 class GroundOptions(Config):
-    """How the ground under a map is estimated from its points."""
+    """Estimate of the ground under a map from its points."""
 
     neighbours: int = Field(
         24,
         ge=3,
-        description="The ground under a place is a plane through this many points around it, seen "
+        description="The ground under a point is a plane through this many points around it, seen "
         "from above.",
     )
     close_m: tuple[Annotated[float, Field(gt=0)], ...] = Field(
         (0.8, 0.4, 0.2, 0.1, 0.1, 0.1),
         min_length=1,
-        description="Scale of Cauchy's weights (m) in each round in which the plane is fitted; it "
-        "begins level at the median of the points.",
+        description="Scales of Cauchy's weights (m) in the rounds in which the plane is fitted. "
+        "The plane begins level at the median of the points.",
     )
-    cell_m: float = Field(2.0, gt=0, description="Side of the cells in which the ground is kept.")
+    cell_m: float = Field(2.0, gt=0, description="Side of the cells of the ground (m).")
     margin_m: float = Field(
-        15.0, ge=0, description="Ground that is kept beside the middle 99 % of the points."
+        15.0, ge=0, description="Margin of the ground around the middle 99 % of the points (m)."
     )
-    ray_steps: int = Field(6, ge=1, description="Steps in which a ray finds the ground.")
+    ray_steps: int = Field(
+        6, ge=1, description="Iterations of the intersection of rays with the ground."
+    )
 
 
 class TrackOptions(Config):
@@ -76,7 +78,7 @@ class TrackOptions(Config):
     )
     iterations: int = Field(4, ge=2, description="Gauss-Newton steps that refine the places.")
     settling: int = Field(
-        2, ge=0, description="Steps of them before observations with too large an error leave."
+        2, ge=0, description="Iterations of the refinement before outliers are dropped."
     )
     border_px: float = Field(
         4.0, ge=0, description="Pixels at the edge in which a place does not count as visible."
@@ -146,7 +148,7 @@ class SupplementConfig(Config):
     )
     blobs: BlobOptions = Field(BlobOptions(), description="Which blobs of a photograph count.")
     ground: GroundOptions = Field(
-        GroundOptions(), description="How the ground under the map is estimated."
+        GroundOptions(), description="Estimate of the ground under the map."
     )
     tracks: TrackOptions = Field(
         TrackOptions(), description="When blobs of several photographs are one place."

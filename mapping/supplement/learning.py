@@ -35,17 +35,17 @@ _SHARES: Final = (0.95, 0.93, 0.9)
 
 
 class LearningOptions(Config):
-    """How the classifier is trained. The file of its weights records these options."""
+    """The training of the classifier. The file of its weights records these options."""
 
-    steps: int = Field(3000, ge=1, description="Steps of the optimizer.")
-    batch: int = Field(1024, ge=1, description="Places of a step.")
-    rate: float = Field(4e-3, gt=0, description="Learning rate at its peak.")
+    steps: int = Field(3000, ge=1, description="Number of steps of the optimizer.")
+    batch: int = Field(1024, ge=1, description="Number of places in a step.")
+    rate: float = Field(4e-3, gt=0, description="Highest learning rate.")
     decay: float = Field(1e-2, ge=0, description="Weight decay.")
     small_weight: float = Field(
-        10.0, gt=0, description="Weight of places on small things, which are few."
+        10.0, gt=0, description="Weight of places on small objects, which are few."
     )
     dropout: float = Field(
-        0.1, ge=0, lt=1, description="Share of the figures that a step takes for unknown."
+        0.1, ge=0, lt=1, description="Share of the figures that are set to unknown in a step."
     )
     seed: int = Field(0, description="Random seed.")
 

@@ -59,13 +59,13 @@ class Tracks:
 
 @dataclass(frozen=True)
 class _Compared:
-    """The photographs that are compared, with what is known of each.
+    """The photographs that are compared.
 
     Attributes:
         images: photographs.
-        blobs: of each photograph.
-        tables: of ``_nearest_blobs``, of each photograph.
-        ground: under them.
+        blobs: blobs of each photograph.
+        tables: result of ``_nearest_blobs`` for each photograph.
+        ground: the ground under them.
     """
 
     images: Sequence[MapImage]

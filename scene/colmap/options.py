@@ -1,4 +1,4 @@
-"""Options of matching and of structure from motion; a configuration of a map holds them."""
+"""Options of matching and of structure from motion; the configuration of a map contains them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scene.config import Config
 
 
 class MatchOptions(Config):
-    """Which features of two photographs match."""
+    """Limits within which features of two photographs match."""
 
     max_ratio: float = Field(
         0.8,
@@ -23,26 +23,28 @@ class MatchOptions(Config):
     guessed_epipolar_px: float = Field(
         4.0,
         gt=0,
-        description="The same where the lens is not calibrated yet; COLMAP's own default.",
+        description="Largest distance (px) of a match from its epipolar line where the lens is not "
+        "calibrated yet; COLMAP's own default.",
     )
 
 
 class AdjustmentOptions(Config):
-    """How a model of structure from motion is adjusted and aligned to known camera centres."""
+    """Adjustment of a model of structure from motion, and alignment to known camera centres."""
 
     outlier_sigmas: float = Field(
         5.0,
         gt=0,
-        description="Observations with a residual of more standard deviations leave the model.",
+        description="Observations with a residual of more standard deviations are removed.",
     )
     min_angle_deg: float = Field(
         1.5,
         ge=0,
-        description="Points whose rays meet at smaller angles leave it; COLMAP's own default.",
+        description="Points whose rays intersect at smaller angles are removed; COLMAP's own "
+        "default.",
     )
     align_m: float = Field(
         1.0,
         gt=0,
-        description="Largest distance (m) of a camera from its known centre for it to count in "
-        "the alignment.",
+        description="Cameras further than this (m) from their known centres are outliers of the "
+        "alignment.",
     )

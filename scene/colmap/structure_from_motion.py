@@ -30,7 +30,7 @@ ADJUSTMENTS = 4
 ALIGNABLE = 3
 """The number of camera centres that a similarity transform needs."""
 
-# A numerical guard: the relative change of cost that ends a round of the robust adjustment.
+# Numerical guard: relative change of the cost that ends a round of the robust adjustment.
 _CONVERGED = 1e-8
 
 
@@ -244,7 +244,7 @@ class MeasuredPositions:
 
 @dataclass(frozen=True)
 class RefinedLenses:
-    """What of the lenses ``adjust_to_positions`` adjusts.
+    """The parameters of lenses that ``adjust_to_positions`` adjusts.
 
     Attributes:
         focal: lenses with a focal length to adjust; if empty, only the distortion of lenses that
@@ -273,7 +273,7 @@ def adjust_to_positions(
         photographs: photographs of the model; further ones are ignored.
         world_from_model: similarity transform, (3, 4): scale times rotation, and translation.
         measured: camera centres of some of the photographs.
-        refined: what of the lenses is adjusted.
+        refined: parameters of the lenses that are adjusted.
         out: existing folder for the adjusted model.
     """
     native = pycolmap.Reconstruction(model)

@@ -160,7 +160,7 @@ def _hip_roof(
     style: BuildingStyle,
     rng: np.random.Generator,
 ) -> None:
-    """Four slopes; `heights` are those of eaves and ridge."""
+    """Add four slopes; ``heights`` are those of eaves and ridge."""
     x0, x1, y0, y1 = rect
     eaves, ridge = heights
     m = 0.5 * (y0 + y1)

@@ -229,8 +229,7 @@ def _add_light(light: Condition) -> None:
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs[0], output.inputs["Surface"])
     # Rays from surfaces hit a smooth sky often enough. If it were also sampled as a lamp, half of
-    # the
-    # shadow rays would go to the sky instead of the sun, for a third more time and more noise.
+    # the shadow rays would go to the sky instead of the sun, for a third more time and more noise.
     sky.cycles.sampling_method = "NONE"
     bpy.context.scene.view_settings.exposure = light.exposure
 
@@ -385,8 +384,7 @@ class _Caster:
                 origin = local_from_cam[:3, 3]
                 directions = ahead @ local_from_cam[:3, :3].T
                 start = origin.tolist()
-                # A list is filled first, because numpy calls for each ray would cost more than the
-                # ray.
+                # A list is filled first, because a call of numpy per ray costs more than the ray.
                 answers = [item.ray_cast(start, way) for way in directions.tolist()]
                 hit = np.array([answer[0] for answer in answers], bool)
                 at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
