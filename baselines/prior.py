@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pydantic import Field
 
 from baselines.retrieval import References, RetrievalOptions
-from baselines.starts import StartOptions, known_part, starts
+from baselines.starts import StartOptions, starts
 from scene.config import Config
 from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
@@ -48,7 +47,6 @@ class PriorLocalizer:
         """Return the query's starting pose."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
-        query = replace(query, prior=known_part(query.prior))
         if query.prior is None and query.references is None:
             return Estimate(Status.FAILED, reason="no prior, and no photograph of the map is named")
         clock = Stopwatch()

@@ -284,9 +284,9 @@ class References:
             if unknown:
                 raise InputError(f"{query.name}: the map has no photograph {unknown[0]}")
             return np.array([self._row[name] for name in query.references], np.int64)
-        if query.prior is not None:
+        if query.prior is not None and query.prior.has_position:
             rotation = query.prior.cam_from_world_rotation
-            if rotation is not None and not tilted:
+            if rotation is not None and query.prior.has_heading and not tilted:
                 return self.viewpoints.alike(query.prior.position, rotation, k)
             return self.viewpoints.near(query.prior.position, k)
         return self.index.rank(describe(), k)

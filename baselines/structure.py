@@ -6,7 +6,7 @@ All local features use this pipeline. A method consists of an extractor and a co
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache as cached
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from baselines.features import Extractor, map_features
 from baselines.lifting import LiftingOptions, interpolated_points, observed_points
 from baselines.resolution import DEFAULT_SAME_RESOLUTION, metres_per_pixel, of_map, scale_to
 from baselines.retrieval import OnDemand, References, RetrievalOptions
-from baselines.starts import StartOptions, known_part, starts
+from baselines.starts import StartOptions, starts
 from baselines.views import north_angle
 from scene.colmap.absolute_pose import estimate_absolute_pose
 from scene.config import Config
@@ -174,7 +174,6 @@ class StructureLocalizer:
         """
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
-        query = replace(query, prior=known_part(query.prior))
         clock = Stopwatch()
 
         @cached

@@ -45,14 +45,13 @@ class Prior:
 
     @property
     def has_position(self) -> bool:
-        """Whether the horizontal position was measured, however well."""
+        """Whether the horizontal position was measured."""
         return self.position_sigma is None or bool(np.isfinite(self.position_sigma[:2]).all())
 
     @property
     def has_heading(self) -> bool:
-        """Whether the attitude was measured, heading included, however well."""
+        """Whether the attitude is given, and its heading with it."""
         sigma = self.heading_sigma_deg
-        sigma = self.attitude_sigma_deg if sigma is None else sigma
         return self.cam_from_world_rotation is not None and (sigma is None or sigma < np.inf)
 
 

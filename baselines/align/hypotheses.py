@@ -52,7 +52,7 @@ def around(
     shift = options.shift_margin * torch.hypot(aside, torch.full_like(aside, turn))
     steps = math.ceil(math.degrees(float(shift.max())) / spacing_deg)
     shifts = min(2 * steps + 1, options.max_shifts)
-    heading = max(options.turn_share * radius.degrees, radius.heading)
+    heading = options.turn_share * radius.degrees
     yaws = 2 * math.ceil(heading / options.turn_spacing_deg) + 1
     ranged = partial(torch.linspace, -1, 1, dtype=torch.float64, device=distance.device)
     unit, yaw = ranged(shifts), math.radians(heading) * ranged(yaws)
@@ -166,18 +166,6 @@ def _refined_on_coarsest(
     begun = _distinct(begun, local, level, options.same_pose_cells)
     aligned = align(coarsest.starting_at(begun.pose).with_options(rough))
     return aligned, iterations + aligned.iterations.sum(-1)
-
-
-def highest_gain(
-    problem: Problem, radius: SearchRadius, options: HypothesisOptions = _DEFAULTS
-) -> Tensor:
-    """Return the highest gain over chance of any pose around priors (B), on the coarsest level.
-
-    It says near which of several priors the image is before any is refined.
-    """
-    local, level = Local.of(problem), problem.levels[0]
-    grid = _grid(level, local, radius, options)
-    return gain_over_chance(level, local, grid, problem.options.robust_scale).max(-1).values
 
 
 def _grid(level: Level, local: Local, radius: SearchRadius, options: HypothesisOptions) -> Pose:

@@ -106,10 +106,7 @@ class SearchRadius:
     Attributes:
         metres: the largest error of position to expect, in any direction.
         degrees: the largest error of attitude.
-        heading: the largest turn about the camera's axis, in degrees, where it is larger than what
-            follows from ``degrees``.
     """
 
     metres: float = 8.0
     degrees: float = 10.0
-    heading: float = 0.0

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.align.aligner import Alignment, align
-from baselines.align.hypotheses import align_from_many, highest_gain
+from baselines.align.hypotheses import align_from_many
 from baselines.align.options import Options, SearchRadius
 from baselines.align.problem import Problem
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network
@@ -32,8 +32,8 @@ from baselines.featuremetric.references import ReferenceSource, references
 from baselines.place.finder import PlaceFinder
 from baselines.retrieval import OnDemand, References
 from baselines.sift import SiftConfig, SiftLocalizer
-from baselines.starts import known_part, starts, with_all_headings
-from baselines.views import WarpedImage, with_heading
+from baselines.starts import starts
+from baselines.views import WarpedImage
 from scene.errors import InputError
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, query_error
@@ -42,6 +42,7 @@ from scene.storage.scratch import scratch
 
 log = logging.getLogger(__name__)
 
+_UNCLEAR: Final = "no place of the map fits the image clearly"
 # How far to look around a pose from matches, which are right or nowhere near.
 _MATCHED_RADIUS: Final = SearchRadius(1.0, 1.0)
 
@@ -132,7 +133,6 @@ class FeaturemetricLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         lost = self.config.multistart and query.references is None and not _whole(query.prior)
-        asked, query = query, replace(query, prior=known_part(query.prior))
         matched = self._matched(query, clock) if lost else None
         if matched is not None and matched.cam_from_world is not None:
             attempt = self._attempt_near(query, matched.cam_from_world, clock, _MATCHED_RADIUS)
@@ -140,7 +140,7 @@ class FeaturemetricLocalizer:
                 return self._estimate([attempt], [], clock)
             if matched.inliers >= self.config.search.matched_accept_inliers:
                 return replace(matched, seconds=clock.seconds)
-        places = self._found_places(asked, clock) if lost else []
+        places = self._found_places(query, clock) if lost else []
         if places:
             return self._estimate(self._attempts_at_places(query, places, clock), places, clock)
         with clock.stage("retrieval"):
@@ -148,8 +148,6 @@ class FeaturemetricLocalizer:
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             begin = starts(query.prior, self._map, chosen, self.config.starts)
-            if self.config.multistart and _heading_unknown(query.prior):
-                begin = with_all_headings(begin, self.config.starts)
         return self._estimate(self._attempts(query, chosen, begin, clock), begin, clock)
 
     def _estimate(
@@ -198,23 +196,35 @@ class FeaturemetricLocalizer:
     ) -> list[_Attempt]:
         """Try the starts of the place search until the fit of one is good enough to stop.
 
-        The image is then aligned once more from there: it is turned and scaled better.
+        The image is then aligned once more from there: it is turned and scaled better. A fit that
+        says less is accepted only where starts at two places lead to one pose: among many places
+        one fits better than by chance.
         """
+        options = self.config.search
+        radius = _default_radius(options)
         attempts: list[_Attempt] = []
         for place in places:
-            attempts.append(self._attempt_at_place(query, place, clock))
-            if attempts[-1].fit < self.config.search.stop_fit:
-                return [*attempts, self._attempt_at_place(query, attempts[-1].pose, clock)]
-        return attempts
+            attempt = self._attempt_near(query, place, clock, radius)
+            if attempt.fit < options.place_accept_fit:
+                return [attempt, self._attempt_near(query, attempt.pose, clock, radius)]
+            attempts.append(attempt)
+        agreed = [self._is_agreed(row, attempts) for row in range(len(attempts))]
+        return [
+            attempt if attempt.reason or fine else replace(attempt, reason=_UNCLEAR)
+            for attempt, fine in zip(attempts, agreed, strict=True)
+        ]
 
-    def _attempt_at_place(self, query: Query, start: Pose, clock: Stopwatch) -> _Attempt:
-        """Align the image from a start of the place search, and accept no pose that fits poorly:
-        among many places one fits better than by chance."""
-        options = self.config.search
-        attempt = self._attempt_near(query, start, clock, _default_radius(options))
-        if attempt.reason or attempt.fit < options.place_accept_fit:
-            return attempt
-        return replace(attempt, reason="no place of the map fits the image clearly")
+    def _is_agreed(self, row: int, attempts: Sequence[_Attempt]) -> bool:
+        """Return whether an attempt and another one lead to the same pose."""
+        options, attempt = self.config.search, attempts[row]
+        if attempt.reason or not attempt.fit < options.agreed_accept_fit:
+            return False
+        for other in (*attempts[:row], *attempts[row + 1 :]):
+            if not other.reason:
+                metres, degrees = (float(part) for part in other.pose.error_to(attempt.pose))
+                if metres < options.agreed_m and degrees < options.agreed_deg:
+                    return True
+        return False
 
     def _attempts(
         self,
@@ -223,94 +233,24 @@ class FeaturemetricLocalizer:
         begin: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[_Attempt]:
-        """Try starts until the fit of one is good enough to stop.
+        """Try starts place by place, until the fit of one is good enough to stop.
 
         Where there were several starts, the image is then aligned once more from the best pose:
         seen from there it is turned and scaled better.
         """
+        options = self.config.search
+        radius = _search_radius(query.prior, options)
         attempts: list[_Attempt] = []
-        for batch, enough in self._in_turn(query, chosen, begin, clock):
-            attempts += batch
+        by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
+        for _, at_place in by_place:
+            attempts += [self._attempt(query, chosen, start, clock, radius) for start in at_place]
             best = min(attempts, key=lambda attempt: attempt.fit)
-            if best.fit < enough:
+            if best.fit < options.stop_fit:
                 if len(begin) > 1:
-                    radius = _default_radius(self.config.search)
-                    attempts.append(self._attempt_near(query, best.pose, clock, radius))
+                    near = _default_radius(options)
+                    attempts.append(self._attempt_near(query, best.pose, clock, near))
                 break
         return attempts
-
-    def _in_turn(
-        self, query: Query, chosen: NDArray[np.int64], begin: Sequence[Pose], clock: Stopwatch
-    ) -> Iterator[tuple[list[_Attempt], float]]:
-        """Yield attempts in the order in which they are tried, with the fit that ends the search.
-
-        If the heading is unknown, the most promising starts come first; then all starts of one
-        place, and those of the next.
-        """
-        options = self.config.search
-        by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
-        places = [list(at_place) for _, at_place in by_place]
-        radius = _search_radius(query.prior, options)
-        if self.config.multistart and _heading_unknown(query.prior):
-            with clock.stage("retrieval"):
-                promising = self._promising(query, [(at_place[0], radius) for at_place in places])
-            for start, near in promising:
-                attempt = self._attempt_near(query, start, clock, near)
-                yield [attempt], options.early_stop_fit
-        for at_place in places:
-            attempts = [self._attempt(query, chosen, start, clock, radius) for start in at_place]
-            yield attempts, options.stop_fit
-
-    def _promising(
-        self, query: Query, places: Sequence[tuple[Pose, SearchRadius]]
-    ) -> list[tuple[Pose, SearchRadius]]:
-        """Return the poses around which the image fits best on the coarsest level, best first.
-
-        Candidates are the given poses and photographs near the prior, turned to every heading.
-
-        Args:
-            query: an image with a prior of unknown heading.
-            places: one pose of each place, and how far to look around it.
-
-        Returns:
-            ``cam_from_world`` and the radius to look around it.
-        """
-        options = self.config.search
-        candidates = [*places, *self._nearby_photographs(query)]
-        prepared = []
-        for pose, radius in candidates:
-            chosen = self._chosen(replace(query, prior=_known_pose(pose)))
-            scale = self._problems.scale(query.camera, chosen, pose)
-            scale_step = round(options.scale_steps * math.log(scale))
-            wide = replace(radius, heading=options.heading_radius_deg)
-            prepared.append((pose, wide, chosen, scale_step))
-        ranked = []
-        for heading in np.arange(options.headings) * math.tau / options.headings:
-            views: dict[int, tuple[WarpedImage, list[FeatureMap]]] = {}
-            for pose, radius, chosen, scale_step in prepared:
-                turned = with_heading(pose, float(heading))
-                if scale_step not in views:
-                    views[scale_step] = self._problems.view(query, chosen, turned, levels=1)
-                problem = self._problems.build(
-                    *views[scale_step], chosen, turned, options.screened_points
-                )
-                gain = highest_gain(problem, radius, options.hypotheses)
-                ranked.append((float(gain), turned, radius))
-        ranked.sort(key=lambda each: -each[0])
-        return [(turned, radius) for _, turned, radius in ranked[: options.promising_starts]]
-
-    def _nearby_photographs(self, query: Query) -> list[tuple[Pose, SearchRadius]]:
-        """Return the photographs nearest to the prior, and how far to look around each."""
-        assert query.prior is not None
-        options = self.config.search
-        photographs = []
-        count = options.nearby_photographs
-        for row in self._retrieval.viewpoints.near(query.prior.position, count) if count else ():
-            pose = self._map.images[self._map.names[int(row)]].pose
-            height = self._map.height_above(pose.centre().numpy())
-            metres = min(options.nearby_radius_share * height, options.max_radius_m)
-            photographs.append((pose, SearchRadius(metres, options.radius_deg)))
-        return photographs
 
     def _attempt_near(
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius
@@ -418,11 +358,6 @@ def _matcher(
     return localizer
 
 
-def _heading_unknown(prior: Prior | None) -> bool:
-    """Return whether there is a prior without an attitude."""
-    return prior is not None and prior.cam_from_world_rotation is None
-
-
 def _default_radius(options: SearchOptions) -> SearchRadius:
     """Return how far to look around a start of which no uncertainty is known."""
     return SearchRadius(options.radius_m, options.radius_deg)
@@ -441,5 +376,4 @@ def _search_radius(prior: Prior | None, options: SearchOptions) -> SearchRadius:
     return SearchRadius(
         min(metres, options.max_radius_m),
         min(degrees, options.max_radius_deg),
-        options.heading_radius_deg if _heading_unknown(prior) else 0.0,
     )
