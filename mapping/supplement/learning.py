@@ -30,7 +30,7 @@ from scene.errors import InputError
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
 
-# Shares of places on things at which the report says what is reached; they change no weights.
+# Precisions at which the report counts the objects that are covered. They change no weights.
 _SHARES: Final = (0.95, 0.93, 0.9)
 
 
