@@ -134,15 +134,19 @@ class FeaturemetricLocalizer:
         clock = Stopwatch()
         lost = self.config.multistart and query.references is None and not _whole(query.prior)
         matched = self._matched(query, clock) if lost else None
+        attempts: list[_Attempt] = []
         if matched is not None and matched.cam_from_world is not None:
             attempt = self._attempt_near(query, matched.cam_from_world, clock, _MATCHED_RADIUS)
-            if not attempt.reason:
-                return self._estimate([attempt], [], clock)
-            if matched.inliers >= self.config.search.matched_accept_inliers:
+            sure = matched.inliers >= self.config.search.matched_accept_inliers
+            if sure and attempt.reason:
                 return replace(matched, seconds=clock.seconds)
+            if sure or attempt.fit < self.config.search.place_accept_fit:
+                return self._estimate([attempt], [matched.cam_from_world], clock)
+            attempts = [attempt]
         places = self._found_places(query, clock) if lost else []
         if places:
-            return self._estimate(self._attempts_at_places(query, places, clock), places, clock)
+            attempts = self._attempts_at_places(query, attempts, places, clock)
+            return self._estimate(attempts, places, clock)
         with clock.stage("retrieval"):
             chosen = self._chosen(query)
             if not len(chosen):
@@ -192,7 +196,7 @@ class FeaturemetricLocalizer:
             return [candidate.pose for candidate in self._places.find(query)]
 
     def _attempts_at_places(
-        self, query: Query, places: Sequence[Pose], clock: Stopwatch
+        self, query: Query, before: Sequence[_Attempt], places: Sequence[Pose], clock: Stopwatch
     ) -> list[_Attempt]:
         """Try the starts of the place search until the fit of one is good enough to stop.
 
@@ -202,7 +206,7 @@ class FeaturemetricLocalizer:
         """
         options = self.config.search
         radius = _default_radius(options)
-        attempts: list[_Attempt] = []
+        attempts = list(before)
         for place in places:
             attempt = self._attempt_near(query, place, clock, radius)
             if attempt.fit < options.place_accept_fit:

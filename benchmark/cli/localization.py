@@ -42,7 +42,7 @@ def localize(
             metavar="POSES", help="Text file of the poses; a CSV file is written beside it."
         ),
     ],
-    method: Method = "sift",
+    method: Method = "objconnect",
     camera: CameraWords = None,
     priors: Annotated[
         Path | None,
