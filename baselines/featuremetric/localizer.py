@@ -64,6 +64,11 @@ class _Attempt:
     reason: str
 
     @property
+    def failed(self) -> bool:
+        """Whether there is no pose."""
+        return bool(self.alignment.failed[0])
+
+    @property
     def pose(self) -> Pose:
         """``cam_from_world`` of the photograph."""
         return _photograph_pose(self.view, self.alignment)
@@ -201,8 +206,8 @@ class FeaturemetricLocalizer:
         """Try the starts of the place search until the fit of one is good enough to stop.
 
         The image is then aligned once more from there: it is turned and scaled better. A fit that
-        says less is accepted only where starts at two places lead to one pose: among many places
-        one fits better than by chance.
+        says less is accepted only where starts at two places lead to one pose, or where no other
+        place fits nearly as well: among many places one fits better than by chance.
         """
         options = self.config.search
         radius = _default_radius(options)
@@ -212,23 +217,24 @@ class FeaturemetricLocalizer:
             if attempt.fit < options.place_accept_fit:
                 return [attempt, self._attempt_near(query, attempt.pose, clock, radius)]
             attempts.append(attempt)
-        agreed = [self._is_agreed(row, attempts) for row in range(len(attempts))]
+        clear = [self._is_clear(row, attempts) for row in range(len(attempts))]
         return [
             attempt if attempt.reason or fine else replace(attempt, reason=_UNCLEAR)
-            for attempt, fine in zip(attempts, agreed, strict=True)
+            for attempt, fine in zip(attempts, clear, strict=True)
         ]
 
-    def _is_agreed(self, row: int, attempts: Sequence[_Attempt]) -> bool:
-        """Return whether an attempt and another one lead to the same pose."""
+    def _is_clear(self, row: int, attempts: Sequence[_Attempt]) -> bool:
+        """Return whether another attempt led to the pose of this one, or all others fit worse."""
         options, attempt = self.config.search, attempts[row]
-        if attempt.reason or not attempt.fit < options.agreed_accept_fit:
+        if attempt.reason or not attempt.fit < options.clear_accept_fit:
             return False
-        for other in (*attempts[:row], *attempts[row + 1 :]):
-            if not other.reason:
-                metres, degrees = (float(part) for part in other.pose.error_to(attempt.pose))
-                if metres < options.agreed_m and degrees < options.agreed_deg:
-                    return True
-        return False
+        others = [other for other in (*attempts[:row], *attempts[row + 1 :]) if not other.failed]
+        for other in others:
+            metres, degrees = (float(part) for part in other.pose.error_to(attempt.pose))
+            if metres < options.agreed_m and degrees < options.agreed_deg:
+                return True
+        least = attempt.fit + options.clear_margin
+        return bool(others) and all(other.fit > least for other in others)
 
     def _attempts(
         self,

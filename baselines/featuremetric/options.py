@@ -36,11 +36,17 @@ class SearchOptions(Config):
         description="A pose from the place search is accepted when its fit is below this: of 200 "
         "poses in a map of another place, none was seen to fit below 0.869.",
     )
-    agreed_accept_fit: float = Field(
+    clear_accept_fit: float = Field(
         0.9,
         gt=0,
-        description="A pose is also accepted when its fit is below this and starts at two places "
-        "of the search lead to it.",
+        description="A pose from the place search is also accepted when its fit is below this, "
+        "and starts at two places lead to it or no other place fits nearly as well.",
+    )
+    clear_margin: float = Field(
+        0.05,
+        gt=0,
+        description="Poses whose fit is worse by this do not fit nearly as well; in a map of "
+        "another place the second best was seen to be worse by 0.028 at most.",
     )
     agreed_m: float = Field(
         0.5, gt=0, description="Poses closer than this (and agreed_deg) agree, metres."
