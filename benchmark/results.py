@@ -234,7 +234,7 @@ class Results(_File):
     schema_version: Literal[1] = Field(default=1, alias="schema")
     method: Method
     dataset: DatasetId
-    start: str = Field(pattern=r"^(prior|none|(retrieval|pairs|error)=[\w.,]+)$")
+    start: str = Field(pattern=r"^(prior|none|(retrieval|pairs|error|gravity|gps)=[\w.,]+)$")
     environment: Environment
     summary: Summary
     by_condition: dict[str, Summary]

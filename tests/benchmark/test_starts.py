@@ -103,6 +103,14 @@ def test_every_query_is_wrong_in_its_own_direction_and_always_the_same() -> None
     assert (first.position != other.position).all()
 
 
+@pytest.mark.parametrize("start", ["gravity=3deg", "gps=50m"])
+def test_results_of_partial_starts_are_written(meadow: Dataset, tmp_path: Path, start: str) -> None:
+    localizer = FakeLocalizer({})
+    assert evaluate(meadow, localizer, tmp_path, parse_start(start)).start == start
+    for seen in localizer.seen:
+        assert seen.prior is not None and not seen.prior.has_heading
+
+
 def test_error_start_reaches_the_method(meadow: Dataset, tmp_path: Path) -> None:
     localizer = FakeLocalizer({})
     start = parse_start("error=3m,5deg")
