@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
+from baselines.place.finder import PlaceOptions
 from baselines.views import with_heading
 from benchmark.registry import create
 from scene.errors import InputError
@@ -138,11 +139,13 @@ def test_an_altitude_nobody_knows_is_that_of_the_flight(
 def test_beside_photographs_is_looked_where_the_position_is_poor(
     weights: Path, made: tuple[SparseMap, Path]
 ) -> None:
-    """Above ground that the map does not have, and turned by a right angle."""
+    """By the place search: above ground that the map does not have, turned by a right angle."""
     turned = with_heading(TRUTH, math.radians(100))
     aside = Prior(np.array([9.3, -26.0, 20.0]))
     query = Query("query.png", photograph(turned), CAMERA, aside)
-    localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True))
+    localizer = PixlocLocalizer(
+        PixlocConfig(weights=weights, multistart=True, place=PlaceOptions())
+    )
     localizer.prepare(*made)
     estimate = localizer.localize(query)
     assert estimate.status is Status.OK, estimate.reason
