@@ -123,11 +123,12 @@ def test_an_altitude_nobody_knows_is_that_of_the_flight(
     low = looking_down(9.0, -0.2)
     centre = low.centre().numpy() - [0, 0, 30]
     prior = Prior(centre, np.array([2.0, 2.0, 60.0]))
-    # Where it passes for known, only photographs nearby lead out of the ground.
+    # Where it passes for known, only the place search leads out of the ground.
     sure = replace(prior, position_sigma=np.array([2.0, 2.0, 1.0]))
     found, misled = {}, {}
     for many in (False, True):
-        localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=many))
+        place = PlaceOptions(candidates=5 if many else 0)
+        localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=many, place=place))
         localizer.prepare(*made)
         found[many] = errors(localizer.localize(replace(QUERY, prior=prior)))[0]
         misled[many] = localizer.localize(replace(QUERY, prior=sure))
