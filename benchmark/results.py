@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from benchmark.score import THRESHOLDS, median_errors, recall
+from benchmark.score import THRESHOLDS, false_fixes, median_errors, recall
 from benchmark.uncertainty import consistency
 from scene.bundle.manifest import Condition, read_json
 from scene.errors import InputError
@@ -49,6 +49,8 @@ _HEAD: Final = b'{\n "schema": 1,\n "method": {'
 
 # Stored and recomputed figures that differ relatively by more show that the file was changed.
 _TOLERANCE = 1e-9
+# Figures that files of earlier versions lack; they are computed when the file is read.
+_ADDED: Final = {"false_fixes"}
 # Width of an altitude band, metres.
 _BAND_M = 30
 # The only key in the configuration of an external method.
@@ -156,6 +158,8 @@ class Summary(_File):
     Attributes:
         queries: number of queries; all of them are in every denominator.
         recall: recall by the key of a threshold, such as "0.25m_2deg".
+        false_fixes: share of the queries whose status is ``ok`` but whose pose is wrong by more than
+            5 m or 10 degrees; None only in a file of an earlier version, as it lies on disk.
         median_t_m: median position error of the queries with a pose, metres; None without any.
         median_r_deg: median rotation error of the queries with a pose, degrees; None without any.
         failed: number of queries without a pose.
@@ -170,6 +174,7 @@ class Summary(_File):
 
     queries: int
     recall: dict[str, Recall]
+    false_fixes: Recall | None = None
     median_t_m: float | None
     median_r_deg: float | None
     failed: int
@@ -344,6 +349,7 @@ def summarize(
             threshold.key: Recall(**recall(queries, threshold)._asdict())
             for threshold in THRESHOLDS
         },
+        false_fixes=Recall(**false_fixes(queries)._asdict()),
         median_t_m=median_t,
         median_r_deg=median_r,
         failed=sum(query.status is Status.FAILED for query in queries),
@@ -474,6 +480,8 @@ def _difference(stored: object, computed: object, where: str) -> str | None:
     """Return the dotted name of the first figure that differs, or None."""
     if isinstance(stored, dict) and isinstance(computed, dict):
         for key in sorted(stored.keys() | computed.keys()):
+            if key in _ADDED and stored.get(key) is None:
+                continue
             if key not in stored or key not in computed:
                 return f"{where}.{key}"
             difference = _difference(stored[key], computed[key], f"{where}.{key}")

@@ -31,6 +31,10 @@ class Threshold(NamedTuple):
 THRESHOLDS: Final = (Threshold(0.25, 2), Threshold(0.5, 5), Threshold(5, 10))
 
 
+FALSE_FIX: Final = Threshold(5, 10)
+"""A pose that is farther off by either is a false fix, where the method says that it is right."""
+
+
 class Outcome(Protocol):
     """A scored query: its status and, where it has a pose, the errors of the pose."""
 
@@ -61,11 +65,29 @@ def is_correct(outcome: Outcome, threshold: Threshold) -> bool:
     return outcome.t_err_m < threshold.metres and outcome.r_err_deg < threshold.degrees
 
 
+def is_false_fix(outcome: Outcome) -> bool:
+    """Return whether a pose of status ``ok`` is wrong by more than 5 m or 10 degrees.
+
+    Whoever flies by it is misled, where a fallback or a failed query says that nothing was found.
+    """
+    if outcome.status is not Status.OK or outcome.t_err_m is None or outcome.r_err_deg is None:
+        return False
+    return outcome.t_err_m > FALSE_FIX.metres or outcome.r_err_deg > FALSE_FIX.degrees
+
+
 def recall(outcomes: Sequence[Outcome], threshold: Threshold) -> Interval:
     """Return the percentage of all queries that are correct, with its Wilson 95 % interval."""
-    correct = sum(is_correct(outcome, threshold) for outcome in outcomes)
-    low, high = wilson(correct, len(outcomes))
-    return Interval(100 * correct / len(outcomes), 100 * low, 100 * high)
+    return _share([is_correct(outcome, threshold) for outcome in outcomes])
+
+
+def false_fixes(outcomes: Sequence[Outcome]) -> Interval:
+    """Return the percentage of all queries that are false fixes, with its Wilson 95 % interval."""
+    return _share([is_false_fix(outcome) for outcome in outcomes])
+
+
+def _share(counted: Sequence[bool]) -> Interval:
+    low, high = wilson(sum(counted), len(counted))
+    return Interval(100 * sum(counted) / len(counted), 100 * low, 100 * high)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from typing import Final
 
 from benchmark.report.paper import TITLE, Cell, Line, columns
 from benchmark.report.tables import Table
-from benchmark.results import TOTAL
+from benchmark.results import TOTAL, Recall
 from benchmark.score import THRESHOLDS
 from scene.runtime.escaping import for_terminal
 
@@ -46,7 +46,8 @@ def escape(text: str) -> str:
 def _caption(board: Table) -> str:
     return (
         f"{board.track}: {board.dataset}. Recall in % with its Wilson 95 % interval; failed "
-        f"queries and fallback poses count as wrong. {board.facts()}"
+        f"queries and fallback poses count as wrong. False fixes, in % too, are poses called right "
+        f"that are wrong by more than 5 m or 10°. {board.facts()}"
     )
 
 
@@ -61,7 +62,7 @@ def _float(body: Iterator[str], caption: str, label: str) -> Iterator[str]:
 
 def _board(board: Table) -> Iterator[str]:
     header = ["method", "condition", "queries", *(str(threshold) for threshold in THRESHOLDS)]
-    header += ["median m", "median °", "failed", "fallback", "s/query"]
+    header += ["median m", "median °", "false fixes", "failed", "fallback", "s/query"]
     rows = []
     for row in board.rows:
         summary = row.summary
@@ -71,9 +72,10 @@ def _board(board: Table) -> Iterator[str]:
                 escape(row.method),
                 escape(row.condition),
                 str(summary.queries),
-                *(_interval(recall.value, recall.low, recall.high) for recall in recalls),
+                *(_recall(recall) for recall in recalls),
                 _number(summary.median_t_m),
                 _number(summary.median_r_deg),
+                "--" if (wrong := summary.false_fixes) is None else _recall(wrong),
                 str(summary.failed),
                 str(summary.fallback),
                 _number(summary.seconds.per_query.get(TOTAL)),
@@ -114,6 +116,10 @@ def _cell(cell: Cell | None) -> str:
     if cell.low is None or cell.high is None:
         return f"{cell.value:.1f}"
     return _interval(cell.value, cell.low, cell.high)
+
+
+def _recall(recall: Recall) -> str:
+    return _interval(recall.value, recall.low, recall.high)
 
 
 def _interval(value: float, low: float, high: float) -> str:

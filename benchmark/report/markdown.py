@@ -28,8 +28,9 @@ def markdown(boards: Sequence[Table]) -> str:
         "# Leaderboard",
         "",
         "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
-        "with its Wilson 95 % interval; failed queries and fallback poses count as wrong. Medians "
-        "are over the queries with a pose. Only rows of one table can be compared.",
+        "with its Wilson 95 % interval; failed queries and fallback poses count as wrong. False "
+        "fixes are poses that a method calls right and that are wrong by more than 5 m or 10°. "
+        "Medians are over the queries with a pose. Only rows of one table can be compared.",
     ]
     for board in boards:
         lines += ["", f"## {escaped(board.track)}: {escaped(board.dataset)}", ""]
@@ -54,7 +55,7 @@ def _table(board: Table) -> Iterator[str]:
     """Yield the lines of one table."""
     recalls = [f"{threshold} (%)" for threshold in THRESHOLDS]
     header = ["method", "condition", "queries", *recalls, "median m", "median °"]
-    header += ["failed + fallback", "s/query"]
+    header += ["false fixes (%)", "failed + fallback", "s/query"]
     yield _line(header)
     yield _line(["---", "---", *["--:"] * (len(header) - 2)])
     for row in board.rows:
@@ -67,6 +68,7 @@ def _table(board: Table) -> Iterator[str]:
                 *(_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 _number(summary.median_t_m),
                 _number(summary.median_r_deg),
+                "–" if summary.false_fixes is None else _recall(summary.false_fixes),
                 f"{summary.failed} + {summary.fallback}",
                 _number(summary.seconds.per_query.get(TOTAL)),
             ]

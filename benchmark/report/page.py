@@ -155,6 +155,7 @@ def _summary(summary: Summary) -> dict[str, Any]:
         "recall": [_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS],
         "t": _rounded(summary.median_t_m),
         "r": _rounded(summary.median_r_deg),
+        "wrong": None if summary.false_fixes is None else _recall(summary.false_fixes),
         "failed": summary.failed,
         "fallback": summary.fallback,
         "seconds": _rounded(summary.seconds.per_query.get(TOTAL)),

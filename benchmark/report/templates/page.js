@@ -217,6 +217,7 @@
     ...data.thresholds.map((t, k) => ({ name: t.text, unit: "%", key: (row) => row.s.recall[k][0], best: "descending" })),
     { name: "median m", key: (row) => row.s.t },
     { name: "median °", key: (row) => row.s.r },
+    { name: "false fixes", key: (row) => (row.s.wrong ? row.s.wrong[0] : null) },
     { name: "failed", key: (row) => row.s.failed },
     { name: "fallback", key: (row) => row.s.fallback },
     { name: "s/query", key: (row) => row.s.seconds },
@@ -252,6 +253,7 @@
         el("td", {}, String(row.s.queries)),
         row.s.recall.map((recall) => el("td", {}, percent(recall), el("small", {}, interval(recall)), bar(row.run, recall))),
         [row.s.t, row.s.r].map((value) => el("td", {}, digits(value))),
+        el("td", {}, row.s.wrong ? [percent(row.s.wrong), el("small", {}, interval(row.s.wrong))] : "–"),
         [row.s.failed, row.s.fallback].map((value) => el("td", {}, String(value))),
         el("td", {}, digits(row.s.seconds)),
         el("td", { class: "acts" }, ["worst", "best"].map((end) => el("button", {

@@ -42,7 +42,7 @@ def test_markdown(scene: Path, tmp_path: Path) -> None:
     assert "## uav-sim: hamlet" in text
     assert "Start: each query's own prior. Map: summer-noon." in text
     table = rows(text)
-    assert [len(row) for row in table[:5]] == [10] * 5
+    assert [len(row) for row in table[:5]] == [11] * 5
     assert [row[:3] for row in table[2:5]] == [
         ["sift", "all", "6"],
         ["sift", "summer-noon", "3"],
@@ -54,10 +54,41 @@ def test_markdown(scene: Path, tmp_path: Path) -> None:
         "100.0 [43.9, 100.0]",
         "0.100",
         "0.000",
-        "0 + 0",
+        "0.0 [0.0, 56.1]",
     ]
     assert table[4][3:6] == ["0.0 [0.0, 56.1]", "0.0 [0.0, 56.1]", "33.3 [6.1, 79.2]"]
-    assert table[4][8] == "2 + 0"
+    assert (table[3][9], table[4][9]) == ("0 + 0", "2 + 0")
+
+
+def test_false_fixes_stand_beside_recall(scene: Path, tmp_path: Path) -> None:
+    """One of six queries is answered 20 m off and called right, and one is so called a fallback."""
+    name = "summer-grid/images/{:06d}.jpg".format
+    answers = {
+        name(0): Estimate(Status.OK, moved(pose_at(1), 20)),
+        name(1): Estimate(Status.FALLBACK, moved(pose_at(2), 20), reason="far"),
+        name(2): Estimate(Status.OK, moved(pose_at(3), 4)),
+    }
+    (dataset,) = open_datasets(scene)
+    evaluate(dataset, FakeLocalizer(answers), tmp_path / "out", PRIOR)
+    text = leaderboard([tmp_path / "out"], tmp_path / "board")
+    table = rows(text)
+    assert [row[8] for row in table[2:5]] == [
+        "16.7 [3.0, 56.4]",
+        "33.3 [6.1, 79.2]",
+        "0.0 [0.0, 56.1]",
+    ]
+    assert "16.7_{[3.0" in (tmp_path / "board" / "leaderboard.tex").read_text()
+
+
+def test_results_of_before_false_fixes_were_counted_are_read(scene: Path, tmp_path: Path) -> None:
+    file = run(scene, tmp_path / "out", "sift")
+    text = leaderboard([file])
+    stored = json.loads(file.read_text())
+    for part in (stored, *(stored[f"by_{by}"] for by in ("condition", "group", "altitude"))):
+        for figures in [part["summary"]] if part is stored else part.values():
+            del figures["false_fixes"]
+    file.write_text(json.dumps(stored))
+    assert leaderboard([file]) == text
 
 
 def test_saturation_is_said_for_sift_under_the_maps_own_condition(
