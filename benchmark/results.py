@@ -158,7 +158,7 @@ class Summary(_File):
     Attributes:
         queries: number of queries; all of them are in every denominator.
         recall: recall by the key of a threshold, such as "0.25m_2deg".
-        false_fixes: share of the queries whose status is ``ok`` but whose pose is wrong by more than
+        false_fixes: share of the queries of status ``ok`` whose pose is wrong by more than
             5 m or 10 degrees; None only in a file of an earlier version, as it lies on disk.
         median_t_m: median position error of the queries with a pose, metres; None without any.
         median_r_deg: median rotation error of the queries with a pose, degrees; None without any.
