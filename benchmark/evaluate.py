@@ -11,8 +11,9 @@ import logging
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from threading import Event
 from time import perf_counter
 from typing import Any
 
@@ -110,13 +111,14 @@ def evaluate(
         _warn_of_changes(dataset, target, journal)
         with (
             _prepared(run, jobs, cluster) as (seconds, localize),
-            closing(localize([q for q in dataset.queries if q.name not in journal.done])) as scored,
+            closing(
+                localize([q for q in dataset.queries if q.name not in journal.done], journal.add)
+            ) as scored,
             progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance,
         ):
             peak = None if cluster else peak_megabytes()
             advance(len(journal.done))
-            for result, memory in scored:
-                journal.add(result)
+            for memory in scored:
                 peak = max(filter(None, (peak, memory)), default=None)
                 advance(len(journal.done))
         try:
@@ -135,7 +137,9 @@ def evaluate(
 
 _Scored = tuple[QueryResult, float | None]
 """The result of a query, and the peak memory of its process so far (1e6 bytes; None if unknown)."""
-_LocalizeAll = Callable[[Sequence[BenchmarkQuery]], Generator[_Scored, None, None]]
+_Keep = Callable[[QueryResult], None]
+"""Keeps the result of a query. Threads call it: no signal parts an answer from its keeping."""
+_LocalizeAll = Callable[[Sequence[BenchmarkQuery], _Keep], Generator[float | None, None, None]]
 
 
 class _Run:
@@ -213,19 +217,25 @@ def _prepared(run: _Run, jobs: int, cluster: str | None) -> Iterator[tuple[float
 
     Yields:
         The seconds that preparing took, and a function that localizes queries in threads of this
-        process or on the cluster.
+        process or on the cluster, keeps each result, and yields the peak memory of its process.
     """
     if cluster is None:
-        yield run.prepare(), lambda queries: _in_threads(run, queries, jobs)
+        yield run.prepare(), lambda queries, keep: _in_threads(run, queries, jobs, keep)
         return
     with worker_pool(cluster, run) as workers:
-        seconds = _prepare_one_worker(workers)
-        yield (
-            seconds,
-            lambda queries: workers.map(
-                split_work(queries, workers.cores, 1, _MOST_QUERIES_AT_ONCE)
-            ),
-        )
+        yield _prepare_one_worker(workers), partial(_on_cluster, workers)
+
+
+def _on_cluster(
+    workers: WorkerPool[Sequence[BenchmarkQuery], _Scored],
+    queries: Sequence[BenchmarkQuery],
+    keep: _Keep,
+) -> Generator[float | None, None, None]:
+    parts = split_work(queries, workers.cores, 1, _MOST_QUERIES_AT_ONCE)
+    with closing(workers.map(parts)) as answers:
+        for result, memory in answers:
+            keep(result)
+            yield memory
 
 
 def _prepare_one_worker(workers: WorkerPool[Sequence[BenchmarkQuery], _Scored]) -> float:
@@ -240,12 +250,25 @@ def _prepare_one_worker(workers: WorkerPool[Sequence[BenchmarkQuery], _Scored]) 
 
 
 def _in_threads(
-    run: _Run, queries: Sequence[BenchmarkQuery], jobs: int
-) -> Generator[_Scored, None, None]:
-    """Localize queries in threads and yield each result as soon as it is there."""
+    run: _Run, queries: Sequence[BenchmarkQuery], jobs: int, keep: _Keep
+) -> Generator[float | None, None, None]:
+    """Localize queries in threads, and yield the peak memory as soon as a result is kept."""
+    failed = Event()
+
+    def localize(query: BenchmarkQuery) -> float | None:
+        if failed.is_set():
+            return None
+        try:
+            result, memory = run.localize(query)
+            keep(result)
+        except BaseException:
+            failed.set()
+            raise
+        return memory
+
     with ThreadPoolExecutor(jobs) as pool:
         try:
-            order = {pool.submit(run.localize, query): k for k, query in enumerate(queries)}
+            order = {pool.submit(localize, query): k for k, query in enumerate(queries)}
             waiting = set(order)
             while waiting:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
