@@ -21,7 +21,12 @@ DEFAULT_SAME_RESOLUTION: Final = 1.25
 street-level views have no single resolution."""
 
 
-def metres_per_pixel(pose: Pose, camera: Camera, xyz: NDArray[np.float64]) -> float:
+def metres_per_pixel(
+    pose: Pose,
+    camera: Camera,
+    xyz: NDArray[np.float64],
+    view_from_camera: NDArray[np.float64] | None = None,
+) -> float:
     """Return the ground resolution of a photograph at the median depth of the points it shows.
 
     It is NaN where these are too few.
@@ -30,13 +35,16 @@ def metres_per_pixel(pose: Pose, camera: Camera, xyz: NDArray[np.float64]) -> fl
         pose: ``cam_from_world``.
         camera: camera of the photograph.
         xyz: (N, 3) points that may be in view.
+        view_from_camera: (3, 3) how the camera is then turned; None for not at all.
     """
     in_camera = pose.transform(torch.from_numpy(xyz))
     projected = camera.project(in_camera)
     shown = projected.valid & camera.contains(projected.xy)
     if int(shown.sum()) < _MIN_POINTS:
         return math.nan
-    return float(in_camera[shown, 2].median()) / float(np.mean(camera.focal))
+    axis = np.array([0.0, 0.0, 1.0]) if view_from_camera is None else view_from_camera[2]
+    depth = in_camera[shown] @ torch.from_numpy(np.asarray(axis, np.float64))
+    return float(depth.median()) / float(np.mean(camera.focal))
 
 
 def of_map(sparse_map: SparseMap, shrunk: Callable[[Camera], float]) -> float:

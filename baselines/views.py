@@ -2,13 +2,15 @@
 
 Photographs of a survey are turned every way, every second line by half a turn, and flown at any
 height. The map's poses say how, the query's prior to a few degrees and metres. A photograph turned
-and resized is that of another camera, with the same lens turned.
+and resized is that of another camera, with the same lens turned. One that looks at the ground more
+flatly than the map's photographs is seen as by a camera at its place that is tilted less.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
 import cv2
@@ -27,6 +29,12 @@ MARGIN: Final = 8.0
 _LEVEL: Final = -0.5
 # Numerical guard: radians and share below which a photograph is left as it is.
 _SAME_ANGLE, _SAME_SCALE = 1e-3, 1e-3
+# Largest turn of the optical axis, radians: what was flat is stretched the more.
+_MOST_LEVELLED: Final = np.pi / 4
+# Distance from the axis of a levelled view, in focal lengths, beyond which it shows nothing.
+_WIDEST: Final = 2.2
+# A levelled view has at most so many pixels for each pixel that the photograph would have.
+_MOST_PIXELS: Final = 2.0
 
 
 def looks_down(cam_from_world: NDArray[np.float64]) -> bool:
@@ -68,6 +76,31 @@ def map_angle(cam_from_world: NDArray[np.float64]) -> float:
     return float(np.arctan2(north_axis[0] + east_axis[1], east_axis[0] - north_axis[1]))
 
 
+def tilt(cam_from_world: NDArray[np.float64]) -> float:
+    """Return the angle (rad) between a camera's axis and the plumb line; 0 looks straight down.
+
+    Example:
+        >>> tilt(np.diag([1.0, -1.0, -1.0]))
+        0.0
+    """
+    return float(np.arccos(np.clip(-cam_from_world[2, 2], -1, 1)))
+
+
+def levelled(cam_from_world: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of a camera turned down to a tilt of ``least`` rad, north up.
+
+    The axis turns by 45 degrees at most. A camera of less tilt is only turned north up.
+    """
+    down = np.diag([1.0, -1.0, -1.0])
+    north_up = roll_rotation(map_angle(cam_from_world)) @ cam_from_world
+    vector = cv2.Rodrigues(north_up @ down)[0][:, 0]
+    angle = float(np.linalg.norm(vector))
+    kept = max(least, angle - _MOST_LEVELLED)
+    if angle <= kept:
+        return np.asarray(north_up)
+    return np.asarray(cv2.Rodrigues(vector * (kept / angle))[0] @ down)
+
+
 def roll_rotation(angle: float) -> NDArray[np.float64]:
     """Return the rotation (3, 3) of camera coordinates when the picture turns counter-clockwise."""
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -85,6 +118,9 @@ def with_heading(pose: Pose, heading: float) -> Pose:
     return Pose(rotation, -rotation @ pose.centre())
 
 
+_Map = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
 @dataclass(frozen=True)
 class WarpedImage:
     """A photograph turned and resized.
@@ -93,30 +129,24 @@ class WarpedImage:
         picture: (h, w, 3) uint8; black where the photograph has ended.
         camera: the camera that would have taken it.
         view_from_camera: (3, 3) rotation from the photograph's camera frame.
-        affine: (2, 3) pixels of the view from pixels of the photograph.
+        in_photograph: maps pixels of the view (N, 2) to pixels of the photograph; NaN where these
+            cannot be.
+        scale: pixels of the view per pixel of the photograph, along its axis.
         size: size (2,) of the photograph, width and height.
     """
 
     picture: NDArray[np.uint8]
     camera: Camera
     view_from_camera: NDArray[np.float64]
-    affine: NDArray[np.float64]
+    in_photograph: _Map
+    scale: float
     size: NDArray[np.int64]
-
-    def in_photograph(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Map pixels of the view (N, 2) to pixels of the photograph."""
-        return np.asarray((xy - self.affine[:, 2]) @ self._back.T)
 
     def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether pixels of the view (..., 2) show the photograph, 8 px inside its edge."""
-        scale = np.linalg.norm(self.affine[:, 0])
-        there = self.in_photograph(xy.reshape(-1, 2))
-        inside = (there >= MARGIN / scale) & (there <= self.size - MARGIN / scale)
+        there, margin = self.in_photograph(xy.reshape(-1, 2)), MARGIN / self.scale
+        inside = (there >= margin) & (there <= self.size - margin)
         return np.asarray(inside.all(1).reshape(xy.shape[:-1]))
-
-    @cached_property
-    def _back(self) -> NDArray[np.float64]:
-        return np.asarray(np.linalg.inv(self.affine[:, :2]))
 
     @cached_property
     def whole(self) -> bool:
@@ -154,7 +184,7 @@ def warp_image(
     """
     size = np.array([camera.width, camera.height])
     if abs(angle) < _SAME_ANGLE and abs(scale - 1) < _SAME_SCALE:
-        return WarpedImage(rgb, camera, np.eye(3), np.eye(2, 3), size)
+        return WarpedImage(rgb, camera, np.eye(3), lambda xy: xy, 1.0, size)
     # Pixels become square, so that the turned lens is described by the same camera model.
     focal = np.array(camera.focal)
     per_axis = scale * focal.mean() / focal
@@ -172,7 +202,63 @@ def warp_image(
         p2, p1 = (turn[:2, :2] @ [p2, p1]).tolist()
         model, lens = "OPENCV", (k1, k2, p1, p2)
     turned = Camera(model, int(wide[0]), int(wide[1]), (*(float(p) for p in params), *lens))
-    return WarpedImage(resampled(rgb, affine, wide), turned, turn, affine, size)
+    back = partial(_affine_back, np.linalg.inv(linear), affine[:, 2])
+    along = float(np.linalg.norm(affine[:, 0]))
+    return WarpedImage(resampled(rgb, affine, wide), turned, turn, back, along, size)
+
+
+def level_image(
+    rgb: NDArray[np.uint8], camera: Camera, view_from_camera: NDArray[np.float64], scale: float
+) -> WarpedImage:
+    """See a photograph as a camera without distortion would that is turned at its place.
+
+    Ground that the photograph shows at an angle is stretched, as far as 65 degrees off the axis.
+
+    Args:
+        rgb: (H, W, 3) the photograph.
+        camera: the camera that took it.
+        view_from_camera: (3, 3) how to turn it, for instance to a rotation of ``levelled``.
+        scale: pixels of the view per pixel of the photograph, along the axis of either. It becomes
+            less where the view would have many more pixels than the photograph.
+    """
+    size = np.array([camera.width, camera.height])
+    edge = np.linspace(0, 1, 33)
+    x, y = np.meshgrid(edge * size[0], edge * size[1])
+    rays, valid = camera.unproject(torch.from_numpy(np.stack([x.ravel(), y.ravel()], -1)))
+    turned = rays[valid].double().numpy() @ view_from_camera.T
+    flat = turned[:, :2] / np.maximum(turned[:, 2:], 1e-6)
+    flat = flat[np.linalg.norm(flat, axis=1) <= _WIDEST]
+    extent = np.ptp(flat, axis=0)
+    focal = float(np.mean(camera.focal))
+    pixels = float(np.prod(extent)) * focal**2 / float(np.prod(size))
+    focal *= scale * min(1.0, (_MOST_PIXELS / pixels) ** 0.5)
+    wide, high = np.maximum(np.ceil(extent * focal), 1).astype(int).tolist()
+    principal = (-flat.min(0) * focal).tolist()
+    view = Camera("PINHOLE", wide, high, (focal, focal, *principal))
+    back = partial(_turned_back, view, view_from_camera, camera)
+    grid = view.pixel_grid(torch.float64).reshape(-1, 2).numpy()
+    shrink = np.minimum(np.maximum(np.round(size * scale), 1), size).astype(int)
+    small = np.asarray(cv2.resize(rgb, shrink.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
+    # OpenCV counts from the first pixel's centre.
+    there = (back(grid) * (shrink / size) - 0.5).astype(np.float32).reshape(high, wide, 2)
+    there = np.nan_to_num(there, nan=-1e4)
+    picture = cv2.remap(small, there[..., 0], there[..., 1], cv2.INTER_LINEAR)
+    along = focal / float(np.mean(camera.focal))
+    return WarpedImage(np.asarray(picture, np.uint8), view, view_from_camera, back, along, size)
+
+
+def _affine_back(
+    linear: NDArray[np.float64], shift: NDArray[np.float64], xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    return np.asarray((xy - shift) @ linear.T)
+
+
+def _turned_back(
+    view: Camera, view_from_camera: NDArray[np.float64], camera: Camera, xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    rays, _ = view.unproject(torch.from_numpy(np.asarray(xy, np.float64)))
+    projected = camera.project(rays.double() @ torch.from_numpy(view_from_camera))
+    return np.where(projected.valid[:, None].numpy(), projected.xy.numpy(), np.nan)
 
 
 def resampled(

@@ -24,6 +24,7 @@ class ObjConnectConfig(FeaturemetricConfig):
 
     references: int = Field(8, ge=1)
     multistart: bool = True
+    most_tilt_deg: float | None = Field(30.0, ge=0)
     place: PlaceOptions = Field(PlaceOptions())
     matches: SiftConfig | None = Field(SiftConfig())
 

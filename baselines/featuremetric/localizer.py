@@ -1,5 +1,4 @@
-"""Localization by alignment: the pose at which the image looks like the map's points do in the
-nearest photographs.
+"""Localization by alignment: where the image looks like the map's points do in near photographs.
 
 One pipeline for every network with features at several strides; a method is a network and a
 configuration. After PixLoc (Sarlin et al., CVPR 2021). Differently from their code, features of the
@@ -27,9 +26,10 @@ from baselines.align.options import Options, SearchRadius
 from baselines.align.problem import Problem
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network
 from baselines.featuremetric.options import FeaturemetricConfig, SearchOptions
-from baselines.featuremetric.problem import LEAST_SIDE, ProblemBuilder, fit
+from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder, fit
 from baselines.featuremetric.references import ReferenceSource, references
 from baselines.place.finder import PlaceFinder
+from baselines.place.search import Candidate
 from baselines.retrieval import OnDemand, References
 from baselines.sift import SiftConfig, SiftLocalizer
 from baselines.starts import starts
@@ -115,7 +115,12 @@ class FeaturemetricLocalizer:
         self._observations = references(source, cache, config.memory_mb)
         solver = Options(**config.solver.model_dump(), iterations=config.iterations)
         self._problems = ProblemBuilder(
-            self._extract, self._observations, self._damping, solver, config.reference
+            self._extract,
+            self._observations,
+            self._damping,
+            solver,
+            config.reference,
+            Levelling.of(sparse_map, config.most_tilt_deg),
         )
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.
@@ -151,7 +156,7 @@ class FeaturemetricLocalizer:
         places = self._found_places(query, clock) if lost else []
         if places:
             attempts = self._attempts_at_places(query, attempts, places, clock)
-            return self._estimate(attempts, places, clock)
+            return self._estimate(attempts, [place.pose for place in places], clock)
         with clock.stage("retrieval"):
             chosen = self._chosen(query)
             if not len(chosen):
@@ -193,15 +198,19 @@ class FeaturemetricLocalizer:
         with clock.stage("matches"):
             return self._matches.localize(query)
 
-    def _found_places(self, query: Query, clock: Stopwatch) -> list[Pose]:
+    def _found_places(self, query: Query, clock: Stopwatch) -> list[Candidate]:
         """Return the starts of the place search."""
         if not self.config.place.candidates:
             return []
         with clock.stage("place"):
-            return [candidate.pose for candidate in self._places.find(query)]
+            return self._places.find(query)
 
     def _attempts_at_places(
-        self, query: Query, before: Sequence[_Attempt], places: Sequence[Pose], clock: Stopwatch
+        self,
+        query: Query,
+        before: Sequence[_Attempt],
+        places: Sequence[Candidate],
+        clock: Stopwatch,
     ) -> list[_Attempt]:
         """Try the starts of the place search until the fit of one is good enough to stop.
 
@@ -212,9 +221,12 @@ class FeaturemetricLocalizer:
         options = self.config.search
         radius = _default_radius(options)
         attempts = list(before)
-        for place in places:
-            attempt = self._attempt_near(query, place, clock, radius)
-            if attempt.fit < options.place_accept_fit:
+        enough = [options.place_accept_fit] * len(places)
+        if not places[1:] or places[0].score - places[1].score > options.first_margin:
+            enough[0] = options.first_accept_fit
+        for place, least in zip(places, enough, strict=True):
+            attempt = self._attempt_near(query, place.pose, clock, radius)
+            if attempt.fit < least:
                 return [attempt, self._attempt_near(query, attempt.pose, clock, radius)]
             attempts.append(attempt)
         clear = [self._is_clear(row, attempts) for row in range(len(attempts))]
@@ -383,7 +395,4 @@ def _search_radius(prior: Prior | None, options: SearchOptions) -> SearchRadius:
         known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
         metres = max([metres, *(sigmas * float(sigma) for sigma in known)])
     degrees = max(options.radius_deg, sigmas * (prior.attitude_sigma_deg or 0.0))
-    return SearchRadius(
-        min(metres, options.max_radius_m),
-        min(degrees, options.max_radius_deg),
-    )
+    return SearchRadius(min(metres, options.max_radius_m), min(degrees, options.max_radius_deg))

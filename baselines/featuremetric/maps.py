@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from baselines.align.sampling import sample
-from baselines.views import WarpedImage, warp_image
+from baselines.views import WarpedImage, level_image, warp_image
 from scene.geometry.camera import Camera
 
 Precision = Literal["float32", "bfloat16"]
@@ -103,6 +103,7 @@ class MapExtractor:
         angle: float = 0.0,
         scale: float = 1.0,
         levels: int | None = None,
+        view_from_camera: NDArray[np.float64] | None = None,
     ) -> tuple[WarpedImage, list[FeatureMap]]:
         """Warp a photograph and compute its feature maps.
 
@@ -112,11 +113,16 @@ class MapExtractor:
             angle: radians to turn it by, counter-clockwise.
             scale: to resize it by.
             levels: how many levels to compute, from the coarsest; None for all.
+            view_from_camera: (3, 3) how to turn the camera at its place; None turns by ``angle``.
 
         Returns:
             The warped photograph and its levels, coarse to fine.
         """
-        seen = warp_image(rgb, camera, angle, min(scale, self.largest_scale(camera)))
+        scale = min(scale, self.largest_scale(camera))
+        if view_from_camera is None:
+            seen = warp_image(rgb, camera, angle, scale)
+        else:
+            seen = level_image(rgb, camera, view_from_camera, scale)
         # Rows of pixels of RGB are channels-last as they are.
         image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):

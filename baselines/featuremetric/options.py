@@ -31,10 +31,21 @@ class SearchOptions(Config):
         0.87, gt=0, description="No further place is tried once a fit is below this."
     )
     place_accept_fit: float = Field(
-        0.85,
+        0.82,
         gt=0,
-        description="A pose from the place search is accepted when its fit is below this: of 200 "
-        "poses in a map of another place, none was seen to fit below 0.869.",
+        description="A pose from the place search is accepted when its fit is below this: of 800 "
+        "poses in maps of other places the best fitted at 0.833.",
+    )
+    first_accept_fit: float = Field(
+        0.87,
+        gt=0,
+        description="The same of the first place where it stands out: poses at places that stood "
+        "out in maps of other places fitted at 0.908 at best.",
+    )
+    first_margin: float = Field(
+        0.06,
+        ge=0,
+        description="Score by which the first place of the search stands out above the second.",
     )
     clear_accept_fit: float = Field(
         0.9,
@@ -43,10 +54,10 @@ class SearchOptions(Config):
         "and starts at two places lead to it or no other place fits nearly as well.",
     )
     clear_margin: float = Field(
-        0.05,
+        0.06,
         gt=0,
-        description="Poses whose fit is worse by this do not fit nearly as well; in a map of "
-        "another place the second best was seen to be worse by 0.028 at most.",
+        description="Poses whose fit is worse by this do not fit nearly as well; in maps of other "
+        "places the second best was seen to be worse by 0.044 at most.",
     )
     agreed_m: float = Field(
         0.5, gt=0, description="Poses closer than this (and agreed_deg) agree, metres."
@@ -106,6 +117,13 @@ class FeaturemetricConfig(Config):
     multistart: bool = Field(
         False,
         description="Look around the start too, for priors beyond the reach of the features.",
+    )
+    most_tilt_deg: float | None = Field(
+        None,
+        ge=0,
+        description="An image that looks at the ground more flatly than the photographs it is "
+        "aligned to, by more than this, is seen as by a camera that is turned down so far; None "
+        "leaves it as it is.",
     )
     precision: Precision = Field("float32", description="Precision of the convolutions.")
     memory_mb: int = Field(

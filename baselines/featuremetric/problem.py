@@ -18,13 +18,45 @@ from baselines.align.sampling import per_axis
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.featuremetric.references import ReferenceFeatures, ReferenceOptions, spaced_order
 from baselines.resolution import metres_per_pixel, scale_to
-from baselines.views import WarpedImage, north_angle
+from baselines.views import WarpedImage, levelled, north_angle, tilt
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.localizer import Query
+from scene.maps.sparse_map import SparseMap
 
 LEAST_SIDE: Final = 16
 """Least side of an image, pixels: that of one cell of the coarsest level."""
+
+
+@dataclass(frozen=True)
+class Levelling:
+    """How images that look at the ground more flatly than the map's photographs are levelled.
+
+    Attributes:
+        tilts: (N,) of the photographs, radians.
+        most_tilt: radians by which an image may look flatter; infinite where none is levelled.
+    """
+
+    tilts: NDArray[np.float64]
+    most_tilt: float
+
+    @staticmethod
+    def of(sparse_map: SparseMap, most_tilt_deg: float | None) -> Levelling:
+        """Return that of a map; None levels no image."""
+        poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
+        most = math.inf if most_tilt_deg is None else math.radians(most_tilt_deg)
+        return Levelling(np.array([tilt(pose[:3, :3]) for pose in poses]), most)
+
+    def __call__(self, start: Pose, chosen: NDArray[np.int64]) -> NDArray[np.float64] | None:
+        """Return ``view_from_camera`` (3, 3) of a levelled image; None where it stays as it is.
+
+        Args:
+            start: ``cam_from_world`` of the image.
+            chosen: rows of the photographs that it is compared with.
+        """
+        rotation = start.rotation.numpy()
+        least = float(np.median(self.tilts[chosen])) + self.most_tilt
+        return levelled(rotation, least) @ rotation.T if tilt(rotation) > least else None
 
 
 @dataclass(frozen=True)
@@ -37,6 +69,7 @@ class ProblemBuilder:
         damping: of every level.
         options: of the alignment.
         reference: how points are spread, and which resolutions count as the same.
+        levelling: of images that are tilted more than the photographs; None for no image.
     """
 
     extract: MapExtractor
@@ -44,11 +77,25 @@ class ProblemBuilder:
     damping: list[torch.Tensor]
     options: Options
     reference: ReferenceOptions = field(default_factory=ReferenceOptions)
+    levelling: Levelling | None = None
 
-    def scale(self, camera: Camera, chosen: NDArray[np.int64], start: Pose) -> float:
-        """Return the scale at which an image has the ground resolution of the map's photographs."""
+    def scale(
+        self,
+        camera: Camera,
+        chosen: NDArray[np.int64],
+        start: Pose,
+        view_from_camera: NDArray[np.float64] | None = None,
+    ) -> float:
+        """Return the scale at which an image has the ground resolution of the map's photographs.
+
+        Args:
+            camera: of the image.
+            chosen: rows of the photographs.
+            start: ``cam_from_world``.
+            view_from_camera: (3, 3) how the camera is then turned; None for not at all.
+        """
         points = np.concatenate([self.observations[int(row)].xyz for row in chosen])
-        own = metres_per_pixel(start, camera, points)
+        own = metres_per_pixel(start, camera, points, view_from_camera)
         largest = self.extract.largest_scale(camera)
         # The view must not fall below what the network needs.
         least = LEAST_SIDE / min(camera.width, camera.height)
@@ -60,6 +107,8 @@ class ProblemBuilder:
     ) -> tuple[WarpedImage, list[FeatureMap]]:
         """Warp an image as the map's photographs were, if a start is right, and extract features.
 
+        An image that looks at the ground much more flatly than they do is levelled.
+
         Args:
             query: the image.
             chosen: rows of the photographs.
@@ -69,9 +118,10 @@ class ProblemBuilder:
         Returns:
             The warped image and its feature maps, of unit length.
         """
-        scale = self.scale(query.camera, chosen, start)
+        turn = self.levelling(start, chosen) if self.levelling else None
+        scale = self.scale(query.camera, chosen, start, turn)
         angle = north_angle(start.rotation.numpy())
-        view, maps = self.extract(query.image, query.camera, angle, scale, levels)
+        view, maps = self.extract(query.image, query.camera, angle, scale, levels, turn)
         # Once for all problems that are made of them.
         unit = torch.nn.functional.normalize
         return view, [replace(each, features=unit(each.features, dim=1)) for each in maps]

@@ -1,12 +1,23 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from baselines.features import Extractor
-from baselines.views import north_angle, warp_image, with_heading
+from baselines.views import (
+    level_image,
+    levelled,
+    map_angle,
+    north_angle,
+    tilt,
+    warp_image,
+    with_heading,
+)
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, so3_exp
 from scene.maps.features import Features
@@ -28,8 +39,8 @@ def test_north_is_where_the_ground_s_north_projects(heading: float) -> None:
 
 
 def test_an_oblique_view_along_north_is_upright_already() -> None:
-    tilt = so3_exp(torch.tensor([np.radians(-50.0), 0.0, 0.0], dtype=torch.float64)).numpy()
-    assert north_angle(tilt @ DOWN) == pytest.approx(0, abs=1e-9)
+    oblique = so3_exp(torch.tensor([np.radians(-50.0), 0.0, 0.0], dtype=torch.float64)).numpy()
+    assert north_angle(oblique @ DOWN) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize("heading", [0.0, 90.0, 200.0])
@@ -100,6 +111,43 @@ def test_a_view_is_what_its_camera_sees(camera: Camera, angle: float, scale: flo
         y_light = (light.sum(1) @ (np.arange(seen.camera.height) + 0.5)) / light.sum()
         found = seen.in_photograph(np.array([[x_light, y_light]]))[0]
         assert found == pytest.approx([int(x) + 0.5, int(y) + 0.5], abs=0.25)
+
+
+@pytest.mark.parametrize("camera", [LENS, OBLONG, FISHEYE], ids=lambda camera: camera.model)
+@pytest.mark.parametrize("scale", [1.0, 0.6])
+def test_a_levelled_view_is_what_its_camera_sees(camera: Camera, scale: float) -> None:
+    turn = Rotation.from_euler("xz", [25, 10], degrees=True).as_matrix()
+    points = torch.tensor([[0.2, -0.2, 1.0], [-0.2, 0.2, 1.2], [0.1, 0.2, 0.9]]).double()
+    there = camera.project(points).xy.numpy()
+    for point, (x, y) in zip(points, there, strict=True):
+        seen = level_image(spot(int(x), int(y)), camera, turn, scale)
+        xy = seen.camera.project((point @ torch.from_numpy(turn).T)[None]).xy.numpy()
+        assert seen.in_photograph(xy)[0] == pytest.approx([x, y], abs=1e-3)
+        assert seen.shows(xy).all()
+        light = seen.picture[..., 0].astype(float)
+        x_light = (light.sum(0) @ (np.arange(seen.camera.width) + 0.5)) / light.sum()
+        y_light = (light.sum(1) @ (np.arange(seen.camera.height) + 0.5)) / light.sum()
+        found = seen.in_photograph(np.array([[x_light, y_light]]))[0]
+        assert found == pytest.approx([int(x) + 0.5, int(y) + 0.5], abs=0.5)
+
+
+def test_a_camera_is_levelled_to_the_tilt_asked_for() -> None:
+    for degrees, least, left in [(60, 30, 30), (60, 0, 15), (20, 30, 20), (80, 30, 35)]:
+        flat = Rotation.from_euler("zx", [130, degrees], degrees=True).as_matrix() @ DOWN
+        turned = levelled(flat, math.radians(least))
+        assert math.degrees(tilt(flat)) == pytest.approx(degrees)
+        assert math.degrees(tilt(turned)) == pytest.approx(left)
+        assert map_angle(turned) == pytest.approx(0, abs=1e-9)
+
+
+def test_a_levelled_view_never_has_many_more_pixels_than_the_photograph() -> None:
+    wide = Camera("PINHOLE", 200, 150, (60.0, 60.0, 100.0, 75.0))
+    turn = Rotation.from_euler("x", 45, degrees=True).as_matrix()
+    seen = level_image(np.full((150, 200, 3), 200, np.uint8), wide, turn, 1.0)
+    assert seen.camera.width * seen.camera.height < 2.05 * 200 * 150
+    x, y = np.meshgrid(np.arange(seen.camera.width) + 0.5, np.arange(seen.camera.height) + 0.5)
+    shown = seen.shows(np.stack([x, y], -1))
+    assert (seen.picture[shown] == 200).all() and shown.any() and not shown.all()
 
 
 def test_poses_and_covariances_come_back() -> None:

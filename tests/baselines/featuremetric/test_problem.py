@@ -1,15 +1,18 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from baselines.align.options import Options
 from baselines.featuremetric.maps import MapExtractor
-from baselines.featuremetric.problem import ProblemBuilder
+from baselines.featuremetric.problem import Levelling, ProblemBuilder
 from baselines.featuremetric.references import ReferenceSource, references
 from baselines.pixloc.network import read_network
+from baselines.views import tilt
 from scene.localizer import Query
 from tests.baselines.pixloc.made_map import (
     CAMERA,
@@ -18,6 +21,25 @@ from tests.baselines.pixloc.made_map import (
     write_map,
     write_network,
 )
+
+
+@pytest.mark.parametrize(("degrees", "tilts", "left"), [(55, 0, 30), (25, 0, 25), (55, 40, 55)])
+def test_an_image_flatter_than_the_photographs_is_levelled(
+    degrees: float, tilts: float, left: float, tmp_path: Path
+) -> None:
+    """By as much as it takes to look 30 degrees flatter than they do."""
+    network = read_network(write_network(tmp_path / "pixloc.safetensors"))[0]
+    extract = MapExtractor(network, 1024, "float32")
+    images = tmp_path / "images"
+    observations = references(
+        ReferenceSource(write_map(images), images, extract, "key", "pixloc", 2000), tmp_path, 2**20
+    )
+    levelling = Levelling(np.full(5, math.radians(tilts)), math.radians(30))
+    problems = ProblemBuilder(extract, observations, [], Options(), levelling=levelling)
+    start = looking_down(12.0, 14.0, (degrees, 0, 0))
+    with torch.inference_mode():
+        view, _ = problems.view(Query("q", photograph(start), CAMERA), np.arange(5), start)
+    assert math.degrees(tilt(view.pose(start).rotation.numpy())) == pytest.approx(left, abs=0.1)
 
 
 def test_points_cover_the_image_although_references_overlap_in_its_middle(tmp_path: Path) -> None:
