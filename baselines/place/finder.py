@@ -17,7 +17,7 @@ from baselines.place.grid import ground_grid
 from baselines.place.mosaic import Mosaic, empty_mosaic, make_mosaic
 from baselines.place.search import Candidate, Hypotheses, PlaceSearch
 from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
-from baselines.views import WarpedImage, map_angle
+from baselines.views import WarpedImage, levelled, map_angle, tilt
 from scene.config import Config
 from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior, Query
@@ -49,6 +49,8 @@ class PlaceOptions(Config):
         longest: photographs are looked at with a longer side of about so many pixels.
         least_overlap: share of the query, by confidence, that must lie on known ground.
         farthest: ground farther away than so many heights above it is left out.
+        most_tilt_deg: a query that looks flatter than this is seen as by a camera that is turned
+            down to it, as nearly all photographs of a map look down.
     """
 
     candidates: int = Field(5, ge=0)
@@ -60,6 +62,7 @@ class PlaceOptions(Config):
     longest: int = Field(256, ge=64)
     least_overlap: float = Field(0.3, gt=0, le=1)
     farthest: float = Field(2.0, gt=0)
+    most_tilt_deg: float = Field(45.0, ge=0)
 
 
 class PlaceFinder:
@@ -132,11 +135,16 @@ class PlaceFinder:
             return []
 
         def look(pose: Pose) -> tuple[WarpedImage, FeatureMap]:
-            down = max(_FLATTEST, -float(pose.rotation[2, 2]))
+            rotation, turn = pose.rotation.numpy(), None
+            least = math.radians(self._options.most_tilt_deg)
+            if tilt(rotation) > least:
+                turn = levelled(rotation, least) @ rotation.T
+            axis = rotation[2] if turn is None else turn[2] @ rotation
+            down = max(_FLATTEST, -float(axis[2]))
             own = float(pose.centre()[2]) / down / float(np.mean(query.camera.focal))
             scale = scale_to(self._resolution, own, self._extract.largest_scale(query.camera))
-            angle = map_angle(pose.rotation.numpy())
-            view, levels = self._extract(query.image, query.camera, angle, scale, 1)
+            angle = map_angle(rotation)
+            view, levels = self._extract(query.image, query.camera, angle, scale, 1, turn)
             return view, levels[0]
 
         return self._search(look, self._hypotheses(query.prior), self._options.candidates)
