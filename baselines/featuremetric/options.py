@@ -127,7 +127,7 @@ class FeaturemetricConfig(Config):
     )
     precision: Precision = Field("float32", description="Precision of the convolutions.")
     memory_mb: int = Field(
-        2048,
+        1400,
         ge=1,
         description="Memory of the whole process; features of the map stay in memory as far as "
         "there is room below it.",

@@ -581,8 +581,9 @@ def test_names_are_text_wherever_they_are_written(scored: Path, tmp_path: Path) 
     content["by_condition"] = {HOSTILE: content["by_condition"]["same-flight"]}
     scored.write_text(json.dumps(content))
     text = leaderboard([scored], tmp_path)
-    table = next(line for line in text.splitlines() if line.startswith("| elsewhere"))
-    assert table.count(" | ") == 9, "no cell more than the header has"
+    header = next(line for line in text.splitlines() if line.startswith("| method"))
+    row = next(line for line in text.splitlines() if line.startswith("| elsewhere"))
+    assert row.count(" | ") == header.count(" | ") > 8, "no cell more than the header has"
     written_out = [(tmp_path / f"leaderboard.{kind}").read_text("utf-8") for kind in ("md", "tex")]
     for each in [text, *written_out]:
         assert not any(sign in each for sign in "\x1b\u202e")
