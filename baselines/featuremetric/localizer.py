@@ -8,7 +8,6 @@ steps that make the cost larger are not taken, and the pose has a covariance.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,26 +24,22 @@ from baselines.align.hypotheses import align_from_many
 from baselines.align.options import Options, SearchRadius
 from baselines.align.problem import Problem
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network
+from baselines.featuremetric.matcher import matcher
 from baselines.featuremetric.options import FeaturemetricConfig, SearchOptions
 from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder, fit
 from baselines.featuremetric.references import ReferenceSource, references
 from baselines.place.finder import PlaceFinder
 from baselines.place.search import Candidate
 from baselines.retrieval import OnDemand, References
-from baselines.sift import SiftConfig, SiftLocalizer
+from baselines.sift import SiftLocalizer
 from baselines.starts import starts
 from baselines.views import WarpedImage
-from scene.errors import InputError
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 from scene.storage.scratch import scratch
 
-log = logging.getLogger(__name__)
-
 _UNCLEAR: Final = "no place of the map fits the image clearly"
-# How far to look around a pose from matches, which are right or nowhere near.
-_MATCHED_RADIUS: Final = SearchRadius(1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,7 @@ class FeaturemetricLocalizer:
         self._retrieval = References.build(sparse_map, described, config.retrieval)
         self._matches: SiftLocalizer | None = None
         if config.multistart and config.matches is not None:
-            self._matches = _matcher(config.matches, sparse_map, images, cache)
+            self._matches = matcher(config.matches, sparse_map, images, cache)
         if config.multistart and config.place.candidates:
             self._places = PlaceFinder(self._extract, config.place)
             self._places.prepare(sparse_map, images, source.extractor_key, cache)
@@ -146,12 +141,17 @@ class FeaturemetricLocalizer:
         matched = self._matched(query, clock) if lost else None
         attempts: list[_Attempt] = []
         if matched is not None and matched.cam_from_world is not None:
-            attempt = self._attempt_near(query, matched.cam_from_world, clock, _MATCHED_RADIUS)
-            sure = matched.inliers >= self.config.search.matched_accept_inliers
-            if sure and attempt.reason:
+            options, start = self.config.search, matched.cam_from_world
+            if matched.inliers >= options.matched_answer_inliers:
                 return replace(matched, seconds=clock.seconds)
-            if sure or attempt.fit < self.config.search.place_accept_fit:
-                return self._estimate([attempt], [matched.cam_from_world], clock)
+            around = SearchRadius(options.matched_radius_m, options.matched_radius_deg)
+            attempt = self._attempt_near(query, start, clock, around)
+            if matched.inliers >= options.matched_accept_inliers:
+                if attempt.reason or not _close(attempt.pose, start, options):
+                    return replace(matched, seconds=clock.seconds)
+                return self._estimate([attempt], [start], clock)
+            if attempt.fit < options.place_accept_fit:
+                return self._estimate([attempt], [start], clock)
             attempts = [attempt]
         places = self._found_places(query, clock) if lost else []
         if places:
@@ -367,17 +367,10 @@ def _whole(prior: Prior | None) -> bool:
     return prior is not None and prior.has_position and prior.has_heading
 
 
-def _matcher(
-    config: SiftConfig, sparse_map: SparseMap, images: Path, cache: Path
-) -> SiftLocalizer | None:
-    """Return the localizer by matches; None for a map that was not built from its features."""
-    localizer = SiftLocalizer(config)
-    try:
-        localizer.prepare(sparse_map, images, cache)
-    except InputError as error:
-        log.info("no starts from matches: %s", error)
-        return None
-    return localizer
+def _close(aligned: Pose, matched: Pose, options: SearchOptions) -> bool:
+    """Return whether a pose aligned from matches stayed near the pose that these gave."""
+    metres, degrees = (float(part) for part in aligned.error_to(matched))
+    return metres < options.matched_most_m and degrees < options.matched_most_deg
 
 
 def _default_radius(options: SearchOptions) -> SearchRadius:

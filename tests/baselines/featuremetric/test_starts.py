@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,6 +47,29 @@ def assert_right(answer: Estimate, truth: Pose = TRUTH) -> None:
 @pytest.mark.parametrize("told", PRIORS)
 def test_each_source_of_starts_leads_to_the_pose(localizer: Localizer, told: str) -> None:
     assert_right(localizer.localize(replace(QUERY, prior=PRIORS[told])))
+
+
+MATCHED: dict[str, dict[str, float]] = {
+    "many": {"matched_answer_inliers": 20},
+    "aligned elsewhere": {"matched_answer_inliers": 10**6, "matched_most_m": 1e-6},
+    "aligned": {"matched_answer_inliers": 10**6},
+}
+
+
+@pytest.mark.parametrize("case", MATCHED)
+def test_poses_of_many_matches_are_answered_unless_the_alignment_stays_near(
+    case: str, tmp_path: Path
+) -> None:
+    sift, localizer = create("sift", {}), create("objconnect", {"search": MATCHED[case]})
+    for each in (sift, localizer):
+        each.prepare(WHOLE, DATASET.images, tmp_path)
+    query = replace(QUERY, prior=None)
+    matched, answer = sift.localize(query), localizer.localize(query)
+    assert matched.inliers >= 30 and matched.cam_from_world is not None
+    assert answer.cam_from_world is not None
+    metres, _ = answer.cam_from_world.error_to(matched.cam_from_world)
+    assert (float(metres) < 1e-9) == (case != "aligned")
+    assert_right(answer)
 
 
 def test_a_picture_upside_down_is_found(localizer: Localizer) -> None:
