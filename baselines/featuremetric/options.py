@@ -66,8 +66,8 @@ class SearchOptions(Config):
     matched_answer_inliers: int = Field(
         100,
         ge=4,
-        description="A pose from matches of so many inliers is the answer. On the validation scenes "
-        "such poses were off by 0.02 m in the median, and by 0.04 m after an alignment.",
+        description="A pose from matches of so many inliers is the answer. On the validation "
+        "scenes such poses were off by 0.02 m in the median, and by 0.04 m after an alignment.",
     )
     matched_accept_inliers: int = Field(
         30,
