@@ -21,7 +21,7 @@ from PIL import Image
 from scene.runtime.memory import resident_bytes
 from scene.storage.scratch import scratch
 from simulate.camera.pinhole import PinholeCamera
-from simulate.camera.resample import Cast, resample
+from simulate.camera.resample import resample
 from simulate.look import ground
 from simulate.look.buildings import building_mesh
 from simulate.look.conditions import Condition, condition
@@ -35,17 +35,17 @@ from simulate.place.change import changed_world
 from simulate.place.presets import preset
 from simulate.place.world import World, WorldObject
 from simulate.render.board import board_mesh
+from simulate.render.caster import Caster
 from simulate.render.frame import late_by, pinhole_rays, row_shift, save_layers, semantic_labels
 from simulate.render.job import Board, FrameDone, RenderChunk, frame_path
 from simulate.render.process import end_with, keep_to_one_core
+from simulate.render.reach import Reach
 
 _SENSOR_MM = 36.0
 # Cycles takes the first ray of a pixel from a table of its filter, which puts it this far (px) to
 # the right of the centre and above it. We measured it by ray casting; it is equal at every pixel.
 _FIRST_RAY_PX = 0.000526
 _NEAR_M = 0.1  # near clipping distance
-# Objects with a smaller box in the picture may have parts thinner than a pixel, as lamps do.
-_SMALL_PX = 1000.0
 _NO_SURFACE_M = 1e9  # Cycles writes a depth of 1e10 where a ray hits nothing
 
 
@@ -57,17 +57,20 @@ def main(chunk_path: str) -> None:
     if chunk.threads == 1:
         keep_to_one_core()
     job = chunk.job
-    world = None
+    world = stage = None
     if job.board is not None:
         _build_board(job.board)
     else:
         base = preset(job.preset)(job.seed, job.area_m)
         world = changed_world(base, job.change, job.first_new_id).world
-        _build_scene(world, condition(job.condition, job.origin))
+        light = condition(job.condition, job.origin)
+        _build_scene(world, light)
+        stage = _Stage(world, light)
     _set_up_render(job.camera, job.samples, chunk.threads)
     bpy.context.scene.cycles.use_denoising = job.board is None  # it would move the board's edges
     rays = pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
-    caster = _Caster()
+    bpy.context.view_layer.update()
+    caster = Caster(bpy.context.scene.objects, _NEAR_M)
     first_bytes = None  # memory after the first frame
     with scratch(Path(chunk_path).parent) as folder:
         for frame, rows in job.poses.items():
@@ -80,6 +83,8 @@ def main(chunk_path: str) -> None:
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             travel = np.array(job.travel.get(frame, (0.0, 0.0, 0.0)))
+            if stage is not None:
+                stage.set_up(job.camera, pose, float(np.linalg.norm(travel)))
             arrays = _render(pose, travel, folder)
             if chunk.rays is not None:
                 c = job.camera
@@ -234,6 +239,25 @@ def _add_light(light: Condition) -> None:
     bpy.context.scene.view_settings.exposure = light.exposure
 
 
+class _Stage:
+    """Keeps those objects in the scene that a frame needs: each costs time in every frame."""
+
+    def __init__(self, world: World, light: Condition) -> None:
+        self._reach = Reach(world.objects, light.sun.elevation)
+        self._objects = [bpy.data.objects[f"{item.id:05d}"] for item in world.objects]
+        self._there = np.ones(len(self._objects), bool)
+
+    def set_up(
+        self, camera: PinholeCamera, cam_from_world: NDArray[np.float64], travel_m: float
+    ) -> None:
+        """Add the objects that a frame needs, and take the others out."""
+        needed = self._reach(camera, cam_from_world, travel_m)
+        held = bpy.context.scene.collection.objects
+        for row in np.flatnonzero(needed != self._there):
+            (held.link if needed[row] else held.unlink)(self._objects[row])
+        self._there = needed
+
+
 # --- the camera and the renderer -----------------------------------------------------------------
 
 
@@ -339,61 +363,6 @@ def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
     for curve in camera.animation_data.action.fcurves:
         for key in curve.keyframe_points:
             key.interpolation = "LINEAR"
-
-
-class _Caster:
-    """Casts rays at objects for ``simulate.camera.resample``."""
-
-    def __init__(self) -> None:
-        bpy.context.view_layer.update()
-        self._objects: dict[int, list[Any]] = {}
-        for item in bpy.context.scene.objects:
-            if item.type == "MESH":
-                self._objects.setdefault(item.pass_index, []).append(item)
-        items = [(number, items[0]) for number, items in self._objects.items() if number > 0]
-        self._numbers = [number for number, _ in items]
-        boxes = [np.insert(np.array(item.bound_box), 3, 1, axis=1) for _, item in items]
-        self._corners = np.array(
-            [
-                box @ np.array(item.matrix_world).T
-                for box, (_, item) in zip(boxes, items, strict=True)
-            ]
-        ).reshape(-1, 8, 4)
-
-    def small(
-        self, cam_from_world: NDArray[np.float64], f: float
-    ) -> dict[int, NDArray[np.float64]]:
-        """Return the boxes of small objects in a pinhole picture, as ``resample`` takes them."""
-        x, y, z = np.moveaxis((self._corners @ cam_from_world.T)[..., :3], -1, 0)
-        ahead = (z > _NEAR_M).all(-1)
-        xy = np.stack([x, y], -1) / np.where(ahead[:, None], z, 1)[..., None]
-        boxes = np.concatenate([xy.min(1), xy.max(1)], -1)
-        area = f**2 * (boxes[:, 2:] - boxes[:, :2]).prod(-1)
-        chosen = np.flatnonzero(ahead & (area < _SMALL_PX))
-        return {self._numbers[k]: boxes[k] for k in chosen}
-
-    def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
-        """Return the function that casts rays of the camera at a pose."""
-        world_from_cam = np.linalg.inv(cam_from_world)
-
-        def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
-            nearest = np.full(len(rays), np.inf)
-            ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
-            for item in self._objects[number]:
-                local_from_cam = np.linalg.inv(np.array(item.matrix_world)) @ world_from_cam
-                origin = local_from_cam[:3, 3]
-                directions = ahead @ local_from_cam[:3, :3].T
-                start = origin.tolist()
-                # A list is filled first, because a call of numpy per ray costs more than the ray.
-                answers = [item.ray_cast(start, way) for way in directions.tolist()]
-                hit = np.array([answer[0] for answer in answers], bool)
-                at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
-                # Along (x/z, y/z, 1) the planar depth is the length.
-                z = ((at - origin) * directions).sum(-1) / np.square(directions).sum(-1)
-                nearest = np.where(hit, np.minimum(nearest, z), nearest)
-            return nearest
-
-        return cast
 
 
 if __name__ == "__main__":

@@ -1,0 +1,74 @@
+"""Rays that are cast at the objects of a Blender scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.camera.resample import Cast
+
+# Objects with a smaller box in the picture may have parts thinner than a pixel, as lamps do.
+_SMALL_PX = 1000.0
+
+
+class Caster:
+    """Casts rays at objects for ``simulate.camera.resample``.
+
+    Args:
+        objects: of Blender, whose matrices are up to date.
+        near_m: near clipping distance, metres.
+    """
+
+    def __init__(self, objects: Iterable[Any], near_m: float) -> None:
+        self._near_m = near_m
+        self._objects: dict[int, list[Any]] = {}
+        for item in objects:
+            if item.type == "MESH":
+                self._objects.setdefault(item.pass_index, []).append(item)
+        items = [(number, items[0]) for number, items in self._objects.items() if number > 0]
+        self._numbers = [number for number, _ in items]
+        boxes = [np.insert(np.array(item.bound_box), 3, 1, axis=1) for _, item in items]
+        self._corners = np.array(
+            [
+                box @ np.array(item.matrix_world).T
+                for box, (_, item) in zip(boxes, items, strict=True)
+            ]
+        ).reshape(-1, 8, 4)
+
+    def small(
+        self, cam_from_world: NDArray[np.float64], f: float
+    ) -> dict[int, NDArray[np.float64]]:
+        """Return the boxes of small objects in a pinhole picture, as ``resample`` takes them."""
+        x, y, z = np.moveaxis((self._corners @ cam_from_world.T)[..., :3], -1, 0)
+        ahead = (z > self._near_m).all(-1)
+        xy = np.stack([x, y], -1) / np.where(ahead[:, None], z, 1)[..., None]
+        boxes = np.concatenate([xy.min(1), xy.max(1)], -1)
+        area = f**2 * (boxes[:, 2:] - boxes[:, :2]).prod(-1)
+        chosen = np.flatnonzero(ahead & (area < _SMALL_PX))
+        return {self._numbers[k]: boxes[k] for k in chosen}
+
+    def seen_from(self, cam_from_world: NDArray[np.float64]) -> Cast:
+        """Return the function that casts rays of the camera at a pose."""
+        world_from_cam = np.linalg.inv(cam_from_world)
+
+        def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+            nearest = np.full(len(rays), np.inf)
+            ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
+            for item in self._objects[number]:
+                local_from_cam = np.linalg.inv(np.array(item.matrix_world)) @ world_from_cam
+                origin = local_from_cam[:3, 3]
+                directions = ahead @ local_from_cam[:3, :3].T
+                start = origin.tolist()
+                # A list is filled first, because a call of numpy per ray costs more than the ray.
+                answers = [item.ray_cast(start, way) for way in directions.tolist()]
+                hit = np.array([answer[0] for answer in answers], bool)
+                at = np.array([answer[1][:] for answer in answers]).reshape(-1, 3)
+                # Along (x/z, y/z, 1) the planar depth is the length.
+                z = ((at - origin) * directions).sum(-1) / np.square(directions).sum(-1)
+                nearest = np.where(hit, np.minimum(nearest, z), nearest)
+            return nearest
+
+        return cast

@@ -1,0 +1,52 @@
+"""Which objects of a wide place can change the picture of a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.camera.pinhole import PinholeCamera
+from simulate.place.world import WorldObject
+
+REACH_M = 200.0
+"""Light that an object throws farther out of the view than this is not looked for, metres."""
+
+
+class Reach:
+    """Finds the objects that a camera sees, or whose shadow or reflection may fall into its view.
+
+    Args:
+        objects: of a world.
+        elevation: of the sun, degrees.
+    """
+
+    def __init__(self, objects: Sequence[WorldObject], elevation: float) -> None:
+        self._centres = np.array([item.centre for item in objects]).reshape(-1, 3)
+        sizes = np.array([item.size for item in objects]).reshape(-1, 3)
+        shadows = sizes[:, 2] / np.tan(np.radians(max(elevation, 1.0)))
+        self._reach = 0.5 * np.linalg.norm(sizes, axis=1) + shadows + REACH_M
+
+    def __call__(
+        self, camera: PinholeCamera, cam_from_world: NDArray[np.float64], travel_m: float
+    ) -> NDArray[np.bool_]:
+        """Return which objects (N,) are needed.
+
+        Args:
+            camera: that looks.
+            cam_from_world: its pose (4, 4).
+            travel_m: metres that it moves while a picture is read out.
+        """
+        planes = np.array(
+            [
+                [camera.f, 0.0, camera.cx],
+                [-camera.f, 0.0, camera.width - camera.cx],
+                [0.0, camera.f, camera.cy],
+                [0.0, -camera.f, camera.height - camera.cy],
+            ]
+        )
+        planes /= np.linalg.norm(planes, axis=1, keepdims=True)
+        local = self._centres @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
+        inside = (local @ planes.T).min(1)
+        return np.asarray(inside > -(self._reach + travel_m))

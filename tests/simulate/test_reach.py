@@ -1,0 +1,59 @@
+"""What of a wide place is left out of a picture cannot be seen in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from simulate.camera.pinhole import PinholeCamera
+from simulate.place.town import build_town
+from simulate.render.job import RenderJob, frame_path
+from simulate.render.pool import render
+from simulate.render.reach import Reach
+
+AREA = 700.0
+CAMERA = PinholeCamera(width=64, height=48, f=50.0, cx=32.0, cy=24.0)
+
+
+def looking_down(x: float, y: float, z: float) -> np.ndarray:
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = -pose[:3, :3] @ [x, y, z]
+    return pose
+
+
+CORNERS = {0: looking_down(-300, -300, 60), 1: looking_down(300, 300, 60)}
+
+
+def test_objects_in_view_are_needed_and_those_far_away_are_not() -> None:
+    town = build_town(3, AREA)
+    centres = np.array([item.centre for item in town.objects])
+    pose = CORNERS[0]
+    needed = Reach(town.objects, 60.0)(CAMERA, pose, 0.0)
+    local = centres @ pose[:3, :3].T + pose[:3, 3]
+    u, v = (local[:, :2] / local[:, 2:]).T * CAMERA.f + [[CAMERA.cx], [CAMERA.cy]]
+    seen = (u > 0) & (u < CAMERA.width) & (v > 0) & (v < CAMERA.height)
+    assert seen.any() and needed[seen].all()
+    away = np.linalg.norm(centres[:, :2] - [-300, -300], axis=1)
+    assert needed[away < 200].all() and not needed[away > 500].any()
+
+
+def test_shadows_of_a_low_sun_reach_farther() -> None:
+    town = build_town(3, AREA)
+    high, low = (Reach(town.objects, up)(CAMERA, CORNERS[0], 0.0) for up in (60.0, 8.0))
+    assert low[high].all() and low.sum() > high.sum()
+
+
+def test_a_picture_is_the_same_whatever_was_rendered_before_it(tmp_path: Path) -> None:
+    pictures = {}
+    for name, frames in (("both", (0, 1)), ("alone", (1,))):
+        job = RenderJob(
+            seed=3, area_m=AREA, condition="summer-noon", camera=CAMERA, samples=1,
+            poses={i: CORNERS[i].tolist() for i in frames},
+        )  # fmt: skip
+        render(job, tmp_path / name)
+        with np.load(frame_path(tmp_path / name, 1)) as arrays:
+            pictures[name] = dict(arrays)
+    assert pictures["both"]["instance"].any()
+    for layer, values in pictures["both"].items():
+        assert np.array_equal(values, pictures["alone"][layer]), layer
