@@ -51,7 +51,7 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         path: YAML file, or the name of a configuration that comes with the project, for example
             ``demo`` or ``train/pixloc``; a file of that name has precedence. None for defaults.
         overrides: values with precedence over the file; ``outer.inner`` names a value of a nested
-            configuration. None values are ignored.
+            configuration.
 
     Raises:
         InputError: the file is unreadable or not YAML, a key is unknown or a value is bad; the
@@ -61,7 +61,7 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
         >>> class Options(Config):
         ...     steps: int = 1000
         ...     batch: int = 8
-        >>> load_config(Options, None, {"batch": 4, "steps": None})
+        >>> load_config(Options, None, {"batch": 4})
         Options(steps=1000, batch=4)
         >>> load_config(Options, None, {"bach": 4})
         Traceback (most recent call last):
@@ -82,8 +82,7 @@ def load_config(model: type[M], path: Path | None, overrides: Mapping[str, Any])
             raise InputError(f"{path} must hold 'key: value' lines, not a {type(loaded).__name__}")
         values = loaded or {}
     for key, value in overrides.items():
-        if value is not None:
-            _set_nested(values, key, value)
+        _set_nested(values, key, value)
     try:
         return model.model_validate(values)
     except ValidationError as error:

@@ -238,10 +238,13 @@ class SimulateConfig(Config):
     def load(path: Path | None, overrides: Mapping[str, Any]) -> SimulateConfig:
         """Load a configuration from a YAML file and overrides; see ``scene.config.load_config``.
 
+        Overrides that are None are options which were not given.
+
         Raises:
             InputError: unreadable file, unknown key or bad value.
         """
-        return load_config(SimulateConfig, path, overrides)
+        given = {key: value for key, value in overrides.items() if value is not None}
+        return load_config(SimulateConfig, path, given)
 
     def photo_camera(self, session: SessionConfig | None = None) -> Camera:
         """Return the camera of a session's photographs, or of sessions without their own camera."""

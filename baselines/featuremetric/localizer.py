@@ -123,7 +123,9 @@ class FeaturemetricLocalizer:
         self._retrieval = References.build(sparse_map, described, config.retrieval)
         self._matches: SiftLocalizer | None = None
         if config.multistart and config.matches is not None:
-            self._matches = matcher(config.matches, sparse_map, images, cache)
+            least_mb = min(config.memory_mb, config.matches.memory_mb)
+            of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
+            self._matches = matcher(of_matches, sparse_map, images, cache)
         if config.multistart and config.place.candidates:
             self._places = PlaceFinder(self._extract, config.place)
             self._places.prepare(sparse_map, images, source.extractor_key, cache)

@@ -31,6 +31,7 @@ from baselines.views import WarpedImage, north_angle
 from scene.config import Config
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import MapImage, SparseMap
+from scene.runtime.memory import return_freed
 from scene.runtime.progress import progress_bar
 from scene.storage.digests import digests, require_unchanged
 from scene.storage.images import check_photographs, read_rgb
@@ -218,6 +219,8 @@ def _write_references(
             seen = observe(view, maps, image.pose, points, source.points, options.grid)
             features = {f"features/{level}": of for level, of in enumerate(seen.features)}
             add({"xyz": seen.xyz, "confidence": seen.confidence, **features})
+            del view, maps
+            return_freed()
             advance(done)
         check()
 

@@ -1,7 +1,8 @@
-"""Resident memory of the process, now and at its peak."""
+"""Resident memory of the process, now and at its peak, and how to have less of it."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from pathlib import Path
@@ -18,6 +19,17 @@ def resident_bytes() -> int:
     except OSError:
         return _most_ever()
     return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def return_freed() -> None:
+    """Give memory that was freed back to the system, where its C library can.
+
+    A network that sees pictures of many sizes otherwise leaves a gigabyte that nothing uses.
+    """
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (AttributeError, OSError, TypeError):  # macOS, musl, Windows
+        return
 
 
 def reset_peak() -> None:

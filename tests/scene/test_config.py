@@ -31,8 +31,17 @@ def test_defaults() -> None:
 
 def test_file_then_overrides(tmp_path: Path) -> None:
     path = write(tmp_path, "ratio: 0.5\nname: orb\ninner: {depth: 3}\n")
-    options = load_config(Options, path, {"name": "brief", "ratio": None})
+    options = load_config(Options, path, {"name": "brief"})
     assert options == Options(ratio=0.5, name="brief", inner=Nested(depth=3))
+
+
+def test_an_override_may_be_none() -> None:
+    class Searching(Config):
+        radius: float | None = 3.0
+
+    assert load_config(Searching, None, {"radius": None}).radius is None
+    with pytest.raises(InputError, match="ratio"):
+        load_config(Options, None, {"ratio": None})
 
 
 def test_an_empty_file_means_defaults(tmp_path: Path) -> None:
