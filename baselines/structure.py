@@ -201,6 +201,11 @@ class StructureLocalizer:
             estimates.append(self._solved(query, features, chosen, clock))
         return max(estimates, key=lambda estimate: estimate.inliers)
 
+    def similar(self, query: Query, count: int) -> NDArray[np.int64]:
+        """Return rows of the ``count`` photographs that look most like a query, best first."""
+        described = self._extractor.unit(self._extractor(query.image).descriptors).numpy()
+        return self._references.index.rank(described, count)
+
     def _seen(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> Features:
         """Extract features of the query, turned and scaled as a start suggests."""
         around = np.concatenate([self._lifted(int(row)).xyz for row in chosen])

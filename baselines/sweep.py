@@ -8,7 +8,7 @@ known, show there.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,10 +21,11 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from baselines.grey_photograph import GreyPhotograph
+from baselines.plane_sweep import PlaneSweep
 from baselines.views import warp_image
 from scene.config import Config
 from scene.geometry.camera import Camera
-from scene.geometry.pose import Pose
 from scene.maps.sparse_map import SparseMap
 from scene.storage.images import read_rgb
 from scene.storage.lru_cache import LruCache
@@ -74,6 +75,18 @@ class SweepOptions(Config):
     rival_steps: int = Field(
         2, ge=0, description="Depths no more steps than this away are no other depth."
     )
+    shrink: int = Field(
+        3,
+        ge=1,
+        description="Pixels are swept in photographs made smaller by this factor first, and then "
+        "near the depth found there; 1 sweeps all depths in the photographs as they are.",
+    )
+    shrunk_window: int = Field(
+        5, ge=3, description="Side of the window in the smaller photographs, pixels."
+    )
+    near_steps: int = Field(
+        5, ge=1, description="Depths tried to either side of the one found in them."
+    )
 
     def window(self) -> Tensor:
         """Return the offsets of the window's values from its middle, (P, 2) pixels."""
@@ -98,28 +111,6 @@ class Swept:
     xyz: NDArray[np.float64]
     sure: NDArray[np.bool_]
     score: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class GreyPhotograph:
-    """A photograph of a map, made smaller.
-
-    Attributes:
-        grey: (H, W) float32.
-        camera: camera of the smaller photograph.
-        pose: ``cam_from_world``.
-        in_photograph: maps its pixels (N, 2) to those of the original.
-    """
-
-    grey: Tensor
-    camera: Camera
-    pose: Pose
-    in_photograph: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of its values."""
-        return self.grey.nbytes
 
 
 class Sweeper:
@@ -177,13 +168,52 @@ class Sweeper:
         here = self.photograph(name)
         tried = self._depths(name, here.camera, neighbours, len(xy), depths)
         others = [self.photograph(each) for each in neighbours]
+        clear = np.ones(len(xy), bool)
+        if depths is None and self._options.shrink > 1:
+            tried, clear = self._near(here, xy, others, tried)
         pixels = torch.from_numpy(xy)
         parts = [
             self._placed(here, pixels[part], others, tried[part].float())
             for part in torch.split(torch.arange(len(xy)), _CHUNK)
         ]
         xyz, sure, score = (torch.cat(each).numpy() for each in zip(*parts, strict=True))
-        return Swept(xyz, sure, score.astype(np.float64))
+        return Swept(xyz, sure & clear, score.astype(np.float64))
+
+    def _near(
+        self,
+        here: GreyPhotograph,
+        xy: NDArray[np.float64],
+        others: Sequence[GreyPhotograph],
+        tried: Tensor,
+    ) -> tuple[Tensor, NDArray[np.bool_]]:
+        """Sweep smaller photographs.
+
+        Args:
+            here: the photograph.
+            xy: (N, 2) its pixels.
+            others: photographs beside it.
+            tried: inverse depths (N, D), the same for all pixels.
+
+        Returns:
+            Those of the inverse depths (N, K) that are near the best there, and whether no depth
+            farther away fits nearly as well (N,).
+        """
+        options, shrink = self._options, self._options.shrink
+        small, *beside = (each.shrunk(shrink) for each in (here, *others))
+        sweep = PlaneSweep(small, options.shrunk_window, options.border_px / shrink)
+        ratio = np.array([small.camera.width, small.camera.height])
+        at = xy * ratio / [here.camera.width, here.camera.height]
+        planes = tried[0, ::shrink]
+        found = [sweep(at, planes, other) for other in beside]
+        # The better half: the others may not see it.
+        score = np.sort(np.stack(found, -1), -1)[..., -2:].mean(-1)
+        best = score.argmax(1)
+        apart = np.abs(np.arange(len(planes)) - best[:, None]) > options.rival_steps
+        rival = np.where(apart, score, -1.0).max(1)
+        clear = score.max(1) > rival + options.rival_margin
+        count = min(2 * options.near_steps + 1, tried.shape[1])
+        first = np.clip(best * shrink - options.near_steps, 0, tried.shape[1] - count)
+        return tried.gather(1, torch.from_numpy(first[:, None] + np.arange(count))), clear
 
     def _scale(self, camera: Camera) -> float:
         """Return the scale at which photographs of a camera are read."""

@@ -335,7 +335,13 @@ class FeaturemetricLocalizer:
         return after, replace(final, iterations=alignment.iterations + final.iterations)
 
     def _chosen(self, query: Query) -> NDArray[np.int64]:
-        """Return the rows of the photographs to align a query to."""
+        """Return the rows of the photographs to align a query to.
+
+        SIFT features tell which look most like it: those of the network were learned from above.
+        """
+        here = query.prior is not None and query.prior.has_position
+        if self._matches is not None and query.references is None and not here:
+            return self._matches.similar(query, self.config.references)
         return self._retrieval.choose(
             query, self.config.references, lambda: self._described(query), tilted=False
         )

@@ -1,6 +1,7 @@
 """Which photographs of a street look like a query, by the features of which method.
 
     python -m tests.benchmarks.street_retrieval SCENE [SCENE ...] [--metres 10] [--degrees 30]
+        [--cache CACHE]
 
 The scenes have maps and queries of other conditions. A photograph is right where it was taken
 within so many metres of the query and looks within so many degrees of its way. Printed is the share
@@ -37,15 +38,13 @@ def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]
     with progress_bar(f"{dataset.name} {localizer.name}", len(dataset.queries)) as advance:
         for done, query in enumerate(dataset.queries, 1):
             loaded = query.load()
-            assert isinstance(localizer, StructureLocalizer | FeaturemetricLocalizer)
             if isinstance(localizer, FeaturemetricLocalizer):
-                index = localizer._retrieval.index
                 with torch.inference_mode():
                     described = localizer._described(loaded)
+                yield localizer._retrieval.index.rank(described, max(_FIRST))
             else:
-                index, extractor = localizer._references.index, localizer._extractor
-                described = extractor.unit(extractor(loaded.image).descriptors).numpy()
-            yield index.rank(described, max(_FIRST))
+                assert isinstance(localizer, StructureLocalizer)
+                yield localizer.similar(loaded, max(_FIRST))
             advance(done)
 
 
@@ -66,7 +65,9 @@ def main() -> None:
     parser.add_argument("scenes", type=Path, nargs="+")
     parser.add_argument("--metres", type=float, default=10.0)
     parser.add_argument("--degrees", type=float, default=30.0)
+    parser.add_argument("--cache", type=Path)
     given = parser.parse_args()
+    cache = given.cache or Path(tempfile.mkdtemp())
     datasets = [dataset for scene in given.scenes for dataset in open_datasets(scene)]
     rights = [_right(dataset, given.metres, given.degrees) for dataset in datasets]
     queries = sum(len(right) for right in rights)
@@ -74,7 +75,7 @@ def main() -> None:
         hits = np.zeros(len(_FIRST), int)
         for dataset, right in zip(datasets, rights, strict=True):
             localizer = create(method, {})
-            localizer.prepare(dataset.load_map(), dataset.images, Path(tempfile.mkdtemp()))
+            localizer.prepare(dataset.load_map(), dataset.images, cache)
             for of_query, rows in zip(right, _ranks(localizer, dataset), strict=True):
                 hits += [bool(of_query[rows[:first]].any()) for first in _FIRST]
         for first, count in zip(_FIRST, hits, strict=True):

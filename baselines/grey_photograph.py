@@ -1,0 +1,46 @@
+"""A photograph of a map in shades of grey, smaller than it was taken."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+
+
+@dataclass(frozen=True)
+class GreyPhotograph:
+    """A photograph of a map, made smaller.
+
+    Attributes:
+        grey: (H, W) float32.
+        camera: camera of the smaller photograph.
+        pose: ``cam_from_world``.
+        in_photograph: maps its pixels (N, 2) to those of the original.
+    """
+
+    grey: Tensor
+    camera: Camera
+    pose: Pose
+    in_photograph: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+    def shrunk(self, factor: int) -> GreyPhotograph:
+        """Return the photograph, made smaller by a factor; ``in_photograph`` stays as it is."""
+        height, width = self.grey.shape
+        size = (math.ceil(width / factor), math.ceil(height / factor))
+        small = cv2.resize(self.grey.numpy(), size, interpolation=cv2.INTER_AREA)
+        camera = self.camera.resized(*size)
+        return replace(self, grey=torch.from_numpy(small), camera=camera)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its values."""
+        return self.grey.nbytes
