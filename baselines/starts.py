@@ -37,6 +37,12 @@ class StartOptions(Config):
         gt=0,
         description="Photographs turned less than this against each other share one heading.",
     )
+    same_place_m: float | None = Field(
+        None,
+        gt=0,
+        description="Where nothing is known, photographs farther apart than this (metres) are "
+        "starts of their own, though they share a heading; None for never.",
+    )
 
 
 _DEFAULTS: Final = StartOptions()
@@ -63,7 +69,7 @@ def starts(
     """
     posed = [sparse_map.images[sparse_map.names[int(row)]].pose for row in chosen]
     if prior is None or not (prior.has_position or prior.has_heading):
-        return _distinct_headings(posed, options)
+        return _distinct_headings(posed, options, options.same_place_m)
     rotations = [pose.rotation for pose in _distinct_headings(posed, options)]
     if prior.has_heading:
         rotations = [torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))]
@@ -93,15 +99,19 @@ def _distinct_heights(heights: Sequence[float], same_ratio: float) -> list[int]:
     return kept
 
 
-def _distinct_headings(posed: Sequence[Pose], options: StartOptions) -> list[Pose]:
-    """Return the poses whose heading differs from that of all before them."""
+def _distinct_headings(
+    posed: Sequence[Pose], options: StartOptions, same_place_m: float | None = None
+) -> list[Pose]:
+    """Return the poses whose heading differs from that of all kept before, within a distance."""
     same_heading = math.radians(options.same_heading_deg)
+    same_place = math.inf if same_place_m is None else same_place_m
     kept: list[Pose] = []
-    headings: list[float] = []
     for pose in posed:
         heading = north_angle(pose.rotation.numpy())
-        turns = (heading - other for other in headings)
+        beside = [
+            other for other in kept if float((other.centre() - pose.centre()).norm()) < same_place
+        ]
+        turns = (heading - north_angle(other.rotation.numpy()) for other in beside)
         if all(abs(math.remainder(turn, math.tau)) > same_heading for turn in turns):
             kept.append(pose)
-            headings.append(heading)
     return kept

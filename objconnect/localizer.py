@@ -12,6 +12,7 @@ from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.options import FeaturemetricConfig
 from baselines.place.finder import PlaceOptions
 from baselines.sift import SiftConfig
+from baselines.starts import StartOptions
 from objconnect.network import read_network
 
 SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
@@ -27,6 +28,7 @@ class ObjConnectConfig(FeaturemetricConfig):
     most_tilt_deg: float | None = Field(30.0, ge=0)
     place: PlaceOptions = Field(PlaceOptions())
     matches: SiftConfig | None = Field(SiftConfig())
+    starts: StartOptions = Field(StartOptions(same_place_m=3.0))
 
 
 class ObjConnectLocalizer(FeaturemetricLocalizer):

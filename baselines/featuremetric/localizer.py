@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Final
@@ -23,6 +23,7 @@ from baselines.align.aligner import Alignment, align
 from baselines.align.hypotheses import align_from_many
 from baselines.align.options import Options, SearchRadius
 from baselines.align.problem import Problem
+from baselines.featuremetric.attempt import Attempt, is_clear, photograph_pose, stayed_near
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network
 from baselines.featuremetric.matcher import matcher
 from baselines.featuremetric.options import FeaturemetricConfig, SearchOptions
@@ -40,33 +41,6 @@ from scene.maps.sparse_map import SparseMap
 from scene.storage.scratch import scratch
 
 _UNCLEAR: Final = "no place of the map fits the image clearly"
-
-
-@dataclass(frozen=True)
-class _Attempt:
-    """The outcome of one start.
-
-    Attributes:
-        view: the warped image.
-        alignment: of the view.
-        fit: cost as a share of the cost by chance; infinite where alignment failed.
-        reason: why the pose is not accepted; empty where it is.
-    """
-
-    view: WarpedImage
-    alignment: Alignment
-    fit: float
-    reason: str
-
-    @property
-    def failed(self) -> bool:
-        """Whether there is no pose."""
-        return bool(self.alignment.failed[0])
-
-    @property
-    def pose(self) -> Pose:
-        """``cam_from_world`` of the photograph."""
-        return _photograph_pose(self.view, self.alignment)
 
 
 class FeaturemetricLocalizer:
@@ -141,7 +115,7 @@ class FeaturemetricLocalizer:
         clock = Stopwatch()
         lost = self.config.multistart and query.references is None and not _whole(query.prior)
         matched = self._matched(query, clock) if lost else None
-        attempts: list[_Attempt] = []
+        attempts: list[Attempt] = []
         if matched is not None and matched.cam_from_world is not None:
             options, start = self.config.search, matched.cam_from_world
             if matched.inliers >= options.matched_answer_inliers:
@@ -149,7 +123,7 @@ class FeaturemetricLocalizer:
             around = SearchRadius(options.matched_radius_m, options.matched_radius_deg)
             attempt = self._attempt_near(query, start, clock, around)
             if matched.inliers >= options.matched_accept_inliers:
-                if attempt.reason or not _close(attempt.pose, start, options):
+                if attempt.reason or not stayed_near(attempt.pose, start, options):
                     return replace(matched, seconds=clock.seconds)
                 return self._estimate([attempt], [start], clock)
             if attempt.fit < options.place_accept_fit:
@@ -167,7 +141,7 @@ class FeaturemetricLocalizer:
         return self._estimate(self._attempts(query, chosen, begin, clock), begin, clock)
 
     def _estimate(
-        self, attempts: Sequence[_Attempt], begin: Sequence[Pose], clock: Stopwatch
+        self, attempts: Sequence[Attempt], begin: Sequence[Pose], clock: Stopwatch
     ) -> Estimate:
         """Return the best of some attempts; where none is accepted, the first start."""
         best = min(attempts, key=lambda attempt: (bool(attempt.reason), attempt.fit))
@@ -201,19 +175,25 @@ class FeaturemetricLocalizer:
             return self._matches.localize(query)
 
     def _found_places(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the starts of the place search."""
-        if not self.config.place.candidates:
+        """Return the starts of the place search, or of the photographs that look most like it."""
+        count = self.config.place.candidates
+        if not count:
             return []
         with clock.stage("place"):
-            return self._places.find(query)
+            places = self._places.find(query)
+        if places or (query.prior is not None and query.prior.has_position):
+            return places
+        with clock.stage("retrieval"):
+            begin = starts(query.prior, self._map, self._chosen(query), self.config.starts)
+        return [Candidate(pose, 0.0) for pose in begin[:count]]
 
     def _attempts_at_places(
         self,
         query: Query,
-        before: Sequence[_Attempt],
+        before: Sequence[Attempt],
         places: Sequence[Candidate],
         clock: Stopwatch,
-    ) -> list[_Attempt]:
+    ) -> list[Attempt]:
         """Try the starts of the place search until the fit of one is good enough to stop.
 
         The image is then aligned once more from there: it is turned and scaled better. A fit that
@@ -231,24 +211,11 @@ class FeaturemetricLocalizer:
             if attempt.fit < least:
                 return [attempt, self._attempt_near(query, attempt.pose, clock, radius)]
             attempts.append(attempt)
-        clear = [self._is_clear(row, attempts) for row in range(len(attempts))]
+        clear = [is_clear(row, attempts, options) for row in range(len(attempts))]
         return [
             attempt if attempt.reason or fine else replace(attempt, reason=_UNCLEAR)
             for attempt, fine in zip(attempts, clear, strict=True)
         ]
-
-    def _is_clear(self, row: int, attempts: Sequence[_Attempt]) -> bool:
-        """Return whether another attempt led to the pose of this one, or all others fit worse."""
-        options, attempt = self.config.search, attempts[row]
-        if attempt.reason or not attempt.fit < options.clear_accept_fit:
-            return False
-        others = [other for other in (*attempts[:row], *attempts[row + 1 :]) if not other.failed]
-        for other in others:
-            metres, degrees = (float(part) for part in other.pose.error_to(attempt.pose))
-            if metres < options.agreed_m and degrees < options.agreed_deg:
-                return True
-        least = attempt.fit + options.clear_margin
-        return bool(others) and all(other.fit > least for other in others)
 
     def _attempts(
         self,
@@ -256,7 +223,7 @@ class FeaturemetricLocalizer:
         chosen: NDArray[np.int64],
         begin: Sequence[Pose],
         clock: Stopwatch,
-    ) -> list[_Attempt]:
+    ) -> list[Attempt]:
         """Try starts place by place, until the fit of one is good enough to stop.
 
         Where there were several starts, the image is then aligned once more from the best pose:
@@ -264,7 +231,7 @@ class FeaturemetricLocalizer:
         """
         options = self.config.search
         radius = _search_radius(query.prior, options)
-        attempts: list[_Attempt] = []
+        attempts: list[Attempt] = []
         by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
         for _, at_place in by_place:
             attempts += [self._attempt(query, chosen, start, clock, radius) for start in at_place]
@@ -278,7 +245,7 @@ class FeaturemetricLocalizer:
 
     def _attempt_near(
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius
-    ) -> _Attempt:
+    ) -> Attempt:
         """Align the image from a start that says more than the query's own prior."""
         near = replace(query, prior=_known_pose(start))
         return self._attempt(near, self._chosen(near), start, clock, radius)
@@ -290,7 +257,7 @@ class FeaturemetricLocalizer:
         start: Pose,
         clock: Stopwatch,
         radius: SearchRadius,
-    ) -> _Attempt:
+    ) -> Attempt:
         """Warp the image as if a start were right, and align it."""
         options, points = self.config.search, self.config.points
         with clock.stage("features"):
@@ -309,7 +276,7 @@ class FeaturemetricLocalizer:
             of_chance = math.inf if reason else fit(problem, alignment.pose)
             if not reason and not of_chance < options.accept_fit:
                 reason = "the image fits the map's points hardly better than it would by chance"
-        return _Attempt(view, alignment, of_chance, reason)
+        return Attempt(view, alignment, of_chance, reason)
 
     def _realigned(
         self,
@@ -325,7 +292,7 @@ class FeaturemetricLocalizer:
         """
         if alignment.failed[0]:
             return problem, alignment
-        pose = _photograph_pose(view, alignment)
+        pose = photograph_pose(view, alignment)
         chosen = self._chosen(replace(query, prior=_known_pose(pose)))
         after = self._problems.build(view, maps, chosen, pose, self.config.points)
         # The coarsest level has no more to say of a pose that the finest one found.
@@ -359,12 +326,6 @@ class FeaturemetricLocalizer:
         return torch.nn.functional.normalize(cells, dim=1).numpy()
 
 
-def _photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:
-    """Return ``cam_from_world`` of the photograph of an aligned view."""
-    pose = alignment.pose
-    return view.photograph_pose(Pose(pose.rotation[0], pose.translation[0]))
-
-
 def _known_pose(pose: Pose) -> Prior:
     """Return a prior that knows position and attitude."""
     return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
@@ -373,12 +334,6 @@ def _known_pose(pose: Pose) -> Prior:
 def _whole(prior: Prior | None) -> bool:
     """Return whether a prior says where the camera is and which way it is turned."""
     return prior is not None and prior.has_position and prior.has_heading
-
-
-def _close(aligned: Pose, matched: Pose, options: SearchOptions) -> bool:
-    """Return whether a pose aligned from matches stayed near the pose that these gave."""
-    metres, degrees = (float(part) for part in aligned.error_to(matched))
-    return metres < options.matched_most_m and degrees < options.matched_most_deg
 
 
 def _default_radius(options: SearchOptions) -> SearchRadius:
