@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -33,11 +32,14 @@ class GreyPhotograph:
     in_photograph: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     def shrunk(self, factor: int) -> GreyPhotograph:
-        """Return the photograph, made smaller by a factor; ``in_photograph`` stays as it is."""
-        height, width = self.grey.shape
-        size = (math.ceil(width / factor), math.ceil(height / factor))
-        small = cv2.resize(self.grey.numpy(), size, interpolation=cv2.INTER_AREA)
-        camera = self.camera.resized(*size)
+        """Return the photograph, made smaller by a factor; ``in_photograph`` stays as it is.
+
+        What is left over at its right and lower edge is cut off.
+        """
+        height, width = (side // factor * factor for side in self.grey.shape)
+        size = (width // factor, height // factor)
+        small = cv2.resize(self.grey.numpy()[:height, :width], size, interpolation=cv2.INTER_AREA)
+        camera = replace(self.camera, width=width, height=height).resized(*size)
         return replace(self, grey=torch.from_numpy(small), camera=camera)
 
     @property

@@ -169,7 +169,9 @@ class Sweeper:
         tried = self._depths(name, here.camera, neighbours, len(xy), depths)
         others = [self.photograph(each) for each in neighbours]
         clear = np.ones(len(xy), bool)
-        if depths is None and self._options.shrink > 1:
+        smallest = min(min(each.grey.shape) for each in (here, *others))
+        shrink, window = self._options.shrink, self._options.shrunk_window
+        if depths is None and 1 < shrink <= smallest // window:
             tried, clear = self._near(here, xy, others, tried)
         pixels = torch.from_numpy(xy)
         parts = [
@@ -201,10 +203,8 @@ class Sweeper:
         options, shrink = self._options, self._options.shrink
         small, *beside = (each.shrunk(shrink) for each in (here, *others))
         sweep = PlaneSweep(small, options.shrunk_window, options.border_px / shrink)
-        ratio = np.array([small.camera.width, small.camera.height])
-        at = xy * ratio / [here.camera.width, here.camera.height]
         planes = tried[0, ::shrink]
-        found = [sweep(at, planes, other) for other in beside]
+        found = [sweep(xy / shrink, planes, other) for other in beside]
         # The better half: the others may not see it.
         score = np.sort(np.stack(found, -1), -1)[..., -2:].mean(-1)
         best = score.argmax(1)

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.grey_photograph import GreyPhotograph
 from baselines.plane_sweep import PlaneSweep
 from baselines.sweep import Sweeper, SweepOptions
+from scene.geometry.camera import Camera
 from scene.maps.sparse_map import SparseMap
-from tests.baselines.pixloc.made_map import height, write_map
+from tests.baselines.pixloc.made_map import height, looking_down, write_map
 
 
 @pytest.fixture(scope="module")
@@ -64,3 +66,15 @@ def test_sweeping_small_pictures_first_places_the_same_pixels(
     assert both.sum() > 0.8 * whole.sure.sum() > 100
     assert np.median(np.linalg.norm(whole.xyz - small.xyz, axis=1)[both]) < 0.01
     assert np.median(off_the_ground(small.xyz[small.sure])) < 0.1
+
+
+def test_a_photograph_of_any_size_and_lens_is_made_smaller() -> None:
+    camera = Camera("SIMPLE_RADIAL", 1024, 575, (600.0, 512.0, 287.0, 0.004))
+    pose = looking_down(0, 0)
+    grey = torch.rand(575, 1024)
+    small = GreyPhotograph(grey, camera, pose, lambda xy: xy).shrunk(3)
+    assert (small.camera.width, small.camera.height) == (341, 191) == tuple(small.grey.shape[::-1])
+    torch.testing.assert_close(small.grey[0, 0], grey[:3, :3].mean())
+    rays, _ = camera.unproject(torch.tensor([[300.0, 150.0]], dtype=torch.float64))
+    there = small.camera.project(rays).xy
+    torch.testing.assert_close(there, torch.tensor([[100.0, 50.0]], dtype=torch.float64))
