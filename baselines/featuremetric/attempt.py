@@ -44,10 +44,8 @@ def is_clear(row: int, attempts: Sequence[Attempt], options: SearchOptions) -> b
     if attempt.reason or not attempt.fit < options.clear_accept_fit:
         return False
     others = [other for other in (*attempts[:row], *attempts[row + 1 :]) if not other.failed]
-    for other in others:
-        metres, degrees = (float(part) for part in other.pose.error_to(attempt.pose))
-        if metres < options.agreed_m and degrees < options.agreed_deg:
-            return True
+    if any(_near(o.pose, attempt.pose, options.agreed_m, options.agreed_deg) for o in others):
+        return True
     least = attempt.fit + options.clear_margin
     return bool(others) and all(other.fit > least for other in others)
 
@@ -60,5 +58,10 @@ def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:
 
 def stayed_near(aligned: Pose, matched: Pose, options: SearchOptions) -> bool:
     """Return whether a pose aligned from matches stayed near the pose that these gave."""
-    metres, degrees = (float(part) for part in aligned.error_to(matched))
-    return metres < options.matched_most_m and degrees < options.matched_most_deg
+    return _near(aligned, matched, options.matched_most_m, options.matched_most_deg)
+
+
+def _near(pose: Pose, other: Pose, most_m: float, most_deg: float) -> bool:
+    """Return whether two poses are closer than a distance (metres) and an angle (degrees)."""
+    metres, degrees = (float(part) for part in pose.error_to(other))
+    return metres < most_m and degrees < most_deg
