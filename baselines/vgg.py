@@ -51,18 +51,22 @@ def vgg16_encoder(width: float = 1.0, extra: int = 0) -> nn.ModuleList:
     )
 
 
-def encode(encoder: nn.ModuleList, image: Tensor) -> list[Tensor]:
-    """Return the outputs of the encoder's blocks, fine to coarse, strides 1 to 16.
+def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tensor]:
+    """Return the outputs of the encoder's blocks, fine to coarse, strides ``finest`` to 16.
 
     Args:
         encoder: result of ``vgg16_encoder``.
         image: images (B, 3, H, W), RGB in 0..1. They are normalised by ImageNet's statistics here.
+        finest: outputs of finer strides are not kept: at stride 1 they take most of the memory.
     """
     mean, std = image.new_tensor([IMAGENET_MEAN, IMAGENET_STD])[..., None, None]
-    blocks = [(image - mean) / std]
-    for block in encoder:
-        blocks.append(block(blocks[-1]))
-    return blocks[1:]
+    maps = (image - mean) / std
+    blocks = []
+    for number, block in enumerate(encoder):
+        maps = block(maps)
+        if 2**number >= finest:
+            blocks.append(maps)
+    return blocks
 
 
 def keep_variance(network: nn.Module) -> None:

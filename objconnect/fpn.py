@@ -44,7 +44,7 @@ class FeaturePyramid(nn.Module):
         beyond a multiple of 16 pixels is cut off.
 
         Args:
-            blocks: outputs of the encoder's blocks, fine to coarse.
+            blocks: outputs of the encoder's blocks, from the finest stride of the pyramid to 16.
         """
         smooth = dict(zip(self._wanted, self.smooth, strict=True))
         step = self.lateral[0](blocks[-1])

@@ -131,7 +131,7 @@ class ObjConnectNet(nn.Module):
             labels = segment(image, self.config)
         levels_made: list[Level] = []
         objects = None
-        decoded = self.decoder(encode(self.encoder, image))
+        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
         for number, maps in enumerate(islice(decoded, levels)):
             if labels is not None and number < self._with_objects:
                 stride = self.config.strides[number]

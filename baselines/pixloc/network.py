@@ -97,7 +97,7 @@ class Decoder(nn.ModuleList):
         beyond a multiple of 16 pixels is cut off.
 
         Args:
-            blocks: outputs of the encoder's blocks, fine to coarse.
+            blocks: outputs of the encoder's blocks, from the finest stride of the decoder to 16.
         """
         skips = list(blocks)
         decoded = skips.pop()
@@ -145,7 +145,8 @@ class PixlocNet(nn.Module):
             pixels wide and start at the top left corner. The part of an image beyond a multiple of
             16 pixels is cut off.
         """
-        maps = islice(self.decoder(encode(self.encoder, image)), levels)
+        blocks = encode(self.encoder, image, self.config.strides[-1])
+        maps = islice(self.decoder(blocks), levels)
         return [
             (features(level), torch.sigmoid(-confidence(level)))
             for level, features, confidence in zip(

@@ -218,8 +218,7 @@
     { name: "median m", key: (row) => row.s.t },
     { name: "median °", key: (row) => row.s.r },
     { name: "false fixes", key: (row) => (row.s.wrong ? row.s.wrong[0] : null) },
-    { name: "failed", key: (row) => row.s.failed },
-    { name: "fallback", key: (row) => row.s.fallback },
+    { name: "failed + fallback", key: (row) => row.s.failed + row.s.fallback },
     { name: "s/query", key: (row) => row.s.seconds },
   ];
 
@@ -254,7 +253,7 @@
         row.s.recall.map((recall) => el("td", {}, percent(recall), el("small", {}, interval(recall)), bar(row.run, recall))),
         [row.s.t, row.s.r].map((value) => el("td", {}, digits(value))),
         el("td", {}, row.s.wrong ? [percent(row.s.wrong), el("small", {}, interval(row.s.wrong))] : "–"),
-        [row.s.failed, row.s.fallback].map((value) => el("td", {}, String(value))),
+        el("td", {}, `${row.s.failed} + ${row.s.fallback}`),
         el("td", {}, digits(row.s.seconds)),
         el("td", { class: "acts" }, ["worst", "best"].map((end) => el("button", {
           type: "button", "aria-label": `${end} query of ${row.label}, ${row.condition}`,
