@@ -58,6 +58,7 @@ TRAINABLES: Final[Registry[Callable[[TrainConfig], Trainable]]] = Registry(
         "d2net": Lazy("baselines.d2net.training:D2NetTraining"),
         "pixloc": Lazy("baselines.pixloc.training:PixlocTraining"),
         "objconnect": Lazy("objconnect.training:ObjConnectTraining"),
+        "objects": Lazy("objconnect.object_training:ObjectTraining"),
     },
     unknown="{kind} {name!r} cannot be trained; those that can: {names}",
 )

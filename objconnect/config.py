@@ -32,6 +32,38 @@ class SegmentOptions(Config):
     felzenszwalb_blur: float = Field(0.8, ge=0)
 
 
+class DetectorConfig(Config):
+    """The configuration of a detector of objects.
+
+    Attributes:
+        stride: pixels per cell of its maps; one of the strides of the network's levels.
+        size: number of channels of its convolutions.
+        vector: number of channels of the vector of an object.
+    """
+
+    stride: int = Field(4, ge=1)
+    size: int = Field(64, ge=4)
+    vector: int = Field(32, ge=2)
+
+
+class ConstellationConfig(Config):
+    """The configuration of the graph over objects.
+
+    Attributes:
+        vector: number of channels of the objects' vectors.
+        size: number of channels of the nodes.
+        out: number of channels of the vectors that are compared.
+        layers: number of times that nodes hear of their neighbours; 0 for no graph.
+        neighbours: number of neighbours that a node hears of.
+    """
+
+    vector: int = Field(32, ge=2)
+    size: int = Field(64, ge=4)
+    out: int = Field(32, ge=2)
+    layers: int = Field(2, ge=0)
+    neighbours: int = Field(12, ge=1)
+
+
 class ObjConnectNetConfig(Config):
     """The configuration of the network. Each block of the method can be switched off.
 
@@ -58,6 +90,8 @@ class ObjConnectNetConfig(Config):
         attention: switches equations (1) to (3), which add features of the object to each cell.
         object_graph: switches equations (4) and (5), a graph over the points of each object.
         scene_graph: switches a graph over all objects.
+        detector: detector of learned objects; None for none.
+        constellation: graph over the learned objects of a photograph or a map; None for none.
     """
 
     width: float = Field(1.0, gt=0, le=2)
@@ -74,6 +108,8 @@ class ObjConnectNetConfig(Config):
     attention: bool = True
     object_graph: bool = True
     scene_graph: bool = True
+    detector: DetectorConfig | None = None
+    constellation: ConstellationConfig | None = None
 
     @model_validator(mode="after")
     def _levels(self) -> Self:
@@ -84,4 +120,6 @@ class ObjConnectNetConfig(Config):
                 "without segmentation there are no objects: switch attention, object_graph and "
                 "scene_graph off too"
             )
+        if self.detector is not None and self.detector.stride not in self.strides:
+            raise ValueError("the stride of the detector is one of the levels' strides")
         return self

@@ -16,6 +16,8 @@ from baselines.checkpoint import load_into, read_weights
 from baselines.training.contrastive import sample
 from baselines.vgg import encode, keep_variance, vgg16_encoder
 from objconnect.config import ObjConnectNetConfig
+from objconnect.constellation import ConstellationGraph
+from objconnect.detector import ObjectDetector
 from objconnect.fpn import FeaturePyramid
 from objconnect.graph import ObjectGraph, SceneGraph
 from objconnect.objects import Attention, Objects, Occupancy, centres, occupancy
@@ -81,6 +83,12 @@ class ObjConnectNet(nn.Module):
         self.trust = nn.Linear(with_objects[-1], 1) if with_objects else None
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
         keep_variance(self)
+        self.detector = None
+        if config.detector is not None:
+            self.detector = ObjectDetector(config.detector, config.strides, config.dims)
+        self.constellation = None
+        if config.constellation is not None:
+            self.constellation = ConstellationGraph(config.constellation)
 
     def forward(
         self, image: Tensor, labels: Tensor | None = None, levels: int | None = None

@@ -18,11 +18,13 @@ class Crop(NamedTuple):
         image: (S, S, 3) uint8; black outside the photograph.
         camera: pinhole camera of the crop.
         crop_from_camera: rotation (4, 4) from the photograph's camera frame to the crop's.
+        affine: (2, 3) maps pixels of the photograph to those of the crop.
     """
 
     image: NDArray[np.uint8]
     camera: Pinhole
     crop_from_camera: NDArray[np.float64]
+    affine: NDArray[np.float64]
 
     def contains(self, xy: NDArray[np.float64], border: float) -> NDArray[np.bool_]:
         """Return whether pixels (N, 2) lie inside the crop, ``border`` pixels from its edge."""
@@ -55,4 +57,4 @@ def crop(
     seen_by = Pinhole(camera.focal * scale, linear @ camera.principal + affine[:, 2])
     crop_from_camera = np.eye(4)
     crop_from_camera[:3, :3] = turn
-    return Crop(cut, seen_by, crop_from_camera)
+    return Crop(cut, seen_by, crop_from_camera, affine)

@@ -32,6 +32,7 @@ class PairOptions(Config):
         corner_threshold: threshold of FAST, grey levels.
         corner_share: share of the points that lie at corners. The other points are random, so that
             features of plain ground are trained too.
+        objects: whether pairs of scenes know their objects, which the training of objects needs.
         plane_height_m: height of the cameras over single photographs, which are treated as flat
             ground.
         plane_tilt_deg: largest tilt of these cameras about each axis.
@@ -50,6 +51,7 @@ class PairOptions(Config):
     start_share: float = Field(0.08, ge=0)
     corner_threshold: int = Field(8, ge=1)
     corner_share: float = Field(0.75, ge=0, le=1)
+    objects: bool = False
     plane_height_m: float = Field(80.0, gt=0)
     plane_tilt_deg: float = Field(15.0, ge=0)
 
@@ -71,11 +73,45 @@ class ContrastOptions(Config):
     same_place: float = Field(1.0, ge=0)
 
 
+class ObjectLossOptions(Config):
+    """The losses of learned objects: their weights, and which objects count in them.
+
+    Attributes:
+        centres: weight of the heat map of centres.
+        inside: weight of which cells belong to an object.
+        offsets: weight of the distance of offsets to centres, cells.
+        sides: weight of the distance of the logarithms of sides.
+        rises: weight of the distance of heights above ground, logarithms of sides.
+        identity: weight of the contrastive loss of vectors.
+        temperature: temperature by which the cosines of vectors are divided.
+        min_pixels: objects of which an image shows fewer pixels need not be found.
+        spread: spread of a centre in the heat map as a share of the object's side.
+        far_share: share of an offset's length that counts as its uncertainty.
+    """
+
+    centres: float = Field(1.0, ge=0)
+    inside: float = Field(1.0, ge=0)
+    offsets: float = Field(0.5, ge=0)
+    sides: float = Field(0.3, ge=0)
+    rises: float = Field(0.3, ge=0)
+    identity: float = Field(0.5, ge=0)
+    temperature: float = Field(0.1, gt=0)
+    min_pixels: int = Field(12, ge=1)
+    spread: float = Field(0.17, gt=0)
+    far_share: float = Field(0.15, ge=0)
+
+    def shares(self) -> dict[str, float]:
+        """Return the weight of each loss of places by name."""
+        names = ("centres", "inside", "offsets", "sides", "rises")
+        return {name: getattr(self, name) for name in names}
+
+
 class LossOptions(Config):
     """The weights of the losses, and which points and pairs count in them.
 
     Attributes:
         contrast: negatives of the contrastive loss.
+        objects: losses of learned objects.
         pose_share: weight of the pose loss (pixels) relative to the contrastive loss (nats).
             Finally both are about one.
         trust_share: weight of the loss of the confidence.
@@ -96,6 +132,7 @@ class LossOptions(Config):
     """
 
     contrast: ContrastOptions = ContrastOptions()
+    objects: ObjectLossOptions = ObjectLossOptions()
     pose_share: float = Field(0.3, ge=0)
     trust_share: float = Field(0.3, ge=0)
     feature_share: float = Field(0.1, ge=0)

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from baselines.training.objects import ImageObjects, PairObjects
 from baselines.training.options import PAIRS, PairOptions
 from scene.geometry.pose import Pose, so3_exp
 from scene.geometry.projection import Intrinsics
@@ -45,6 +46,7 @@ class Pair(NamedTuple):
         xy_a: their projections (N, 2) in image a, pixels.
         xy_b: their projections (N, 2) in image b, pixels.
         valid: (N,) bool; false for rows that only fill the arrays.
+        objects: the objects of image a and of image b, or None where they are not known.
     """
 
     image_a: NDArray[np.uint8]
@@ -57,6 +59,7 @@ class Pair(NamedTuple):
     xy_a: NDArray[np.float64]
     xy_b: NDArray[np.float64]
     valid: NDArray[np.bool_]
+    objects: tuple[PairObjects, PairObjects] | None = None
 
 
 class PairSource(Protocol):
@@ -81,6 +84,7 @@ class PairBatch(NamedTuple):
         xy_a: pixels (B, N, 2).
         xy_b: pixels (B, N, 2).
         valid: (B, N) bool.
+        objects: the objects of the images a, then of the images b; empty where they are not known.
     """
 
     image_a: Tensor
@@ -93,6 +97,7 @@ class PairBatch(NamedTuple):
     xy_a: Tensor
     xy_b: Tensor
     valid: Tensor
+    objects: tuple[ImageObjects, ...] = ()
 
     def to(self, device: torch.device) -> PairBatch:
         """Return the batch on another device."""
@@ -108,7 +113,11 @@ class PairBatch(NamedTuple):
             lens(self.intrinsics_b),
             self.b_from_a.to(device=device),
             self.start.to(device=device),
-            *(x.to(device) for x in self[6:]),
+            self.points.to(device),
+            self.xy_a.to(device),
+            self.xy_b.to(device),
+            self.valid.to(device),
+            tuple(each.to(device) for each in self.objects),
         )
 
 
@@ -132,6 +141,8 @@ def collate(pairs: Sequence[Pair]) -> PairBatch:
             limit=torch.full((size,), torch.inf),
         )
 
+    known = [p.objects for p in pairs if p.objects is not None]
+    of_images = [a for a, _ in known] + [b for _, b in known] if len(known) == len(pairs) else []
     return PairBatch(
         images([p.image_a for p in pairs]),
         images([p.image_b for p in pairs]),
@@ -143,6 +154,7 @@ def collate(pairs: Sequence[Pair]) -> PairBatch:
         single([p.xy_a for p in pairs]),
         single([p.xy_b for p in pairs]),
         torch.from_numpy(np.stack([p.valid for p in pairs])),
+        tuple(ImageObjects.of(each) for each in of_images),
     )
 
 

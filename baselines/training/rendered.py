@@ -6,21 +6,28 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.training.augment import photometric
-from baselines.training.crops import crop
+from baselines.training.crops import Crop, crop
+from baselines.training.instances import objects_of
 from baselines.training.keypoints import keypoints
+from baselines.training.objects import PairObjects
 from baselines.training.options import PAIRS, PairOptions
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
 from baselines.views import north_angle, upright
 from scene.bundle.frames import DenseLayers
+from scene.bundle.manifest import SceneObject
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.storage.images import read_rgb
+
+# More than a scene has objects, so that ids of several scenes differ.
+_IDS: Final = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,7 @@ class RenderedPairs:
             raise InputError(f"no two frames of {scenes[0].path} overlap by {least}")
         self._same, self._cross = same or cross, cross or same
         self._open: dict[tuple[int, str], DenseLayers] | None = None
+        self._by_id: dict[int, dict[int, SceneObject]] = {}
 
     def draw(self, rng: np.random.Generator) -> Pair:
         """See ``PairSource``."""
@@ -78,6 +86,19 @@ class RenderedPairs:
                 return pair
 
     def _depth(self, frame: _Frame) -> NDArray[np.float32]:
+        return np.asarray(self._layers(frame).read("depth", frame.index))
+
+    def _objects(self, frame: _Frame, cut: Crop) -> PairObjects:
+        """Return the objects that a crop of a frame shows."""
+        number = frame.session[0]
+        if number not in self._by_id:
+            listed = self._scenes[number].objects.objects
+            self._by_id[number] = {item.id: item for item in listed}
+        instances = self._layers(frame).read("instance", frame.index)
+        pose = cut.crop_from_camera @ frame.cam_from_world
+        return objects_of(instances, cut, pose, self._by_id[number], number * _IDS)
+
+    def _layers(self, frame: _Frame) -> DenseLayers:
         if self._open is None:
             # The files stay open until the process ends.
             stack = ExitStack()
@@ -87,7 +108,7 @@ class RenderedPairs:
                 for session in scene.sessions
             }
             self._stack = stack
-        return np.asarray(self._open[frame.session].read("depth", frame.index))
+        return self._open[frame.session]
 
     def _cut(self, a: _Frame, b: _Frame, rng: np.random.Generator) -> Pair | None:
         options = self._options
@@ -144,6 +165,7 @@ class RenderedPairs:
             xy_a,
             xy_b,
             valid,
+            (self._objects(a, cut_a), self._objects(b, cut_b)) if options.objects else None,
         )
 
 

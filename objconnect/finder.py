@@ -1,0 +1,108 @@
+"""Where a query may be, by its objects: starts of the alignment where no prior gives them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from baselines.featuremetric.maps import MapExtractor
+from baselines.place.search import Candidate
+from objconnect.connect import ConnectOptions, Connector
+from objconnect.landmarks import LandmarkOptions
+from objconnect.network import ObjConnectNet
+from objconnect.object_map import ObjectFinder, map_ground
+from scene.config import Config
+from scene.localizer import Prior, Query
+from scene.maps.sparse_map import SparseMap
+
+_DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+
+
+class ObjectPlaceOptions(Config):
+    """Options of starts from objects.
+
+    Attributes:
+        landmarks: how objects of photographs become those of the map.
+        connect: how objects of a query connect with them.
+        headings: tried over the full turn.
+        heights: above ground, tried where none is known, in parts of that of the map's photographs.
+    """
+
+    landmarks: LandmarkOptions = LandmarkOptions()
+    connect: ConnectOptions = ConnectOptions()
+    headings: int = Field(24, ge=1)
+    heights: tuple[float, ...] = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
+
+
+class ObjectPlaceFinder:
+    """Finds places of a map by the objects of a query.
+
+    Args:
+        network: with a detector and a graph over objects.
+        extract: of its feature maps.
+        options: of the search.
+    """
+
+    def __init__(
+        self, network: ObjConnectNet, extract: MapExtractor, options: ObjectPlaceOptions
+    ) -> None:
+        assert network.detector is not None and network.constellation is not None
+        self._graph, self._options = network.constellation, options
+        self._find = ObjectFinder(extract, network.detector, options.landmarks)
+
+    def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
+        """Find the objects of a map, or read them from the cache.
+
+        Args:
+            sparse_map: the map.
+            images: folder that the names of its photographs are relative to.
+            key: of the network.
+            cache: folder of files named by a digest of all that the objects depend on.
+
+        Raises:
+            InputError: a photograph is missing, broken or changed meanwhile.
+        """
+        landmarks = self._find.kept_landmarks(sparse_map, images, key, cache)
+        ground = map_ground(sparse_map)
+        self._connect = Connector(self._graph, landmarks, ground, self._options.connect)
+        self._heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
+
+    def find(self, query: Query) -> list[Candidate]:
+        """Return places where the query may be, best first."""
+        found = self._find(query.image, query.camera)
+        options = self._options
+        directions = headings_around(query.prior, self._heights, options.headings, options.heights)
+        return self._connect(found, query.camera, *directions)
+
+
+def headings_around(
+    prior: Prior | None,
+    heights: Sequence[float],
+    headings: int = ObjectPlaceOptions().headings,
+    parts: Sequence[float] = ObjectPlaceOptions().heights,
+) -> tuple[Tensor, list[float], list[float]]:
+    """Return what may be: the attitude at a heading of 0, headings (rad) and heights (m).
+
+    Args:
+        prior: what is known; without an attitude the camera is taken to look straight down.
+        heights: of the map's photographs above the ground.
+        headings: tried over the full turn.
+        parts: heights tried, in parts of the median one.
+    """
+    base, step = _DOWN, math.tau / headings
+    turns = [k * step for k in range(headings)]
+    if prior is not None and prior.cam_from_world_rotation is not None:
+        base = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
+        degrees = prior.heading_sigma_deg
+        degrees = prior.attitude_sigma_deg if degrees is None else degrees
+        if degrees is not None and math.isfinite(degrees):
+            most = math.ceil(min(2 * math.radians(degrees) / step, headings // 2))
+            turns = [k * step for k in range(-most, most + 1)]
+    return base, turns, [part * float(np.median(heights)) for part in parts]
