@@ -9,10 +9,13 @@ from pydantic import Field
 
 from baselines.checkpoint import shipped
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
+from baselines.featuremetric.maps import MapExtractor
 from baselines.featuremetric.options import FeaturemetricConfig
 from baselines.place.finder import PlaceOptions
 from baselines.sift import SiftConfig
 from baselines.starts import StartOptions
+from objconnect.connect import ConnectOptions
+from objconnect.finder import ObjectPlaceFinder, ObjectPlaceOptions
 from objconnect.network import read_network
 
 SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
@@ -29,6 +32,11 @@ class ObjConnectConfig(FeaturemetricConfig):
     place: PlaceOptions = Field(PlaceOptions())
     matches: SiftConfig | None = Field(SiftConfig())
     starts: StartOptions = Field(StartOptions(same_place_m=3.0))
+    objects: ObjectPlaceOptions | None = Field(
+        ObjectPlaceOptions(connect=ConnectOptions(candidates=2)),
+        description="Starts from objects where no prior gives them, before the place search; None "
+        "for none.",
+    )
 
 
 class ObjConnectLocalizer(FeaturemetricLocalizer):
@@ -40,4 +48,8 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
 
     def __init__(self, config: ObjConnectConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
-        super().__init__("objconnect", network, digest, config)
+        quick = None
+        if config.objects is not None and network.constellation is not None:
+            extract = MapExtractor(network, config.longest, config.precision)
+            quick = ObjectPlaceFinder(network, extract, config.objects)
+        super().__init__("objconnect", network, digest, config, quick)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import torch
@@ -43,6 +43,18 @@ from scene.storage.scratch import scratch
 _UNCLEAR: Final = "no place of the map fits the image clearly"
 
 
+class QuickFinder(Protocol):
+    """Finds places of a map where a query may be, in less time than the search."""
+
+    def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
+        """Prepare for a map; ``key`` identifies the network, ``cache`` keeps files."""
+        ...
+
+    def find(self, query: Query) -> list[Candidate]:
+        """Return places, best first."""
+        ...
+
+
 class FeaturemetricLocalizer:
     """Localizes images by alignment. Implements ``scene.localizer.Localizer``.
 
@@ -51,16 +63,23 @@ class FeaturemetricLocalizer:
         network: the trained network.
         weights_sha256: digest of its weights.
         config: options of the method.
+        quick: finds places before the search does, which it then spares where one fits well.
     """
 
     def __init__(
-        self, name: str, network: Network, weights_sha256: str, config: FeaturemetricConfig
+        self,
+        name: str,
+        network: Network,
+        weights_sha256: str,
+        config: FeaturemetricConfig,
+        quick: QuickFinder | None = None,
     ) -> None:
         self.name = name
         self.weights_sha256: str | None = weights_sha256
         self.config = config
         self._extract = MapExtractor(network, config.longest, config.precision)
         self._damping = [factors().detach() for factors in network.damping]
+        self._quick = quick
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Compute the features of the map's points in its photographs, unless they are cached."""
@@ -103,6 +122,8 @@ class FeaturemetricLocalizer:
         if config.multistart and config.place.candidates:
             self._places = PlaceFinder(self._extract, config.place)
             self._places.prepare(sparse_map, images, source.extractor_key, cache)
+        if config.multistart and self._quick is not None:
+            self._quick.prepare(sparse_map, images, source.extractor_key, cache)
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
@@ -129,6 +150,14 @@ class FeaturemetricLocalizer:
             if attempt.fit < options.place_accept_fit:
                 return self._estimate([attempt], [start], clock)
             attempts = [attempt]
+        if lost and self._quick is not None and not _here(query.prior):
+            with clock.stage("objects"):
+                near = self._quick.find(query)
+            for place in near:
+                tried = self._at_place(query, place, self.config.search.place_accept_fit, clock)
+                if len(tried) > 1:
+                    return self._estimate(tried, [place.pose], clock)
+                attempts += tried
         places = self._found_places(query, clock) if lost else []
         if places:
             attempts = self._attempts_at_places(query, attempts, places, clock)
@@ -181,7 +210,7 @@ class FeaturemetricLocalizer:
             return []
         with clock.stage("place"):
             places = self._places.find(query)
-        if places or (query.prior is not None and query.prior.has_position):
+        if places or _here(query.prior):
             return places
         with clock.stage("retrieval"):
             begin = starts(query.prior, self._map, self._chosen(query), self.config.starts)
@@ -201,21 +230,30 @@ class FeaturemetricLocalizer:
         place fits nearly as well: among many places one fits better than by chance.
         """
         options = self.config.search
-        radius = _default_radius(options)
         attempts = list(before)
         enough = [options.place_accept_fit] * len(places)
         if not places[1:] or places[0].score - places[1].score > options.first_margin:
             enough[0] = options.first_accept_fit
         for place, least in zip(places, enough, strict=True):
-            attempt = self._attempt_near(query, place.pose, clock, radius)
-            if attempt.fit < least:
-                return [attempt, self._attempt_near(query, attempt.pose, clock, radius)]
-            attempts.append(attempt)
+            tried = self._at_place(query, place, least, clock)
+            if len(tried) > 1:
+                return tried
+            attempts += tried
         clear = [is_clear(row, attempts, options) for row in range(len(attempts))]
         return [
             attempt if attempt.reason or fine else replace(attempt, reason=_UNCLEAR)
             for attempt, fine in zip(attempts, clear, strict=True)
         ]
+
+    def _at_place(
+        self, query: Query, place: Candidate, least: float, clock: Stopwatch
+    ) -> list[Attempt]:
+        """Align the image at a place, and where it fits better than ``least``, once more."""
+        radius = _default_radius(self.config.search)
+        attempt = self._attempt_near(query, place.pose, clock, radius)
+        if attempt.fit < least:
+            return [attempt, self._attempt_near(query, attempt.pose, clock, radius)]
+        return [attempt]
 
     def _attempts(
         self,
@@ -306,8 +344,7 @@ class FeaturemetricLocalizer:
 
         SIFT features tell which look most like it: those of the network were learned from above.
         """
-        here = query.prior is not None and query.prior.has_position
-        if self._matches is not None and query.references is None and not here:
+        if self._matches is not None and query.references is None and not _here(query.prior):
             return self._matches.similar(query, self.config.references)
         return self._retrieval.choose(
             query, self.config.references, lambda: self._described(query), tilted=False
@@ -329,6 +366,11 @@ class FeaturemetricLocalizer:
 def _known_pose(pose: Pose) -> Prior:
     """Return a prior that knows position and attitude."""
     return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
+
+
+def _here(prior: Prior | None) -> bool:
+    """Return whether a prior says where the camera is."""
+    return prior is not None and prior.has_position
 
 
 def _whole(prior: Prior | None) -> bool:
