@@ -95,7 +95,7 @@ train = $(BIN)/objconnect train $(1) $(2:%=--data $(W)/%) --validation $(W)/town
 learned = $(W)/$(1)/weights.safetensors
 
 weights: $(call learned,d2net) $(call learned,objconnect) $(call learned,objconnect-objects) \
-  $(call learned,supplement)
+  $(call learned,connected) $(call learned,supplement)
 
 $(W)/%/scene.json: | libraries
 	$(BIN)/objconnect simulate --config configs/train/scene.yaml --preset $(firstword $(subst -, ,$*)) \
@@ -121,6 +121,25 @@ $(call learned,objconnect): $(call learned,pixloc-upright) $(call place,$(NINE))
 
 $(call learned,objconnect-objects): $(call learned,pixloc-upright)
 	$(call train,objconnect,$(SIX),objconnect-objects,pixloc-upright)
+
+# Objects: a detector on the network of objconnect, then a graph over what it finds in maps and
+# queries. The result is what the project ships as objconnect.
+CHANGED := town-1101 park-1121 town-1102 suburb-1111
+CONNECTED := $(CHANGED) town-1103 farmland-1141 industrial-1131
+changed = $(patsubst %,$(W)/changed-%/map/points3D.bin,$(1))
+
+$(W)/changed-%/map/points3D.bin: | libraries
+	$(BIN)/objconnect simulate --config configs/train/changed.yaml --preset $(firstword $(subst -, ,$*)) \
+	  --seed $(lastword $(subst -, ,$*)) --out $(W)/changed-$*
+	$(BIN)/objconnect map $(W)/changed-$*
+
+$(call learned,objects): $(call learned,objconnect) $(call changed,$(CHANGED))
+	$(BIN)/objconnect train objects $(CHANGED:%=--data $(W)/changed-%) \
+	  --config configs/train/objects-detector.yaml --set weights=$< --out $(@D)
+
+$(call learned,connected): $(call learned,objects) $(call changed,$(CONNECTED))
+	mkdir -p $(@D)
+	$(BIN)/python -m objconnect.constellation_training $(CONNECTED:%=$(W)/changed-%) --weights $< --out $@
 
 # Maps with their photographs: what places on small things are learned from.
 MAPPED := map-1001 map-1002 map-1003

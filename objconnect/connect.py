@@ -44,6 +44,7 @@ class ConnectOptions(Config):
     Attributes:
         candidates: poses to return at most.
         matches: landmarks that an object votes with.
+        considered: landmarks that an object may be in the refinement, the most likely ones.
         cell_m: side of the cells of the votes, metres.
         refined: places with most votes that are refined.
         rounds: of the refinement.
@@ -58,6 +59,7 @@ class ConnectOptions(Config):
 
     candidates: int = Field(5, ge=1)
     matches: int = Field(6, ge=1)
+    considered: int = Field(16, ge=1)
     cell_m: float = Field(4.0, gt=0)
     refined: int = Field(40, ge=1)
     rounds: int = Field(2, ge=1)
@@ -255,18 +257,25 @@ class Connector:
         for _ in range(options.rounds):
             assumed = np.array([(pose.heading, pose.height) for pose in poses])
             where, likely = self._likely(laid, assumed)
-            last = poses
-            poses = []
-            for number, pose in enumerate(last):
-                there = pose.place + where[number]
-                squared = np.square(self._xy[None] - there[:, None]).sum(-1)
-                weight = likely[number].numpy() * np.exp(-squared / (2 * options.near_m**2))
-                row = weight.argmax(1)
-                best = weight[np.arange(len(row)), row]
-                scores[number] = best.sum() / math.sqrt(len(best))
-                pulls = best > options.least_weight
-                matches = _Matches(np.flatnonzero(pulls), row[pulls], best[pulls])
-                poses.append(self._fitted(laid, starts[number][0], pose, matches))
+            some, rows = likely.topk(min(options.considered, likely.shape[-1]), -1)
+            row = rows.numpy()
+            there = np.array([pose.place for pose in poses])[:, None] + where
+            squared = np.square(self._xy[row] - there[:, :, None]).sum(-1)
+            weight = some.double().numpy() * np.exp(-squared / (2 * options.near_m**2))
+            best = weight.argmax(-1)[..., None]
+            weight = np.take_along_axis(weight, best, -1)[..., 0]
+            landmark = np.take_along_axis(row, best, -1)[..., 0]
+            scores = weight.sum(1) / math.sqrt(len(laid))
+            pulls = weight > options.least_weight
+            poses = [
+                self._fitted(
+                    laid,
+                    starts[number][0],
+                    pose,
+                    _Matches(np.flatnonzero(fine), landmark[number][fine], weight[number][fine]),
+                )
+                for number, (pose, fine) in enumerate(zip(poses, pulls, strict=True))
+            ]
         return poses, scores
 
     def _fitted(self, laid: LaidOut, start: _Pose2, pose: _Pose2, matches: _Matches) -> _Pose2:

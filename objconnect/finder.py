@@ -19,6 +19,7 @@ from objconnect.landmarks import LandmarkOptions
 from objconnect.network import ObjConnectNet
 from objconnect.object_map import ObjectFinder, map_ground
 from scene.config import Config
+from scene.geometry.pose import so3_exp
 from scene.localizer import Prior, Query
 from scene.maps.sparse_map import SparseMap
 
@@ -33,12 +34,18 @@ class ObjectPlaceOptions(Config):
         connect: how objects of a query connect with them.
         headings: tried over the full turn.
         heights: above ground, tried where none is known, in parts of that of the map's photographs.
+        tilts_deg: angles between the camera's axis and the plumb line, tried where gravity is not
+            known, one after the other.
+        clear_ratio: the other tilts are not tried where the best place of the first has so many
+            times the score of the second.
     """
 
     landmarks: LandmarkOptions = LandmarkOptions()
     connect: ConnectOptions = ConnectOptions()
     headings: int = Field(24, ge=1)
     heights: tuple[float, ...] = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
+    tilts_deg: tuple[float, ...] = Field((0.0, 15.0, 30.0, 45.0, 60.0), min_length=1)
+    clear_ratio: float = Field(2.0, ge=1)
 
 
 class ObjectPlaceFinder:
@@ -78,8 +85,22 @@ class ObjectPlaceFinder:
         """Return places where the query may be, best first."""
         found = self._find(query.image, query.camera)
         options = self._options
-        directions = headings_around(query.prior, self._heights, options.headings, options.heights)
-        return self._connect(found, query.camera, *directions)
+        base, *rest = headings_around(query.prior, self._heights, options.headings, options.heights)
+        if query.prior is not None and query.prior.cam_from_world_rotation is not None:
+            return self._connect(found, query.camera, base, *rest)
+        places: list[Candidate] = []
+        for number, degrees in enumerate(options.tilts_deg):
+            # A camera that is tilted looks ahead: the ground is at the bottom of its picture.
+            up = so3_exp(torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64))
+            places += self._connect(found, query.camera, up @ base, *rest)
+            if number == 0 and (not places or _is_clear(places, options.clear_ratio)):
+                break
+        return sorted(places, key=lambda place: -place.score)[: options.connect.candidates]
+
+
+def _is_clear(places: Sequence[Candidate], ratio: float) -> bool:
+    """Return whether the first of some places stands out."""
+    return len(places) == 1 or places[0].score > ratio * places[1].score
 
 
 def headings_around(

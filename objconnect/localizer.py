@@ -33,7 +33,7 @@ class ObjConnectConfig(FeaturemetricConfig):
     matches: SiftConfig | None = Field(SiftConfig())
     starts: StartOptions = Field(StartOptions(same_place_m=3.0))
     objects: ObjectPlaceOptions | None = Field(
-        ObjectPlaceOptions(connect=ConnectOptions(candidates=2)),
+        ObjectPlaceOptions(connect=ConnectOptions(candidates=3)),
         description="Starts from objects where no prior gives them, before the place search; None "
         "for none.",
     )

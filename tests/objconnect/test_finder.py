@@ -1,0 +1,103 @@
+"""Starts from objects: what is known is kept, what is not is searched, and maps are looked at once."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from baselines.featuremetric.maps import MapExtractor
+from benchmark.datasets.open import open_datasets
+from objconnect.finder import ObjectPlaceFinder, ObjectPlaceOptions, headings_around
+from objconnect.landmarks import Landmarks
+from objconnect.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
+from objconnect.network import read_network
+from scene.bundle.scene import Scene
+from scene.geometry.pose import so3_exp
+from scene.localizer import Prior
+
+DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0])).double()
+ROTATION = (DOWN @ so3_exp(torch.ones(3).double() / 9)).numpy()
+
+
+def test_nothing_known_is_searched_all_around() -> None:
+    base, headings, heights = headings_around(None, [70.0, 80.0, 90.0], 8, [0.5, 1.0])
+    assert torch.equal(base, DOWN)
+    assert headings == pytest.approx([k * math.tau / 8 for k in range(8)])
+    assert heights == [40.0, 80.0]
+
+
+@pytest.mark.parametrize(
+    ("sigma", "count"), [(math.inf, 24), (None, 24), (5.0, 3), (60.0, 17), (400.0, 25)]
+)
+def test_a_known_attitude_is_kept(sigma: float | None, count: int) -> None:
+    prior = Prior(
+        np.zeros(3),
+        position_sigma=np.full(3, np.inf),
+        cam_from_world_rotation=ROTATION,
+        heading_sigma_deg=sigma,
+    )
+    base, headings, _ = headings_around(prior, [80.0])
+    np.testing.assert_array_equal(base.numpy(), ROTATION)
+    assert len(headings) == count
+    assert 0 in headings
+
+
+@pytest.fixture(scope="module")
+def finder() -> ObjectPlaceFinder:
+    network, _ = read_network(SHIPPED)
+    return ObjectPlaceFinder(network, MapExtractor(network, 512, "float32"), ObjectPlaceOptions())
+
+
+def test_the_map_is_looked_at_once(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sparse_map = rendered.sparse_map()
+    finder.prepare(sparse_map, rendered.images_root, "a key", tmp_path)
+    (kept,) = tmp_path.glob("objects-*.h5")
+    assert len(Landmarks.read(kept)) >= 10
+
+    def again(*_: object) -> None:
+        raise AssertionError("looked at twice")
+
+    monkeypatch.setattr("objconnect.object_map.ObjectFinder.landmarks", again)
+    finder.prepare(sparse_map, rendered.images_root, "a key", tmp_path)
+    with pytest.raises(AssertionError, match="twice"):
+        finder.prepare(sparse_map, rendered.images_root, "another network", tmp_path)
+
+
+def test_landmarks_lie_where_objects_are(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
+) -> None:
+    finder.prepare(rendered.sparse_map(), rendered.images_root, "a key", tmp_path)
+    landmarks = Landmarks.read(next(tmp_path.glob("objects-*.h5")))
+    true = np.array([item.centre for item in rendered.objects.objects])
+    away = np.linalg.norm(landmarks.xyz[:, None, :2] - true[None, :, :2], axis=-1).min(1)
+    assert np.mean(away < 2.0) > 0.5
+
+
+def test_the_place_of_a_query_is_among_those_found(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
+) -> None:
+    """In the map's own season, told nothing."""
+    (dataset,) = open_datasets(rendered.path)
+    finder.prepare(rendered.sparse_map(), rendered.images_root, "a key", tmp_path)
+    right = []
+    for query in dataset.queries:
+        if "summer" in query.name:
+            places = finder.find(query.load())
+            assert [p.score for p in places] == sorted((p.score for p in places), reverse=True)
+            apart = [p.pose.error_to(query.reference) for p in places]
+            right.append(any(float(metres) < 8 and float(deg) < 10 for metres, deg in apart))
+    assert len(right) == 4
+    assert sum(right) >= 3
+
+
+def test_objects_are_switched_off_by_name() -> None:
+    with_objects = ObjConnectLocalizer(ObjConnectConfig())
+    without = ObjConnectLocalizer(ObjConnectConfig(objects=None))
+    assert with_objects._quick is not None
+    assert without._quick is None
