@@ -1,4 +1,4 @@
-"""Starts from objects: what is known is kept, what is not is searched, and maps are looked at once."""
+"""Starts from objects: what is known is kept, the rest is searched, and maps are looked at once."""
 
 from __future__ import annotations
 
