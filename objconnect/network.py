@@ -186,7 +186,8 @@ def read_network(path: Path) -> tuple[ObjConnectNet, str]:
 def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
     """Make a network to be trained from weights of this network or of PixLoc.
 
-    All weights that fit the settings are loaded. With another decoder, these are the encoder's.
+    All weights that fit the settings are loaded. With another decoder, these are the encoder's. A
+    detector or a graph over objects that the settings name begins anew.
 
     Args:
         path: file of weights.
@@ -204,6 +205,8 @@ def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
         tensors, made = peer.state_dict(), peer.config
         config = {"width": made.width, "decoder": "unet", "steps": made.decoder}
         config |= {"strides": made.strides, "dims": made.dims}
+    anew = tuple(f"{part}." for part in ("detector", "constellation") if part in settings)
+    tensors = {name: each for name, each in tensors.items() if not name.startswith(anew)}
     if settings.get("decoder", config.get("decoder")) != config.get("decoder"):
         tensors = {name: each for name, each in tensors.items() if name.startswith(_ENCODER)}
     network = ObjConnectNet(load_config(ObjConnectNetConfig, None, {**config, **settings}))

@@ -14,7 +14,7 @@ from baselines.training.pairs import PairBatch
 from objconnect.config import DetectorConfig
 from objconnect.detector import DetectorMaps
 from objconnect.localizer import SHIPPED
-from objconnect.network import ObjConnectNet, start_from
+from objconnect.network import start_from
 from objconnect.object_loss import identity_loss, place_loss
 from scene.errors import InputError
 
@@ -33,9 +33,6 @@ class ObjectTraining:
         self.network = start_from(config.weights or shipped(SHIPPED), settings)
         self.network_config = self.network.config
         self._options = config.losses.objects
-        # The network may come with a detector; this one begins anew.
-        torch.manual_seed(config.seed)
-        self.network.detector = ObjConnectNet(self.network_config).detector
         if self.network.detector is None:
             raise InputError("the network has no detector: leave network.detector at its default")
         self._detector = self.network.detector

@@ -32,7 +32,8 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
             settings[key] = yaml.safe_load(value)
         except (yaml.YAMLError, ValueError, RecursionError):
             raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
-        if settings[key] is None:
+        # null is a value where an option can be switched off; nothing at all is none.
+        if settings[key] is None and not value.strip():
             raise InputError(f"--set {key}: {value!r} is no value; leave it out for the default")
     return settings
 

@@ -19,9 +19,11 @@ from typer.testing import CliRunner, Result
 
 import benchmark.registry
 from benchmark.cli import app
+from benchmark.cli.arguments import parse_settings
 from benchmark.cli.commands import COMMANDS, CommandGroup
 from benchmark.cli.options import options_of
 from benchmark.cli.output import Summary, emit
+from benchmark.registry import create
 from scene.localizer import Estimate, Status
 from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, write_flight, write_model
 
@@ -260,6 +262,14 @@ def test_bad_setting(made_flight: Path, tmp_path: Path, setting: str, message: s
     result = invoke("evaluate", made_flight, "--method", "sift", "--out", out, "--set", setting)
     assert result.exit_code == 2
     assert message in error_line(result.stderr)
+
+
+@pytest.mark.parametrize("option", ["matches", "objects"])
+def test_null_switches_an_option_off(option: str) -> None:
+    """As the documents say of both."""
+    switched = create("objconnect", parse_settings([f"{option}=null"]))
+    assert getattr(switched.config, option) is None
+    assert getattr(create("objconnect", {}).config, option) is not None
 
 
 def test_two_data_sets_of_one_name(tmp_path: Path, fake: FakeLocalizer) -> None:

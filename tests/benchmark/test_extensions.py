@@ -156,7 +156,9 @@ def test_a_method_that_learns(rendered: Scene, tmp_path: Path) -> None:
     assert Path(result.stdout.strip()).is_file()
     assert "resting" in (run / "card.md").read_text()
     result = invoke("train", "other", "--data", rendered.path, "--out", run)
-    assert "those that can: d2net, pixloc, objconnect, resting" in error_line(result.stderr)
+    assert "those that can: d2net, pixloc, objconnect, objects, resting" in error_line(
+        result.stderr
+    )
 
 
 def test_a_preset_and_a_season(tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -177,8 +175,3 @@ def test_pairs_without_objects_are_refused(rendered: Scene) -> None:
     batch = collate([source.draw(np.random.default_rng(0))])
     with pytest.raises(InputError, match="pairs.objects"):
         ObjectTraining(TrainConfig()).loss(batch, 0.0)
-
-
-def test_weights_without_a_detector_are_as_before(tmp_path: Path) -> None:
-    network, _ = read_network(SHIPPED)
-    assert not any(name.startswith("detector.") for name in network.state_dict())

@@ -209,7 +209,7 @@ def test_some_steps_lower_the_loss(segmentation: str) -> None:
 
 def test_registry_and_settings(tmp_path: Path) -> None:
     assert trainable("objconnect") is ObjConnectTraining
-    assert TRAINABLE[-1] == "objconnect"
+    assert TRAINABLE[-2:] == ("objconnect", "objects")
     with pytest.raises(InputError, match="those that can: .*objconnect"):
         trainable("sift")
     assert made(attention=False).network_config.attention is False
