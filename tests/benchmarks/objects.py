@@ -40,7 +40,6 @@ from objconnect.detector import detections, label_map
 from objconnect.finder import headings_around
 from objconnect.landmarks import LandmarkOptions
 from objconnect.localizer import SHIPPED
-from objconnect.loss import kept_together
 from objconnect.network import ObjConnectNet, read_network
 from objconnect.object_map import ObjectFinder, map_ground
 from objconnect.segmentation import at_pixels, segment
@@ -100,13 +99,9 @@ def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> N
             a, b, shape = common_pixels(scene, *pair)
             for kind, (first, second) in labels.items():
                 image = torch.zeros(1, 3, *shape)
-                count = int(max(first.max(), second.max())) + 1
-                in_a = at_pixels(first[None], image, a[None])
-                in_b = at_pixels(second[None], image, b[None])
-                valid = torch.ones_like(in_a, dtype=torch.bool)
-                if count:
-                    kept, enough = kept_together(in_a, in_b, valid, count, 12)
-                    kinds.setdefault(kind, []).extend(kept[enough].tolist())
+                in_a = at_pixels(first[None], image, a[None])[0].numpy()
+                in_b = at_pixels(second[None], image, b[None])[0].numpy()
+                kinds.setdefault(kind, []).extend(best_overlaps(in_a, in_b).tolist())
             for size, found in found_in_both(network, scene, *pair):
                 sizes.setdefault(size, []).append(found)
                 small.append(found)
@@ -114,6 +109,26 @@ def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> N
         print(f"{kind}: mean IoU {np.mean(values):.3f} of {len(values)} segments")
     for size, found_of in sizes.items():
         print(f"{size}: {np.mean(found_of):.3f} of {len(found_of)} objects found in both")
+
+
+def best_overlaps(
+    in_a: NDArray[np.int64], in_b: NDArray[np.int64], least: int = 12
+) -> NDArray[np.float64]:
+    """Return, for each segment of image a, its intersection over union with the best one of b.
+
+    Args:
+        in_a: (P,) segment of each common pixel in image a, negative for none.
+        in_b: (P,) the same in image b. Pixels of a segment that are none there count as missed.
+        least: segments with fewer common pixels are left out.
+    """
+    names_a, a = np.unique(np.where(in_a < 0, -1, in_a), return_inverse=True)
+    names_b, b = np.unique(np.where(in_b < 0, -1, in_b), return_inverse=True)
+    shared = np.zeros((len(names_a), len(names_b)))
+    np.add.at(shared, (a, b), 1)
+    either = shared.sum(1, keepdims=True) + shared.sum(0) - shared
+    overlap = np.where(names_b[None] >= 0, shared / either, 0.0)
+    counted = (names_a >= 0) & (shared.sum(1) >= least)
+    return np.asarray(overlap.max(1)[counted])
 
 
 def _frame(scene: Scene, name: str) -> tuple[str, int]:
