@@ -31,7 +31,8 @@ from scene.geometry.pose import Pose, so3_exp
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Numerical guard: flatter rays meet level ground too far away.
 _FLATTEST: Final = 0.35
-# Hypotheses described at once, which bounds memory.
+# Likenesses of objects and landmarks computed at once, and assumptions, which bounds memory.
+_AT_ONCE: Final = 8_000_000
 _BATCH: Final = 28
 # Cells to either side of the origin, more than any map has.
 _CELLS: Final = 1 << 20
@@ -144,7 +145,8 @@ class Connector:
         self._graph, self._landmarks, self._ground = graph, landmarks, ground
         self._options = options
         self._xy = landmarks.xyz[:, :2]
-        self._described = described_landmarks(graph, landmarks)
+        with torch.inference_mode():
+            self._described = described_landmarks(graph, landmarks)
 
     @torch.inference_mode()
     def __call__(
@@ -189,12 +191,14 @@ class Connector:
         up = self._ground.height_at(east, north) + found.height
         return Pose(rotation, -rotation @ torch.tensor([east, north, up], dtype=torch.float64))
 
-    def _likely(self, laid: LaidOut, assumed: _Vector) -> tuple[_Vector, Tensor]:
+    def _likely(
+        self, laid: LaidOut, assumed: _Vector, count: int
+    ) -> tuple[_Vector, _Vector, NDArray[np.int64]]:
         """Lay objects out under assumptions (H, 2) of heading and height.
 
         Returns:
-            Where they lie from the camera (H, N, 2), metres, and the probability of every landmark
-            for each object (H, N, M).
+            Where they lie from the camera (H, N, 2), metres, and the probabilities and the rows of
+            the landmarks that each most likely is (H, N, K), at most ``count``.
         """
         heading, height = assumed.T
         cosine, sine = np.cos(heading)[:, None], np.sin(heading)[:, None]
@@ -202,27 +206,29 @@ class Connector:
         where = np.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
         where = where * height[:, None, None]
         near, there = self._graph.neighbours(torch.from_numpy(laid.offset).float())
-        own = self._graph(
-            laid.vectors,
-            torch.from_numpy(where).float(),
-            torch.from_numpy(laid.rise * height[:, None]).float(),
-            torch.from_numpy(laid.side * height[:, None]).float(),
-            near,
-            there,
-        )
-        return where, (self._graph.sharpness.exp() * own @ self._described.T).softmax(-1)
+        batch = max(1, min(_BATCH, _AT_ONCE // (len(laid) * len(self._landmarks))))
+        weights, rows = [], []
+        for first in range(0, len(assumed), batch):
+            part = slice(first, first + batch)
+            own = self._graph(
+                laid.vectors,
+                torch.from_numpy(where[part]).float(),
+                torch.from_numpy(laid.rise * height[part, None]).float(),
+                torch.from_numpy(laid.side * height[part, None]).float(),
+                near,
+                there,
+            )
+            likely = (self._graph.sharpness.exp() * own @ self._described.T).softmax(-1)
+            best, row = likely.topk(min(count, likely.shape[-1]), -1)
+            weights.append(best.double().numpy())
+            rows.append(row.numpy())
+        return where, np.concatenate(weights), np.concatenate(rows)
 
     def _voted(self, laid: LaidOut, assumed: _Vector) -> list[tuple[_Pose2, _Matches]]:
         """Return the places with most votes, each with the matches that voted for it."""
         options = self._options
-        places, weights, rows = [], [], []
-        for first in range(0, len(assumed), _BATCH):
-            where, likely = self._likely(laid, assumed[first : first + _BATCH])
-            best, row = likely.topk(min(options.matches, likely.shape[-1]), -1)
-            rows.append(row.numpy())
-            weights.append(best.double().numpy())
-            places.append(self._xy[rows[-1]] - where[:, :, None])
-        place, weight, row_ = (np.concatenate(each) for each in (places, weights, rows))
+        where, weight, row_ = self._likely(laid, assumed, options.matches)
+        place = self._xy[row_] - where[:, :, None]
         # Each vote counts in the four cells around it, by how near their middles are.
         at = place / options.cell_m - 0.5
         corner = np.floor(at).astype(np.int64)
@@ -256,12 +262,10 @@ class Connector:
         scores = np.zeros(len(poses))
         for _ in range(options.rounds):
             assumed = np.array([(pose.heading, pose.height) for pose in poses])
-            where, likely = self._likely(laid, assumed)
-            some, rows = likely.topk(min(options.considered, likely.shape[-1]), -1)
-            row = rows.numpy()
+            where, some, row = self._likely(laid, assumed, options.considered)
             there = np.array([pose.place for pose in poses])[:, None] + where
             squared = np.square(self._xy[row] - there[:, :, None]).sum(-1)
-            weight = some.double().numpy() * np.exp(-squared / (2 * options.near_m**2))
+            weight = some * np.exp(-squared / (2 * options.near_m**2))
             best = weight.argmax(-1)[..., None]
             weight = np.take_along_axis(weight, best, -1)[..., 0]
             landmark = np.take_along_axis(row, best, -1)[..., 0]

@@ -18,6 +18,8 @@ from objconnect.config import ConstellationConfig
 
 # Metres that a neighbour's distance is measured in.
 _FAR: Final = 10.0
+# Places whose neighbours are looked for at once.
+_AT_ONCE: Final = 512
 # What is said of where a neighbour stands.
 _EDGE: Final = 12
 
@@ -63,8 +65,12 @@ class ConstellationGraph(nn.Module):
         near = torch.zeros(len(where), self.config.neighbours, dtype=torch.long)
         there = torch.zeros(near.shape)
         if count > 0:
-            away = torch.cdist(where[None], where[None])[0].fill_diagonal_(math.inf)
-            near[:, :count] = away.topk(count, largest=False).indices
+            # Of some at a time: all distances of a large map do not fit into memory.
+            for first in range(0, len(where), _AT_ONCE):
+                rows = torch.arange(first, min(first + _AT_ONCE, len(where)))
+                away = torch.cdist(where[None, rows], where[None])[0]
+                away[rows - first, rows] = math.inf
+                near[rows, :count] = away.topk(count, largest=False).indices
             there[:, :count] = 1
         return near, there
 
