@@ -275,7 +275,11 @@ def resampled(
         small = small.astype(int)
         rgb = np.asarray(cv2.resize(rgb, small.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
         affine = np.column_stack([affine[:, :2] * ([width, height] / small), affine[:, 2]])
-    # OpenCV counts from the first pixel's centre.
-    shift = affine[:, 2] + affine[:, :2] @ [0.5, 0.5] - 0.5
-    moved = np.column_stack([affine[:, :2], shift])
+    moved = from_pixel_centres(affine)
     return np.asarray(cv2.warpAffine(rgb, moved, size.tolist(), flags=cv2.INTER_LINEAR), np.uint8)
+
+
+def from_pixel_centres(affine: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an affine map (2, 3) of pixels as OpenCV counts them, from the first one's centre."""
+    shift = affine[:, 2] + affine[:, :2] @ [0.5, 0.5] - 0.5
+    return np.column_stack([affine[:, :2], shift])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from baselines.training.crops import Crop
 from baselines.training.objects import GROUND, UNKNOWN, PairObjects
+from baselines.views import from_pixel_centres
 from scene.bundle.manifest import SceneObject
 
 # Objects without a centre that a photograph shows: photographs hold parts of them.
@@ -36,9 +37,7 @@ def objects_of(
         first_id: added to the ids, so that those of several scenes differ.
     """
     size = cut.image.shape[1], cut.image.shape[0]
-    # OpenCV counts from the first pixel's centre.
-    shift = cut.affine[:, 2] + cut.affine[:, :2] @ [0.5, 0.5] - 0.5
-    moved = np.column_stack([cut.affine[:, :2], shift])
+    moved = from_pixel_centres(cut.affine)
     turned = cv2.warpAffine(instances, moved, size, flags=cv2.INTER_NEAREST, borderValue=_BEYOND)
     labels = np.full(turned.shape, GROUND, np.int32)
     labels[turned == _BEYOND] = UNKNOWN

@@ -87,7 +87,6 @@ def finder_of(network: ObjConnectNet) -> ObjectFinder:
 def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> None:
     """Print how well segments repeat, and how many small things are found in both seasons."""
     kinds: dict[str, list[float]] = {}
-    small: list[bool] = []
     sizes: dict[str, list[bool]] = {}
     for scene in scenes:
         names = scene.splits.queries[session]
@@ -104,7 +103,6 @@ def segments(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> N
                 kinds.setdefault(kind, []).extend(best_overlaps(in_a, in_b).tolist())
             for size, found in found_in_both(network, scene, *pair):
                 sizes.setdefault(size, []).append(found)
-                small.append(found)
     for kind, values in kinds.items():
         print(f"{kind}: mean IoU {np.mean(values):.3f} of {len(values)} segments")
     for size, found_of in sizes.items():
@@ -217,14 +215,14 @@ def found_in_both(
 ) -> list[tuple[str, bool]]:
     """Return the size class of each object that both frames show, and whether both find it."""
     by_id = {item.id: item for item in scene.objects.objects}
-    seen, centres = [], []
+    finder, seen = finder_of(network), []
     for name in (one, other):
         session, row = _frame(scene, name)
         frames = scene.frames(session)
         with scene.dense(session) as dense:
             ids, count = np.unique(dense.read("instance", row), return_counts=True)
         camera, pose = frames.cameras[row], Pose.from_matrix(frames.cam_from_world[row])
-        found = finder_of(network)(read_rgb(scene.images_root / name), camera).xy.numpy()
+        found = finder(read_rgb(scene.images_root / name), camera).xy.numpy()
         shown = {}
         for number in ids[count >= 12].tolist():
             item = by_id.get(number)
@@ -237,7 +235,6 @@ def found_in_both(
                 away = np.linalg.norm(found - xy.xy.numpy(), axis=1).min(initial=np.inf)
                 shown[number] = bool(away <= max(NEAR_PX, side / 2))
         seen.append(shown)
-        centres.append(found)
     both = sorted(set(seen[0]) & set(seen[1]))
     return [(by_id[n].size_class, seen[0][n] and seen[1][n]) for n in both]
 
