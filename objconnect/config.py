@@ -23,6 +23,8 @@ class SegmentOptions(Config):
         felzenszwalb_scale: k of Felzenszwalb and Huttenlocher, for colours in 0..1; segments grow
             with it.
         felzenszwalb_blur: standard deviation of their blur, cells.
+        learned_score: probability from which a learned object is one.
+        learned_stride: pixels per cell of the label maps of learned objects.
     """
 
     long_side: int = Field(192, ge=8)
@@ -30,6 +32,8 @@ class SegmentOptions(Config):
     slic_compactness: float = Field(10.0, gt=0)
     felzenszwalb_scale: float = Field(100.0, gt=0)
     felzenszwalb_blur: float = Field(0.8, ge=0)
+    learned_score: float = Field(0.35, ge=0, le=1)
+    learned_stride: int = Field(2, ge=1)
 
 
 class DetectorConfig(Config):
@@ -78,8 +82,8 @@ class ObjConnectNetConfig(Config):
         strides: strides of the levels, pixels of the image per cell.
         dims: numbers of channels of the features of each level.
         segmentation: method that makes the objects. ``slic`` and ``felzenszwalb`` segment the
-            image, ``grid`` makes squares that do not depend on it, ``given`` expects label maps,
-            and ``none`` makes no objects.
+            image, ``grid`` makes squares that do not depend on it, ``learned`` takes the objects of
+            the detector, ``given`` expects label maps, and ``none`` makes no objects.
         segments: largest number N of objects of an image.
         segment_side: typical side of an object, pixels; images too small for N objects of this side
             have fewer.
@@ -100,7 +104,7 @@ class ObjConnectNetConfig(Config):
     steps: tuple[Channels, Channels, Channels, Channels] = (64, 64, 64, 32)
     strides: tuple[int, ...] = Field((16, 4, 2), min_length=1)
     dims: tuple[Channels, ...] = Field((128, 128, 32), min_length=1)
-    segmentation: Literal["slic", "felzenszwalb", "grid", "given", "none"] = "slic"
+    segmentation: Literal["slic", "felzenszwalb", "grid", "learned", "given", "none"] = "slic"
     segments: int = Field(128, ge=1, le=1024)
     segment_side: float = Field(32.0, ge=4)
     segmenter: SegmentOptions = SegmentOptions()
@@ -120,6 +124,8 @@ class ObjConnectNetConfig(Config):
                 "without segmentation there are no objects: switch attention, object_graph and "
                 "scene_graph off too"
             )
+        if self.segmentation == "learned" and self.detector is None:
+            raise ValueError("learned segmentation needs a detector")
         if self.detector is not None and self.detector.stride not in self.strides:
             raise ValueError("the stride of the detector is one of the levels' strides")
         return self

@@ -173,19 +173,38 @@ def detections(maps: DetectorMaps, stride: int, count: int, least: float) -> Det
     )
 
 
-def label_map(maps: DetectorMaps, found: Detections, stride: int) -> Tensor:
+def label_map(maps: DetectorMaps, found: Detections, stride: int, cell: int) -> Tensor:
     """Return which object each cell of the first image belongs to, (h, w) int64, or ``NOTHING``.
 
     A cell that is inside an object belongs to the centre that lies nearest to where it points.
+
+    Args:
+        maps: of the detector.
+        found: objects of the image.
+        stride: pixels per cell of the detector's maps.
+        cell: pixels per cell of the label map. Where it is finer than the maps, it interpolates
+            between their cells: many objects are no wider than a few of these.
     """
-    height, width = maps.inside.shape[-2:]
-    labels = torch.full((height, width), NOTHING)
-    rows, columns = torch.nonzero(maps.inside[0] > 0, as_tuple=True)
+    finer = max(1, stride // cell)
+    # Places are interpolated, and not offsets, which are another at each cell.
+    pointed = functional.interpolate(
+        maps.offset[:1].float() + middles(maps.offset), scale_factor=finer, mode="bilinear"
+    )
+    inside = functional.interpolate(
+        maps.inside[:1, None].float(), scale_factor=finer, mode="bilinear"
+    )
+    labels = torch.full(pointed.shape[-2:], NOTHING, device=pointed.device)
+    rows, columns = torch.nonzero(inside[0, 0] > 0, as_tuple=True)
     if not len(found) or not len(rows):
         return labels
-    middle = torch.stack([columns, rows], -1) + 0.5
-    pointed = (middle + maps.offset[0, :, rows, columns].T) * stride
-    away, nearest = torch.cdist(pointed.float(), found.xy.float()).min(1)
+    places = pointed[0, :, rows, columns].T * stride
+    away, nearest = torch.cdist(places, found.xy.float()).min(1)
     near = away <= (found.side[nearest] / 2).clamp_min(1.5 * stride)
     labels[rows[near], columns[near]] = nearest[near]
     return labels
+
+
+def middles(maps: Tensor) -> Tensor:
+    """Return the middle (2, h, w), x y in cells, of each cell of maps (..., h, w)."""
+    rows, columns = (torch.arange(n, device=maps.device) + 0.5 for n in maps.shape[-2:])
+    return torch.stack(torch.meshgrid(columns, rows, indexing="xy"))

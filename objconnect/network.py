@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +17,7 @@ from baselines.training.contrastive import sample
 from baselines.vgg import encode, keep_variance, vgg16_encoder
 from objconnect.config import ObjConnectNetConfig
 from objconnect.constellation import ConstellationGraph
-from objconnect.detector import ObjectDetector
+from objconnect.detector import DetectorMaps, ObjectDetector, detections, label_map
 from objconnect.fpn import FeaturePyramid
 from objconnect.graph import ObjectGraph, SceneGraph
 from objconnect.objects import Attention, Objects, Occupancy, centres, occupancy
@@ -133,13 +133,16 @@ class ObjConnectNet(nn.Module):
 
         The objects are None where the network has none. Arguments are those of ``forward``.
         """
+        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
         if not self._with_objects:
             labels = None
+        elif labels is None and self.config.segmentation == "learned":
+            decoded = list(decoded)
+            labels = self._learned(decoded)
         elif labels is None:
             labels = segment(image, self.config)
         levels_made: list[Level] = []
         objects = None
-        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
         for number, maps in enumerate(islice(decoded, levels)):
             if labels is not None and number < self._with_objects:
                 stride = self.config.strides[number]
@@ -148,10 +151,41 @@ class ObjConnectNet(nn.Module):
                 maps = self.objects_of[number](maps, objects_here)
                 if number == self._with_objects - 1:
                     objects = self._as_points(maps, objects_here, stride)
-            # PixLoc's head predicts the uncertainty, hence the sign.
-            trust = torch.sigmoid(-self.confidence[number](maps))
-            levels_made.append((self.features[number](maps), trust))
+            levels_made.append(self._level(number, maps))
         return levels_made, objects
+
+    def segments(self, image: Tensor) -> Tensor:
+        """Segment images as configured; arguments, labels and errors are those of ``segment``."""
+        if self.config.segmentation == "learned":
+            return self.learned_segments(image)
+        return segment(image, self.config)
+
+    def learned_segments(self, image: Tensor) -> Tensor:
+        """Return the detector's objects as label maps, which ``segment`` describes.
+
+        Raises:
+            InputError: the network has no detector.
+        """
+        if self.detector is None:
+            raise InputError("this network has no detector of objects")
+        return self._learned(self.decoder(encode(self.encoder, image, self.config.strides[-1])))
+
+    def _learned(self, decoded: Iterable[Tensor]) -> Tensor:
+        assert self.detector is not None
+        # It sees the features without objects, as it did in training.
+        with torch.no_grad():
+            maps = self.detector([self._level(*each) for each in enumerate(decoded)])
+        options, stride = self.config.segmenter, self.detector.config.stride
+        labels = []
+        for number in range(len(maps.centre)):
+            one = DetectorMaps(each[number : number + 1] for each in maps)
+            found = detections(one, stride, self.config.segments, options.learned_score)
+            labels.append(label_map(one, found, stride, options.learned_stride))
+        return torch.stack(labels)
+
+    def _level(self, number: int, maps: Tensor) -> Level:
+        # PixLoc's head predicts the uncertainty, hence the sign.
+        return self.features[number](maps), torch.sigmoid(-self.confidence[number](maps))
 
     def _as_points(self, maps: Tensor, occupied: Occupancy, stride: int) -> Objects:
         """Return the paper's set V: the vectors o_i are the features O at the centres c_i."""

@@ -12,7 +12,7 @@ from torch.nn import functional
 from baselines.training.contrastive import sample
 from baselines.training.objects import GROUND, UNKNOWN, ImageObjects
 from baselines.training.options import ObjectLossOptions
-from objconnect.detector import DetectorMaps
+from objconnect.detector import DetectorMaps, middles
 
 # Numerical guards of logarithms.
 _LEAST, _LEAST_SIDE = 1e-4, 0.5
@@ -63,10 +63,8 @@ def findable(objects: ImageObjects, side: int, options: ObjectLossOptions) -> Te
 
 def _targets(objects: ImageObjects, stride: int, options: ObjectLossOptions) -> _Targets:
     labels = cell_labels(objects.labels, stride)
-    height, width = labels.shape
-    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    middle = (torch.stack([columns, rows]) + 0.5).to(labels.device)
-    heat = torch.zeros(height, width, device=labels.device)
+    middle = middles(labels)
+    heat = torch.zeros(*labels.shape, device=labels.device)
     centres, cells = objects.centres / stride, objects.sides / stride
     found = findable(objects, len(objects.labels), options)
     spread = (cells * options.spread).clamp(0.6, 4.0)

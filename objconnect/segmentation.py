@@ -39,9 +39,9 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
         maps have at most ``segmenter.long_side`` cells a side and cover the images.
 
     Raises:
-        InputError: the configuration expects given label maps, or has no objects.
+        InputError: the configuration expects given label maps or learned ones, or has no objects.
     """
-    if config.segmentation in ("given", "none"):
+    if config.segmentation in ("learned", "given", "none"):
         raise InputError(
             f"segmentation is '{config.segmentation}': give label maps, or choose slic, "
             "felzenszwalb or grid"

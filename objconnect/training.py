@@ -22,7 +22,7 @@ from objconnect.config import ObjConnectNetConfig
 from objconnect.loss import feature_distance, kept_together, pose_distance, total, trust_loss
 from objconnect.network import ObjConnectNet, start_from
 from objconnect.objects import Objects
-from objconnect.segmentation import at_pixels, segment
+from objconnect.segmentation import at_pixels
 from scene.config import load_config
 from scene.errors import InputError
 
@@ -76,7 +76,7 @@ class ObjConnectTraining:
 
     def _segments(self, images: Tensor) -> Tensor | None:
         none = self.network_config.segmentation == "none"
-        return None if none else segment(images, self.network_config)
+        return None if none else self.network.segments(images)
 
     def _trust(self, objects: Objects, labels: Tensor, batch: PairBatch) -> Tensor:
         a, b = labels.chunk(2)

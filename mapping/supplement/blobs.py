@@ -15,7 +15,7 @@ from mapping.supplement.association import Detections
 from mapping.supplement.config import BlobOptions
 from objconnect.network import ObjConnectNet
 from objconnect.objects import Objects
-from objconnect.segmentation import NOTHING, Labels, at_pixels, segment
+from objconnect.segmentation import NOTHING, Labels, at_pixels
 
 SIGMAS: Final = (0.8, 1.3, 2.1)
 """Radii of blobs (px). The classifier was trained with the appearance at each of them."""
@@ -82,7 +82,7 @@ def find(
     segments: Tensor | None = None
     objects: Objects | None = None
     if network is not None:
-        segments = segment(image, network.config) if labels is None else labels
+        segments = network.segments(image) if labels is None else labels
         objects = network.objects(image, segments)
         centres = objects.centres[0, objects.present[0]].double().numpy()
         row, column = _pixel(centres, rgb.shape)

@@ -36,7 +36,6 @@ from objconnect.constellation_training import (
     lesson,
     train_graph,
 )
-from objconnect.detector import detections, label_map
 from objconnect.finder import headings_around
 from objconnect.landmarks import LandmarkOptions
 from objconnect.localizer import SHIPPED
@@ -162,15 +161,8 @@ def common_pixels(scene: Scene, one: str, other: str) -> tuple[Tensor, Tensor, t
 
 def learned(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
     """Return the label map of the detector."""
-    detector = network.detector
-    assert detector is not None
-    picture = _picture(scene, name)
     with torch.inference_mode():
-        maps = detector(network(picture))
-        stride = detector.config.stride
-        options = LandmarkOptions()
-        found = detections(maps, stride, options.count, options.least_score)
-        return label_map(maps, found, stride)
+        return network.learned_segments(_picture(scene, name))[0]
 
 
 def true_objects(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:

@@ -12,10 +12,10 @@ from baselines.training.objects import GROUND, UNKNOWN, ImageObjects
 from baselines.training.options import ObjectLossOptions, PairOptions
 from baselines.training.pairs import collate
 from baselines.training.rendered import RenderedPairs
-from objconnect.config import DetectorConfig
+from objconnect.config import DetectorConfig, ObjConnectNetConfig
 from objconnect.detector import DetectorMaps, ObjectDetector, detections, label_map
 from objconnect.localizer import SHIPPED
-from objconnect.network import read_network
+from objconnect.network import ObjConnectNet, read_network
 from objconnect.object_loss import cell_labels, identity_loss, place_loss
 from objconnect.object_training import ObjectTraining
 from objconnect.segmentation import NOTHING
@@ -97,11 +97,60 @@ def test_right_maps_are_read_as_the_objects() -> None:
     assert torch.allclose(found.xy[order], objects.centres[:2])
     assert torch.allclose(found.side[order], objects.sides[:2])
     assert torch.allclose(found.rise[order], objects.rises[:2], atol=1e-4)
-    labels = label_map(right_maps(objects), found, STRIDE)
+    labels = label_map(right_maps(objects), found, STRIDE, STRIDE)
     cells = cell_labels(objects.labels, STRIDE)
     for number, row in enumerate(order.tolist()):
         assert torch.equal(labels == row, cells == number)
     assert (labels[cells == GROUND] == NOTHING).all()
+
+
+def test_finer_labels_follow_the_object_more_closely() -> None:
+    """The surer a cell is that it is inside, the nearer to the next one the object ends."""
+    objects = three_objects()
+    maps = right_maps(objects)
+    maps.inside[0, 2:5, 5] = 4.4  # between 20 and 24; the next cell says -12
+    found = detections(maps, STRIDE, 10, 0.5)
+    large = int((found.side == 12).nonzero())
+    ends = []
+    for cell in (1, 2, 4):
+        labels = label_map(maps, found, STRIDE, cell)
+        assert labels.shape == (SIDE // cell, SIDE // cell)
+        rows, columns = (labels == large).nonzero(as_tuple=True)
+        assert int(rows.min()) * cell == 8
+        ends.append(int(columns.max() + 1) * cell)
+    # A little over a quarter of the way from the middle of its cell, at 22, to that of the next.
+    assert ends == [23, 24, 24]
+
+
+def test_learned_segments_are_the_objects_of_the_blocks() -> None:
+    settings = {"width": 0.125, "segmentation": "learned", "detector": {}}
+    torch.manual_seed(0)
+    network = ObjConnectNet(ObjConnectNetConfig.model_validate(settings)).eval()
+    assert network.detector is not None
+    with torch.no_grad():  # everything is inside, and some cells are centres
+        network.detector.places.bias[:2] = torch.tensor([0.0, 2.0])
+    images = pictures(2, 96, 128)
+    labels = network.segments(images)
+    assert labels.shape == (2, 48, 64)
+    assert labels.max() > 0
+    for number in range(2):
+        alone = network.segments(images[number : number + 1])
+        assert torch.equal(alone[0], labels[number])
+    with torch.inference_mode():
+        by_itself, objects = network.describe(images)
+        given, same = network.describe(images, labels)
+    assert objects is not None and same is not None
+    assert torch.equal(objects.present, same.present)
+    for (a, _), (b, _) in zip(by_itself, given, strict=True):
+        assert torch.equal(a, b)
+
+
+def test_learned_segments_need_a_detector() -> None:
+    network = ObjConnectNet(ObjConnectNetConfig(width=0.125))
+    with pytest.raises(InputError, match="no detector"):
+        network.learned_segments(pictures(1, 32, 32))
+    with pytest.raises(ValueError, match="needs a detector"):
+        ObjConnectNetConfig(segmentation="learned")
 
 
 def test_no_peak_is_no_object() -> None:
@@ -109,7 +158,7 @@ def test_no_peak_is_no_object() -> None:
     nothing = DetectorMaps((torch.full_like(maps.centre, -9.0), *maps[1:]))
     found = detections(nothing, STRIDE, 10, 0.5)
     assert len(found) == 0
-    assert (label_map(nothing, found, STRIDE) == NOTHING).all()
+    assert (label_map(nothing, found, STRIDE, 1) == NOTHING).all()
 
 
 def vectors(of: list[list[float]], objects: ImageObjects) -> Tensor:

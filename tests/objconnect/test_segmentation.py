@@ -53,11 +53,11 @@ def test_a_constant_picture_has_segments(kind: str, size: tuple[int, int]) -> No
     assert int(labels.max()) >= 0
 
 
-@pytest.mark.parametrize("kind", ["given", "none"])
+@pytest.mark.parametrize("kind", ["learned", "given", "none"])
 def test_what_cannot_be_segmented_is_refused(kind: str) -> None:
     off = dict.fromkeys(("attention", "object_graph", "scene_graph"), False)
     with pytest.raises(InputError, match="give label maps"):
-        segment(pictures(1, 32, 32), config(segmentation=kind, **off))
+        segment(pictures(1, 32, 32), config(segmentation=kind, detector={}, **off))
 
 
 def test_the_largest_are_kept() -> None:
