@@ -100,16 +100,13 @@ class Landmarks:
         return Landmarks(*(getattr(self, name)[rows] for name in _ARRAYS))
 
     def write(self, path: Path) -> None:
-        """Write the landmarks as HDF5. All but the centres take half precision.
+        """Write the landmarks as HDF5, as ``put`` does.
 
         Raises:
             WriteError: the folder cannot be written, or the disk is full.
         """
         with atomic_write(path) as partial, h5py.File(partial, "w") as file:
-            for name in _ARRAYS:
-                values = getattr(self, name)
-                half = values.dtype == np.float32
-                file[name] = values.astype(np.float16) if half else values
+            self.put(file)
 
     @staticmethod
     def read(path: Path) -> Landmarks:
@@ -120,10 +117,26 @@ class Landmarks:
         """
         try:
             with h5py.File(path) as file:
-                xyz, *floats, views = (array(file, name) for name in _ARRAYS)
+                return Landmarks.of(file)
         except HDF5_DAMAGE as error:
             raise InputError(f"{path} is damaged ({error}): delete it") from None
+
+    def put(self, file: h5py.File) -> None:
+        """Write the landmarks into an HDF5 file. All but the centres take half precision."""
+        for name in _ARRAYS:
+            values = getattr(self, name)
+            half = values.dtype == np.float32
+            file[name] = values.astype(np.float16) if half else values
+
+    @staticmethod
+    def of(file: h5py.File) -> Landmarks:
+        """Read what ``put`` wrote. Damage raises one of ``HDF5_DAMAGE``."""
+        xyz, *floats, views = (array(file, name) for name in _ARRAYS)
         vectors, sides, rises, scores = (each.astype(np.float32) for each in floats)
+        if not all(len(each) == len(xyz) for each in (vectors, sides, rises, scores, views)):
+            raise ValueError("its lists are of different lengths")
+        if xyz.shape != (len(xyz), 3) or vectors.ndim != 2:
+            raise ValueError("its lists have other shapes than landmarks")
         return Landmarks(xyz.astype(np.float64), vectors, sides, rises, scores, views)
 
 
@@ -157,20 +170,36 @@ class View(NamedTuple):
     """A photograph of the map with its objects.
 
     Attributes:
+        name: of the photograph.
         camera: of the photograph.
         pose: ``cam_from_world``.
         found: its objects.
         placed: the same on the ground.
     """
 
+    name: str
     camera: Camera
     pose: Pose
     found: Detections
     placed: Placed
 
 
-def merged(views: Sequence[View], options: LandmarkOptions) -> Landmarks:
-    """Return the landmarks that the objects of several photographs are of.
+class Tracks(NamedTuple):
+    """Which photographs show landmarks, and where; K observations in order of their landmarks.
+
+    Attributes:
+        landmark: (K,) row of the landmark.
+        name: (K,) names of the photographs.
+        xy: (K, 2) pixels.
+    """
+
+    landmark: NDArray[np.int64]
+    name: list[str]
+    xy: NDArray[np.float64]
+
+
+def merged(views: Sequence[View], options: LandmarkOptions) -> tuple[Landmarks, Tracks]:
+    """Return the landmarks that the objects of several photographs are of, and their tracks.
 
     The surest object takes those of other photographs that lie near and look alike; then the next.
     """
@@ -198,7 +227,7 @@ def merged(views: Sequence[View], options: LandmarkOptions) -> Landmarks:
     def middle(values: NDArray[np.float64]) -> NDArray[np.float32]:
         return np.array([np.median(values[group]) for group in groups], np.float32)[kept]
 
-    return Landmarks(
+    landmarks = Landmarks(
         centres[kept],
         looks[kept].astype(np.float32),
         middle(sides),
@@ -206,6 +235,12 @@ def merged(views: Sequence[View], options: LandmarkOptions) -> Landmarks:
         middle(scores),
         number[kept],
     )
+    xy = joined(lambda view: view.found.xy.double().numpy(), 2)
+    members = [group for group, keep in zip(groups, kept.tolist(), strict=True) if keep]
+    shown_in = np.array([row for group in members for row in group], np.int64)
+    landmark = np.repeat(np.arange(len(members)), [len(group) for group in members])
+    names = [views[k].name for k in photograph[shown_in].tolist()]
+    return landmarks, Tracks(landmark, names, xy[shown_in])
 
 
 def _groups(

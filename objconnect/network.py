@@ -17,7 +17,7 @@ from baselines.training.contrastive import sample
 from baselines.vgg import encode, keep_variance, vgg16_encoder
 from objconnect.config import ObjConnectNetConfig
 from objconnect.constellation import ConstellationGraph
-from objconnect.detector import DetectorMaps, ObjectDetector, detections, label_map
+from objconnect.detector import Detections, DetectorMaps, ObjectDetector, detections, label_map
 from objconnect.fpn import FeaturePyramid
 from objconnect.graph import ObjectGraph, SceneGraph
 from objconnect.objects import Attention, Objects, Occupancy, centres, occupancy
@@ -166,22 +166,36 @@ class ObjConnectNet(nn.Module):
         Raises:
             InputError: the network has no detector.
         """
-        if self.detector is None:
-            raise InputError("this network has no detector of objects")
         return self._learned(self.decoder(encode(self.encoder, image, self.config.strides[-1])))
 
+    def learned_objects(self, image: Tensor) -> list[Detections]:
+        """Return the detector's objects of images (B, 3, H, W), the surest first.
+
+        Raises:
+            InputError: the network has no detector.
+        """
+        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
+        return [found for _, found in self._detected(decoded)]
+
     def _learned(self, decoded: Iterable[Tensor]) -> Tensor:
+        detected = self._detected(decoded)
         assert self.detector is not None
+        stride, cell = self.detector.config.stride, self.config.segmenter.learned_stride
+        return torch.stack([label_map(maps, found, stride, cell) for maps, found in detected])
+
+    def _detected(self, decoded: Iterable[Tensor]) -> list[tuple[DetectorMaps, Detections]]:
+        if self.detector is None:
+            raise InputError("this network has no detector of objects")
         # It sees the features without objects, as it did in training.
         with torch.no_grad():
             maps = self.detector([self._level(*each) for each in enumerate(decoded)])
-        options, stride = self.config.segmenter, self.detector.config.stride
-        labels = []
-        for number in range(len(maps.centre)):
-            one = DetectorMaps(each[number : number + 1] for each in maps)
-            found = detections(one, stride, self.config.segments, options.learned_score)
-            labels.append(label_map(one, found, stride, options.learned_stride))
-        return torch.stack(labels)
+        count, least = self.config.segments, self.config.segmenter.learned_score
+        stride = self.detector.config.stride
+        single = [
+            DetectorMaps(each[number : number + 1] for each in maps)
+            for number in range(len(maps.centre))
+        ]
+        return [(one, detections(one, stride, count, least)) for one in single]
 
     def _level(self, number: int, maps: Tensor) -> Level:
         # PixLoc's head predicts the uncertainty, hence the sign.

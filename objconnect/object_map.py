@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from baselines.featuremetric.maps import MapExtractor
 from baselines.place.grid import GroundGrid, ground_grid
 from baselines.views import looks_down
-from objconnect.detector import Detections, ObjectDetector, detections
+from objconnect.detector import Detections, DetectorMaps, ObjectDetector, detections
 from objconnect.landmarks import LandmarkOptions, Landmarks, View, merged, on_ground
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import SparseMap
@@ -48,9 +48,9 @@ class ObjectFinder:
     def __call__(self, rgb: NDArray[np.uint8], camera: Camera) -> Detections:
         """Return the objects of a photograph (H, W, 3), in its own pixels."""
         view, levels = self._extract(rgb, camera)
-        maps = self._detector([(level.features, level.confidence) for level in levels])
-        options, stride = self._options, self._detector.config.stride
-        found = detections(maps, stride, options.count, options.least_score)
+        found = self.detect(
+            view.picture, self._detector([(level.features, level.confidence) for level in levels])
+        )
         xy = torch.from_numpy(view.in_photograph(found.xy.double().numpy()))
         inside = view.shows(found.xy.double().numpy())
         kept = torch.from_numpy(inside)
@@ -62,8 +62,21 @@ class ObjectFinder:
             found.vectors[kept],
         )
 
+    def detect(self, picture: NDArray[np.uint8], maps: DetectorMaps) -> Detections:
+        """Return the objects of a picture (H, W, 3), given what the detector says of it."""
+        options, stride = self._options, self._detector.config.stride
+        return detections(maps, stride, options.count, options.least_score)
+
     def landmarks(self, sparse_map: SparseMap, images: Path) -> Landmarks:
         """Return the objects that the photographs of a map show from above.
+
+        Raises:
+            InputError: a photograph is missing or broken.
+        """
+        return merged(self.views(sparse_map, images), self._options)[0]
+
+    def views(self, sparse_map: SparseMap, images: Path) -> list[View]:
+        """Return the photographs of a map that look down, each with its objects.
 
         Raises:
             InputError: a photograph is missing or broken.
@@ -76,9 +89,9 @@ class ObjectFinder:
                 if looks_down(image.cam_from_world[:3, :3]):
                     found = self(read_rgb(images / name, image.camera), image.camera)
                     placed = on_ground(found, image.camera, image.pose, ground)
-                    views.append(View(image.camera, image.pose, found, placed))
+                    views.append(View(name, image.camera, image.pose, found, placed))
                 advance(done)
-        return merged(views, self._options)
+        return views
 
     def kept_landmarks(
         self, sparse_map: SparseMap, images: Path, key: str, cache: Path

@@ -24,6 +24,7 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "maps": {
         "map": "Build the sparse map of a scene and measure it against the true poses.",
+        "landmarks": "Find the objects of a map: cars, trees, roofs, lamps and the like.",
         "dense": "Estimate depth maps of a map's photographs and fuse them to a point cloud.",
         "diagnose": "Report which objects in a map's photographs have points in the map.",
         "supplement": "Add points on small standing objects that have none in the map.",

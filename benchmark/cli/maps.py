@@ -64,6 +64,34 @@ def build_map(
 
 
 @app.command()
+def landmarks(
+    scene: MappedScene,
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Weights of an object-connect network with a detector of objects.",
+            show_default="the shipped ones",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="Table of the objects to write too: places, sizes."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Find the objects of a map: cars, trees, roofs, lamps and the like.
+
+    They are learned objects of no class, each seen in several photographs, with its place, its
+    size, its height above ground and a vector. Writes SCENE/landmarks.h5, which view draws. The
+    localizer objconnect finds them by itself and does not need the file.
+    """
+    from objconnect.scene_landmarks import find_landmarks as run
+
+    emit(run(scene, weights, out), as_json)
+
+
+@app.command()
 # More than six parameters: each is an option or argument of the command.
 def dense(
     scene: MappedScene,

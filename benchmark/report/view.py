@@ -23,6 +23,7 @@ from benchmark.report.view_picture import draw
 from benchmark.results import Results, load, results_files
 from dense.command import DENSE
 from dense.workspace import Workspace
+from objconnect.scene_landmarks import read_landmarks
 from scene.bundle.object_points import objects_of_points
 from scene.bundle.scene import Scene
 from scene.errors import InputError
@@ -36,9 +37,11 @@ from scene.storage.images import read_rgb
 from scene.storage.outputs import OutputFile, check_outputs
 from scene.storage.provenance import PNG_MARK
 
+LANDMARK_RGB: Final = np.array([178, 120, 255], np.uint8)
+"""The colour of learned objects."""
 PAGE = Path("pictures", "view.html")
 PICTURE = Path("pictures", "view.png")
-MOST_POINTS: Final = {"sparse": 150_000, "added": 20_000, "dense": 250_000}
+MOST_POINTS: Final = {"sparse": 150_000, "added": 20_000, "landmarks": 20_000, "dense": 250_000}
 """Greatest number of points of each kind on a page, which are chosen at random from more."""
 MOST_PHOTOGRAPHS: Final = 300
 """Greatest number of photographs on a page, which are chosen at even steps from more."""
@@ -60,7 +63,8 @@ class SceneView:
     Attributes:
         page: HTML file that contains everything it shows.
         picture: PNG file of the scene from above.
-        points: number of points by kind, "sparse", "added" and "dense", where there are any.
+        points: number of points by kind, "sparse", "added", "landmarks" and "dense", where there
+            are any.
     """
 
     page: Path
@@ -162,6 +166,10 @@ def _clouds(scene: Scene, sparse_map: SparseMap, added: NDArray[np.bool_]) -> li
     clouds = [Cloud("sparse", sparse_map.xyz[~added], sparse_map.rgb[~added])]
     if added.any():
         clouds.append(Cloud("added", sparse_map.xyz[added], sparse_map.rgb[added]))
+    kept = read_landmarks(scene, sparse_map)
+    if kept is not None:
+        xyz = kept[0].xyz
+        clouds.append(Cloud("landmarks", xyz, np.tile(LANDMARK_RGB, (len(xyz), 1))))
     dense = Workspace(scene.path / DENSE)
     if dense.cloud.is_file():
         clouds.append(Cloud("dense", *dense.read_cloud()))

@@ -17,7 +17,7 @@ class Cloud:
     """The points of one kind.
 
     Attributes:
-        layer: "sparse", "added" or "dense".
+        layer: "sparse", "added", "landmarks" or "dense".
         xyz: (M, 3) world coordinates, metres.
         rgb: (M, 3) colours.
     """

@@ -46,6 +46,9 @@ def draw(name: str, centres: NDArray[np.float64], content: ViewContent, path: Pa
             elif cloud.layer == "added" and after:
                 ax.scatter(*cloud.xyz[:, :2].T, s=14, c=_ADDED, marker="x", linewidths=1.2,
                            label=f"{len(cloud.xyz)} added points", zorder=5)  # fmt: skip
+            elif cloud.layer == "landmarks":
+                ax.scatter(*cloud.xyz[:, :2].T, s=10, facecolors="none", edgecolors=cloud.rgb / 255,
+                           linewidths=0.8, label=f"{len(cloud.xyz)} learned objects")  # fmt: skip
         for shown in small:
             colour = _HAS if (shown.after if after else shown.before) else _NONE
             ax.add_patch(Polygon(shown.corners, fill=False, edgecolor=colour, linewidth=1.5))

@@ -66,8 +66,9 @@ def find(
 
     Args:
         rgb: the photograph (H, W, 3).
-        network: network whose centres of objects become blobs too, and which gives each blob a
-            confidence and a descriptor. Without it, all blobs are equally confident.
+        network: network whose centres of objects become blobs too. One with object blocks gives
+            each blob a confidence and a descriptor; of one with a detector the centres are those of
+            the learned objects. Without either, all blobs are equally confident.
         masks: label map (H, W) of objects; blobs outside them are left out.
         options: thresholds of the detection.
     """
@@ -82,9 +83,12 @@ def find(
     segments: Tensor | None = None
     objects: Objects | None = None
     if network is not None:
-        segments = network.segments(image) if labels is None else labels
-        objects = network.objects(image, segments)
-        centres = objects.centres[0, objects.present[0]].double().numpy()
+        if network.detector is not None and network.config.segmentation == "none":
+            centres = network.learned_objects(image)[0].xy.double().numpy()
+        else:
+            segments = network.segments(image) if labels is None else labels
+            objects = network.objects(image, segments)
+            centres = objects.centres[0, objects.present[0]].double().numpy()
         row, column = _pixel(centres, rgb.shape)
         xy = np.concatenate([xy, centres])
         radius = np.concatenate([radius, strength[:, row, column].argmax(0)])

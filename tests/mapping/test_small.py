@@ -20,7 +20,8 @@ from mapping.supplement.ground_plane import Ground, heights, nearest
 from mapping.supplement.photoconsistency import HEIGHTS, costs_beside_ground
 from mapping.supplement.small import supplement_points
 from objconnect.config import ObjConnectNetConfig
-from objconnect.network import ObjConnectNet
+from objconnect.localizer import SHIPPED
+from objconnect.network import ObjConnectNet, read_network
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.storage.files import sha256_of
@@ -109,6 +110,19 @@ def test_a_network_says_how_sure_spots_are_and_what_they_look_like(rendered: Sce
     inside = find(rgb, masks=masks).xy
     assert len(inside) > 0
     assert ((inside >= [50, 100]) & (inside <= [120, 140])).all()
+
+
+def test_centres_of_learned_objects_are_spots_too(rendered: Scene) -> None:
+    network, _ = read_network(SHIPPED)
+    rgb = read_rgb(rendered.images_root / rendered.splits.map[0])
+    plain, seen = find(rgb), find(rgb, network)
+    image = torch.from_numpy(rgb.astype(np.float32) / 255).permute(2, 0, 1)[None]
+    centres = network.learned_objects(image)[0].xy.double().numpy()
+    assert len(centres) > 0
+    added = len(seen.xy) - len(plain.xy)
+    assert 0 < added <= len(centres)
+    # What a spot looks like stays its appearance, which the tracking compares.
+    assert seen.detections.descriptors.shape[1] == plain.detections.descriptors.shape[1]
 
 
 def run(*arguments: str) -> dict[str, Any]:

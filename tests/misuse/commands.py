@@ -381,6 +381,15 @@ COMMANDS: dict[str, Row] = {
         },
         work=("mapping.supplement.command.add_to_map",),
     ),
+    "landmarks": Row(
+        {
+            "scene": folder("hamlet", MANIFEST, MODEL, MAP_PHOTOGRAPH),
+            "weights": file("weights/net.safetensors", "bytes"),
+            "out": out_file("out.csv"),
+            "as_json": FLAG,
+        },
+        work=("objconnect.object_map.ObjectFinder.views",),
+    ),
     "dense": Row(
         {
             "scene": folder("hamlet", MANIFEST, MODEL, MAP_FRAMES, MAP_PHOTOGRAPH),

@@ -44,7 +44,7 @@ def connector(landmarks: Landmarks) -> Connector:
 @pytest.mark.parametrize("height", [70.0, 100.0])
 def test_the_pose_at_which_objects_agree_comes_first(heading: float, height: float) -> None:
     xyz, vectors = things(count=60)
-    landmarks = merged(views(xyz, vectors), LandmarkOptions())
+    landmarks = merged(views(xyz, vectors), LandmarkOptions())[0]
     base = DOWN @ so3_exp(heading * UP)
     angles = cv_angles(base)
     view = photograph((12.0, -8.0, height + 5.0), angles, xyz, vectors)
@@ -66,7 +66,7 @@ def cv_angles(rotation: torch.Tensor) -> tuple[float, float, float]:
 
 def test_a_tilted_camera_is_connected_when_gravity_is_known() -> None:
     xyz, vectors = things(count=60)
-    landmarks = merged(views(xyz, vectors), LandmarkOptions())
+    landmarks = merged(views(xyz, vectors), LandmarkOptions())[0]
     view = photograph((0.0, -20.0, 75.0), (0.5, 0.0, 0.0), xyz, vectors)
     found = connector(landmarks)(view.found, CAMERA, view.pose.rotation, HEADINGS, [60.0, 72.0])
     np.testing.assert_allclose(found[0].pose.centre()[:2].numpy(), [0.0, -20.0], atol=1.5)
@@ -74,10 +74,10 @@ def test_a_tilted_camera_is_connected_when_gravity_is_known() -> None:
 
 def test_too_few_objects_connect_with_nothing() -> None:
     xyz, vectors = things(count=60)
-    landmarks = merged(views(xyz, vectors), LandmarkOptions())
+    landmarks = merged(views(xyz, vectors), LandmarkOptions())[0]
     few = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz[:2] * [0.1, 0.1, 1.0], vectors[:2])
     assert connector(landmarks)(few.found, CAMERA, DOWN, HEADINGS, [75.0]) == []
-    none = merged([], LandmarkOptions())
+    none = merged([], LandmarkOptions())[0]
     empty = Landmarks(**{**vars(none), "vectors": np.zeros((0, 8), np.float32)})
     whole = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz, vectors)
     assert connector(empty)(whole.found, CAMERA, DOWN, HEADINGS, [75.0]) == []
@@ -151,7 +151,7 @@ def test_scenes_without_common_objects_teach_nothing() -> None:
 
 def test_the_height_of_the_ground_is_that_of_the_place() -> None:
     xyz, vectors = things(count=60)
-    landmarks = merged(views(xyz, vectors), LandmarkOptions())
+    landmarks = merged(views(xyz, vectors), LandmarkOptions())[0]
     heights = GROUND.heights + 3.0
     higher = GroundGrid(GROUND.origin, GROUND.cell, heights)
     view = photograph((0.0, 0.0, 85.0), (0.0, 0.0, 0.0), xyz, vectors)

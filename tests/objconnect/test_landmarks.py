@@ -51,7 +51,7 @@ def photograph(
         (torch.from_numpy(xyz[:, 2] - 5.0) * per_metre)[shown].float(),
         vectors[shown],
     )
-    return View(CAMERA, pose, found, on_ground(found, CAMERA, pose, GROUND))
+    return View(f"{centre}.jpg", CAMERA, pose, found, on_ground(found, CAMERA, pose, GROUND))
 
 
 def views(xyz: NDArray[np.float64], vectors: torch.Tensor) -> list[View]:
@@ -74,12 +74,12 @@ def test_a_ray_to_the_sky_has_no_place() -> None:
     flat = Pose(so3_exp(torch.tensor([np.pi / 2, 0.0, 0.0])).double(), torch.zeros(3).double())
     placed = on_ground(view.found, CAMERA, flat, GROUND)
     assert np.isnan(placed.xyz).all(1).any()
-    assert len(merged([view._replace(placed=placed, pose=flat)], OPTIONS)) <= len(placed.xyz)
+    assert len(merged([view._replace(placed=placed, pose=flat)], OPTIONS)[0]) <= len(placed.xyz)
 
 
 def test_one_thing_in_several_photographs_is_one_landmark() -> None:
     xyz, vectors = things()
-    landmarks = merged(views(xyz, vectors), OPTIONS)
+    landmarks = merged(views(xyz, vectors), OPTIONS)[0]
     away = np.linalg.norm(landmarks.xyz[:, None] - xyz, axis=-1)
     assert away.min(1).max() < 0.05
     nearest = away.argmin(1)
@@ -98,25 +98,25 @@ def test_what_one_photograph_of_four_shows_is_none() -> None:
         *(torch.cat([getattr(each, name) for each in both]) for name in vars(both[0]))
     )
     placed = on_ground(joined, CAMERA, seen[0].pose, GROUND)
-    landmarks = merged([seen[0]._replace(found=joined, placed=placed), *seen[1:]], OPTIONS)
+    landmarks = merged([seen[0]._replace(found=joined, placed=placed), *seen[1:]], OPTIONS)[0]
     assert np.linalg.norm(landmarks.xyz - ghost, axis=1).min() > 0.2
 
 
 def test_neighbours_that_look_different_stay_apart() -> None:
     xyz = np.array([[0.0, 0.0, 6.0], [0.6, 0.0, 6.0]])
     apart, alike = torch.eye(8)[:2], torch.eye(8)[[0, 0]]
-    assert len(merged(views(xyz, apart), OPTIONS)) == 2
-    assert len(merged(views(xyz, alike), OPTIONS)) == 1
+    assert len(merged(views(xyz, apart), OPTIONS)[0]) == 2
+    assert len(merged(views(xyz, alike), OPTIONS)[0]) == 1
 
 
 def test_no_objects_are_no_landmarks() -> None:
-    empty = merged(views(np.zeros((0, 3)), torch.zeros(0, 8)), OPTIONS)
+    empty = merged(views(np.zeros((0, 3)), torch.zeros(0, 8)), OPTIONS)[0]
     assert len(empty) == 0
-    assert len(merged([], OPTIONS)) == 0
+    assert len(merged([], OPTIONS)[0]) == 0
 
 
 def test_landmarks_are_read_as_they_were_written(tmp_path: Path) -> None:
-    landmarks = merged(views(*things()), OPTIONS)
+    landmarks = merged(views(*things()), OPTIONS)[0]
     landmarks.write(tmp_path / "objects.h5")
     again = Landmarks.read(tmp_path / "objects.h5")
     np.testing.assert_array_equal(again.xyz, landmarks.xyz)

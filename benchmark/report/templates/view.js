@@ -97,7 +97,7 @@ function draw() {
 
 function splat(v, cloud) {
   const { xyz, rgb } = cloud, wide = canvas.width, high = canvas.height, pixels = picture.data;
-  const added = cloud.layer === "added", [ax, ay, az] = v.at;
+  const marked = cloud.layer === "added" || cloud.layer === "landmarks", [ax, ay, az] = v.at;
   const [rx, ry] = v.right, [fx, fy, fz] = v.ahead, [ux, uy, uz] = v.up;
   for (let k = 0, n = xyz.length / 3; k < n; k++) {
     const x = xyz[3 * k] - ax, y = xyz[3 * k + 1] - ay, z = xyz[3 * k + 2] - az;
@@ -106,10 +106,10 @@ function splat(v, cloud) {
     const inverse = v.focal / away;
     const column = Math.round(v.cx + inverse * (x * rx + y * ry));
     const row = Math.round(v.cy - inverse * (x * ux + y * uy + z * uz));
-    const reach = added ? Math.round(3 * scale) : Math.min(4, Math.max(cloud.least, Math.round(0.12 * inverse)));
+    const reach = marked ? Math.round(3 * scale) : Math.min(4, Math.max(cloud.least, Math.round(0.12 * inverse)));
     if (column < reach || row < reach || column >= wide - reach || row >= high - reach) continue;
-    const [red, green, blue] = added ? ADDED : [rgb[3 * k], rgb[3 * k + 1], rgb[3 * k + 2]];
-    const low = added ? -reach : 0;
+    const [red, green, blue] = cloud.layer === "added" ? ADDED : [rgb[3 * k], rgb[3 * k + 1], rgb[3 * k + 2]];
+    const low = marked ? -reach : 0;
     for (let dy = low; dy < reach; dy++)
       for (let dx = low; dx < reach; dx++) {
         const at = (row + dy) * wide + column + dx;
@@ -201,6 +201,11 @@ function row(parent, kind, name, text, count, colour, checked, change) {
   parent.append(label);
 }
 
+function colourOf(cloud) {
+  if (cloud.layer === "landmarks") return "rgb(" + cloud.rgb.slice(0, 3) + ")";
+  return cloud.layer === "added" ? "rgb(" + ADDED + ")" : null;
+}
+
 function layer(key, text, count, colour, checked) {
   if (!count) return;
   shown[key] = checked;
@@ -210,9 +215,9 @@ function layer(key, text, count, colour, checked) {
 function panel() {
   document.getElementById("name").textContent = data.name;
   document.title = `${data.name}: scene`;
-  const texts = { sparse: "points of the map", added: "added points", dense: "dense points" };
+  const texts = { sparse: "points of the map", added: "added points", landmarks: "learned objects", dense: "dense points" };
   for (const cloud of clouds)
-    layer(cloud.layer, texts[cloud.layer], cloud.total, cloud.layer === "added" ? "rgb(" + ADDED + ")" : null, cloud.layer !== "dense");
+    layer(cloud.layer, texts[cloud.layer], cloud.total, colourOf(cloud), cloud.layer !== "dense");
   const small = data.objects.filter(object => object.size === "small").length;
   layer("objects", "small objects", small, COLOURS.has, true);
   layer("larger", "larger objects too", data.objects.length - small, null, false);
