@@ -73,7 +73,8 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     _draw(right, network, rgb, found.xy.numpy(), same, shared)
     left.set_title(f"a photograph of the map, {scene.sessions[mapped.split('/')[0]].condition}")
     right.set_title(
-        f"a query, {scene.sessions[session].condition}, placed by its objects {apart:.1f} m from the truth:\n"
+        f"a query, {scene.sessions[session].condition}, placed by its objects "
+        f"{apart:.1f} m from the truth:\n"
         f"{(same >= 0).sum()} of its {len(same)} objects lie on landmarks of the map"
     )
     figure.canvas.draw()  # type: ignore[no-untyped-call]
