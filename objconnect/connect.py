@@ -23,7 +23,7 @@ from baselines.place.grid import GroundGrid
 from baselines.place.search import Candidate
 from objconnect.constellation import ConstellationGraph
 from objconnect.detector import Detections
-from objconnect.landmarks import Landmarks
+from objconnect.landmarks import Landmarks, object_rays
 from scene.config import Config
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, so3_exp
@@ -103,18 +103,12 @@ def laid_out(found: Detections, camera: Camera, cam_from_world: Tensor) -> LaidO
         camera: of the photograph.
         cam_from_world: rotation (3, 3).
     """
-    rays, valid = camera.unproject(found.xy.double())
-    rays = rays.double() / rays[:, 2:]
-    along = (rays @ cam_from_world).numpy()
-    focal = float(np.mean(camera.focal))
-    rise, side = found.rise.double().numpy() / focal, found.side.double().numpy() / focal
-    falls = rise - along[:, 2]
-    fine = valid.numpy() & (falls > _FLATTEST)
-    depth = 1 / falls[fine]
-    offset = depth[:, None] * along[fine, :2]
-    rows = np.flatnonzero(fine)
+    rays = object_rays(found, camera, cam_from_world)
+    rows = np.flatnonzero(rays.falls > _FLATTEST)
+    depth = 1 / rays.falls[rows]
+    offset = depth[:, None] * rays.along[rows, :2]
     vectors = found.vectors[torch.from_numpy(rows)]
-    return LaidOut(offset, rise[fine] * depth, side[fine] * depth, vectors, rows)
+    return LaidOut(offset, rays.rises[rows] * depth, rays.sides[rows] * depth, vectors, rows)
 
 
 class _Pose2(NamedTuple):

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field
+from torch import Tensor
 
 from baselines.place.grid import GroundGrid
 from objconnect.detector import Detections
@@ -140,6 +141,33 @@ class Landmarks:
         return Landmarks(xyz.astype(np.float64), vectors, sides, rises, scores, views)
 
 
+class ObjectRays(NamedTuple):
+    """Rays of a camera to objects, at a depth of one.
+
+    Attributes:
+        along: (N, 3) from the camera to the centres, in the axes of the world.
+        sides: (N,) of the objects.
+        rises: (N,) heights of the centres above their foot.
+        falls: (N,) how far below the camera the foot lies; NaN where the lens has no such ray.
+    """
+
+    along: NDArray[np.float64]
+    sides: NDArray[np.float64]
+    rises: NDArray[np.float64]
+    falls: NDArray[np.float64]
+
+
+def object_rays(found: Detections, camera: Camera, cam_from_world: Tensor) -> ObjectRays:
+    """Return the rays of a camera with a rotation (3, 3) to the objects of its photograph."""
+    rays, valid = camera.unproject(found.xy.double())
+    rays = rays.double() / rays[:, 2:]
+    focal = float(np.mean(camera.focal))
+    along = (rays @ cam_from_world).numpy()
+    rises, sides = found.rise.double().numpy() / focal, found.side.double().numpy() / focal
+    falls = np.where(valid.numpy(), rises - along[:, 2], np.nan)
+    return ObjectRays(along, sides, rises, falls)
+
+
 def on_ground(found: Detections, camera: Camera, pose: Pose, ground: GroundGrid) -> Placed:
     """Place the objects of a photograph on the ground.
 
@@ -149,21 +177,15 @@ def on_ground(found: Detections, camera: Camera, pose: Pose, ground: GroundGrid)
         pose: ``cam_from_world``.
         ground: of the map.
     """
-    rays, valid = camera.unproject(found.xy.double())
-    rays = rays.double() / rays[:, 2:]
-    focal = float(np.mean(camera.focal))
-    along = (rays @ pose.rotation).numpy()
-    rise, side = found.rise.double().numpy() / focal, found.side.double().numpy() / focal
+    rays = object_rays(found, camera, pose.rotation)
     centre = pose.centre().numpy()
-    falls = rise - along[:, 2]
-    fine = valid.numpy() & (falls > _FLATTEST)
-    falls = np.where(fine, falls, np.nan)
-    height = np.full(len(along), ground.height_at(centre[0], centre[1]))
+    falls = np.where(rays.falls > _FLATTEST, rays.falls, np.nan)
+    height = np.full(len(falls), ground.height_at(centre[0], centre[1]))
     for _ in range(_ROUNDS):
         depth = (centre[2] - height) / falls
-        xyz = centre + depth[:, None] * along
+        xyz = centre + depth[:, None] * rays.along
         height = np.array([ground.height_at(x, y) if x == x else 0.0 for x, y, _ in xyz.tolist()])
-    return Placed(xyz, side * depth, rise * depth)
+    return Placed(xyz, rays.sides * depth, rays.rises * depth)
 
 
 class View(NamedTuple):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -13,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.featuremetric.maps import MapExtractor
+from baselines.map_cache import MapCache
 from baselines.place.grid import GroundGrid, ground_grid
 from baselines.views import looks_down
 from objconnect.detector import Detections, DetectorMaps, ObjectDetector, detections
@@ -20,8 +20,7 @@ from objconnect.landmarks import LandmarkOptions, Landmarks, View, merged, on_gr
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
-from scene.storage.digests import digests, require_unchanged
-from scene.storage.images import check_photographs, read_rgb
+from scene.storage.images import read_rgb
 
 _FORMAT: Final = 1
 # Side of the cells in which the height of the ground is the median of the map's points, metres.
@@ -107,16 +106,12 @@ class ObjectFinder:
         Raises:
             InputError: a photograph is missing, broken or changed meanwhile.
         """
-        cameras = {name: sparse_map.images[name].camera for name in sparse_map.names}
-        check_photographs(images, cameras)
-        files = [images / name for name in sparse_map.names]
-        photographs = digests(files)
-        options = self._options.model_dump_json()
-        words = " ".join(map(str, (_FORMAT, sparse_map.sha256, photographs, key, options)))
-        path = cache / f"objects-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+        kept = MapCache.of(sparse_map, images, cache)
+        path = kept.path("objects", _FORMAT, key, self._options.model_dump_json())
         if not path.is_file():
-            self.landmarks(sparse_map, images).write(path)
-            require_unchanged(files, photographs)
+            landmarks = self.landmarks(sparse_map, images)
+            kept.require_unchanged()
+            landmarks.write(path)
         return Landmarks.read(path)
 
 

@@ -5,7 +5,6 @@ Only features at points are needed of the photographs, and these are few.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -20,6 +19,7 @@ from pydantic import Field
 from baselines.array_store import ArrayStore, written_store
 from baselines.featuremetric.corners import CornerFinder, CornerOptions, all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
+from baselines.map_cache import MapCache
 from baselines.resolution import (
     DEFAULT_SAME_RESOLUTION,
     metres_per_pixel,
@@ -33,8 +33,7 @@ from scene.geometry.pose import Pose
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.memory import return_freed
 from scene.runtime.progress import progress_bar
-from scene.storage.digests import digests, require_unchanged
-from scene.storage.images import check_photographs, read_rgb
+from scene.storage.images import read_rgb
 from scene.storage.lru_cache import LruCache, room
 
 _FORMAT: Final = 3
@@ -162,27 +161,21 @@ def references(source: ReferenceSource, cache: Path, memory_mb: int) -> Referenc
         InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
     """
     sparse_map, images = source.sparse_map, source.images
-    check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
-    files = [images / name for name in sparse_map.names]
-    photographs = digests(files)
-    check = partial(require_unchanged, files, photographs)
-
-    def file(prefix: str, *parts: object) -> Path:
-        words = " ".join(map(str, (_FORMAT, sparse_map.sha256, photographs, *parts)))
-        return cache / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
-
+    kept = MapCache.of(sparse_map, images, cache)
     corners, longest = source.corners, source.extract.longest
     # Without corners, how they would be found changes nothing.
     corner_key = source.corner_options.model_dump_json() if corners else ""
     options_key = source.options.model_dump_json()
-    path = file(source.name, source.points, corners, corner_key, options_key, source.extractor_key)
+    parts = (source.points, corners, corner_key, options_key, source.extractor_key)
+    path = kept.path(source.name, _FORMAT, *parts)
     if not path.is_file():
         corner_points = [np.empty((0, 3))] * len(sparse_map.names)
         if corners:
             find = CornerFinder(sparse_map, images, corners, longest, source.corner_options)
-            corner_file = file("corners", corners, longest, corner_key)
+            corner_file = kept.path("corners", _FORMAT, corners, longest, corner_key)
+            check = kept.require_unchanged
             corner_points = all_corners(find, sparse_map.names, corner_file, check)
-        _write_references(path, source, corner_points, check)
+        _write_references(path, source, corner_points, kept.require_unchanged)
     return ReferenceFeatures(path, room(memory_mb))
 
 

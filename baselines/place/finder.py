@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 from typing import Final
@@ -13,6 +12,7 @@ from pydantic import Field
 from torch import Tensor
 
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
+from baselines.map_cache import MapCache
 from baselines.place.grid import ground_grid
 from baselines.place.mosaic import Mosaic, empty_mosaic, make_mosaic
 from baselines.place.search import Candidate, Hypotheses, PlaceSearch
@@ -23,8 +23,7 @@ from scene.geometry.pose import Pose, so3_exp
 from scene.localizer import Prior, Query
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.progress import progress_bar
-from scene.storage.digests import digests, require_unchanged
-from scene.storage.images import check_photographs, read_rgb
+from scene.storage.images import read_rgb
 
 _FORMAT: Final = 1
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
@@ -90,8 +89,8 @@ class PlaceFinder:
             InputError: a photograph is missing, broken or changed meanwhile.
         """
         options = self._options
+        kept = MapCache.of(sparse_map, images, cache)
         posed = [sparse_map.images[name] for name in sparse_map.names]
-        check_photographs(images, {image.name: image.camera for image in posed})
         sharpest = of_map(sparse_map, lambda camera: min(1.0, self._extract.largest_scale(camera)))
         sides = [
             max(image.camera.width, image.camera.height)
@@ -101,14 +100,12 @@ class PlaceFinder:
         self._resolution = sharpest * max(1.0, float(np.median(sides)) / options.longest)
         heights = [sparse_map.height_above(image.pose.centre().numpy()) for image in posed]
         self._height = float(np.median(heights))
-        files = [images / name for name in sparse_map.names]
-        photographs = digests(files)
-        parts = (_FORMAT, sparse_map.sha256, photographs, key, options.cell_px, options.channels)
-        words = " ".join(map(str, (*parts, options.longest)))
-        path = cache / f"mosaic-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+        parts = (key, options.cell_px, options.channels, options.longest)
+        path = kept.path("mosaic", _FORMAT, *parts)
         if not path.is_file():
-            self._make(sparse_map, images).write(path)
-            require_unchanged(files, photographs)
+            mosaic = self._make(sparse_map, images)
+            kept.require_unchanged()
+            mosaic.write(path)
         self._mosaic = Mosaic.read(path)
         self._search = PlaceSearch(self._mosaic, options.least_overlap, options.farthest)
 

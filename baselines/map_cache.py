@@ -1,0 +1,64 @@
+"""Files of the cache that are made of a map and its photographs."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from scene.maps.sparse_map import SparseMap
+from scene.storage.digests import digests, require_unchanged
+from scene.storage.images import check_photographs
+
+
+@dataclass(frozen=True)
+class MapCache:
+    """Names files of the cache by a digest of all that they are made of.
+
+    Attributes:
+        folder: of the cache.
+        files: the map's photographs.
+        photographs: digests of their bytes.
+        map_sha256: digest of the map.
+    """
+
+    folder: Path
+    files: tuple[Path, ...]
+    photographs: list[str]
+    map_sha256: str
+
+    @staticmethod
+    def of(sparse_map: SparseMap, images: Path, folder: Path) -> MapCache:
+        """Read a map's photographs.
+
+        Args:
+            sparse_map: the map.
+            images: folder that the names of its photographs are relative to.
+            folder: of the cache.
+
+        Raises:
+            InputError: a photograph is missing, broken or not of its camera's size.
+        """
+        cameras = {name: sparse_map.images[name].camera for name in sparse_map.names}
+        check_photographs(images, cameras)
+        files = tuple(images / name for name in sparse_map.names)
+        return MapCache(folder, files, digests(files), sparse_map.sha256)
+
+    def path(self, prefix: str, version: int, *parts: object) -> Path:
+        """Return the path of a file.
+
+        Args:
+            prefix: its name before the digest.
+            version: of its format.
+            parts: whatever else decides its content.
+        """
+        words = " ".join(map(str, (version, self.map_sha256, self.photographs, *parts)))
+        return self.folder / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+
+    def require_unchanged(self) -> None:
+        """Refuse photographs that changed since they were read: call it before a file is kept.
+
+        Raises:
+            InputError: a photograph changed.
+        """
+        require_unchanged(self.files, self.photographs)
