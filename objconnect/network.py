@@ -33,7 +33,12 @@ Level = tuple[Tensor, Tensor]
 
 
 class ObjectBlocks(nn.Module):
-    """The object blocks of one level that are switched on. Each adds to the features."""
+    """The object blocks of one level that are switched on. Each adds to the features.
+
+    Attributes:
+        residuals: in training, what each block last added, as a share of the features before: the
+            ratio of their norms, by name. A block near 0 does nothing.
+    """
 
     def __init__(self, config: ObjConnectNetConfig, size: int) -> None:
         super().__init__()
@@ -43,6 +48,7 @@ class ObjectBlocks(nn.Module):
             (config.scene_graph, SceneGraph),
         )
         self.blocks = nn.ModuleList(block(size) for on, block in switches if on)
+        self.residuals: dict[str, Tensor] = {}
 
     def forward(self, maps: Tensor, objects: Occupancy) -> Tensor:
         """Return O of equation (3) plus the outputs of the graphs, (B, C, h, w), for such maps."""
@@ -51,7 +57,10 @@ class ObjectBlocks(nn.Module):
         _, _, height, width = maps.shape
         rows = maps.permute(0, 2, 3, 1).flatten(1, 2)
         for block in self.blocks:
-            rows = block(rows, objects)
+            before, rows = rows, block(rows, objects)
+            if self.training:
+                added = (rows - before).detach().norm() / before.detach().norm()
+                self.residuals[type(block).__name__] = added
         return rows.view(len(maps), height, width, -1).permute(0, 3, 1, 2)
 
 
@@ -153,6 +162,15 @@ class ObjConnectNet(nn.Module):
                     objects = self._as_points(maps, objects_here, stride)
             levels_made.append(self._level(number, maps))
         return levels_made, objects
+
+    def residuals(self) -> dict[str, float]:
+        """Return what each object block last added in training, see ``ObjectBlocks``."""
+        shares = {}
+        for stride, blocks in zip(self.config.strides, self.objects_of, strict=False):
+            assert isinstance(blocks, ObjectBlocks)
+            for name, share in blocks.residuals.items():
+                shares[f"residual {name} {stride}"] = float(share)
+        return shares
 
     def segments(self, image: Tensor) -> Tensor:
         """Segment images as configured; arguments, labels and errors are those of ``segment``."""

@@ -67,6 +67,8 @@ class ObjConnectTraining:
             trust = self._trust(objects, labels, batch)
             figures["trust"] = float(trust.detach())
             loss = loss + trust
+        if self.network.training:
+            figures |= self.network.residuals()
         return loss, figures
 
     def groups(self, rate: float) -> list[dict[str, Any]]:

@@ -14,6 +14,8 @@ from scene.storage.atomic import write_text
 from scene.storage.files import read_text, sha256_of
 
 CARD: Final = "card.md"
+RESIDUAL: Final = "residual "
+"""Figures of the log that begin so are what a block adds to features, as a share of them."""
 
 
 def write_card(
@@ -52,6 +54,10 @@ def write_card(
         seen = {k.removeprefix("val/"): v for k, v in row.items() if k.startswith("val/")}
         figures = ", ".join(f"{name} {value:.3g}" for name, value in seen.items())
         lines.append(f"- at the end, on what was looked at: {figures}")
+    residuals = {k: v for row in rows for k, v in row.items() if k.startswith(RESIDUAL)}
+    if residuals:
+        shares = ", ".join(f"{k.removeprefix(RESIDUAL)} {v:.3g}" for k, v in residuals.items())
+        lines.append(f"- what blocks add at the end, as a share of their input: {shares}")
     write_text(run / CARD, "\n".join(lines) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""Files of the cache are named by all that they are made of, and photographs that change are told."""
+"""The cache's files are named by all that they are made of; photographs that change are told."""
 
 from __future__ import annotations
 

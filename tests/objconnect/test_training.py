@@ -199,6 +199,9 @@ def test_some_steps_lower_the_loss(segmentation: str) -> None:
         losses.append(float(loss.detach()))
     assert losses[-1] < 0.8 * losses[0]
     assert ("trust" in figures) == (segmentation != "none")
+    added = {name: share for name, share in figures.items() if name.startswith("residual ")}
+    assert len(added) == (0 if segmentation == "none" else 6)
+    assert all(0 < share < 1 for share in added.values())
     loss, figures = training.loss(batch, 1.0)
     loss.backward()  # type: ignore[no-untyped-call]
     assert {"pixels/start", "pixels/16", "pixels/4", "pixels/2", "features"} <= set(figures)

@@ -77,7 +77,9 @@ def test_every_method_learns_and_leaves_weights_curves_and_a_card(
     rows = [json.loads(line) for line in (out / LOG).read_text().splitlines()]
     assert sum(any(key.startswith("val/") for key in row) for row in rows) == 2
     assert (out / "curves.png").stat().st_size > 5000
-    assert found.sha256 in (out / CARD).read_text()
+    card = (out / CARD).read_text()
+    assert found.sha256 in card
+    assert ("what blocks add at the end" in card) == (method == "objconnect")
 
 
 def test_a_killed_run_resumes_to_the_same_weights(rendered: Scene, tmp_path: Path) -> None:
