@@ -89,6 +89,12 @@ class FeaturemetricLocalizer:
             return
         config = self.config
         self._map = sparse_map
+        # First, as the extraction of SIFT takes more memory than all that follows.
+        self._matches: SiftLocalizer | None = None
+        if config.multistart and config.matches is not None:
+            least_mb = min(config.memory_mb, config.matches.memory_mb)
+            of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
+            self._matches = matcher(of_matches, sparse_map, images, cache)
         source = ReferenceSource(
             sparse_map,
             images,
@@ -114,11 +120,6 @@ class FeaturemetricLocalizer:
         # photographs.
         described = OnDemand(self._observations.coarse, len(self._observations))
         self._retrieval = References.build(sparse_map, described, config.retrieval)
-        self._matches: SiftLocalizer | None = None
-        if config.multistart and config.matches is not None:
-            least_mb = min(config.memory_mb, config.matches.memory_mb)
-            of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
-            self._matches = matcher(of_matches, sparse_map, images, cache)
         if config.multistart and config.place.candidates:
             self._places = PlaceFinder(self._extract, config.place)
             self._places.prepare(sparse_map, images, source.extractor_key, cache)
