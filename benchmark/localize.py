@@ -1,28 +1,22 @@
-"""The command ``localize``, which finds the poses of new photographs in a map.
-
-The module is over 400 lines because what is read of a photograph, what the journal keeps of it and
-what both output files say of it have to agree.
-"""
+"""The command ``localize``, which finds the poses of new photographs in a map."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import logging
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from benchmark.answers import Located, contents, outputs
 from benchmark.datasets.simulated import is_scene
-from benchmark.datasets.textfiles import pose_line, read_priors, require_same_case
+from benchmark.datasets.textfiles import read_priors, require_same_case
 from benchmark.evaluate import localize_safely, method_of
 from benchmark.journal import Journal, journal_path
 from benchmark.results import Environment, Named, PoseNumbers
@@ -42,17 +36,11 @@ from scene.storage.digests import digests
 from scene.storage.files import parse_json, read_text, sha256_of
 from scene.storage.images import read_exif, read_rgb
 from scene.storage.listing import PHOTOGRAPHS, list_files
-from scene.storage.names import quote_cell, quote_name
-from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.names import quote_name
+from scene.storage.outputs import check_outputs
 from scene.storage.scratch import cache_or_scratch
 
 log = logging.getLogger(__name__)
-
-# First line of the poses and header of the table, by which files of this command are recognized.
-_HEADER = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
-_TABLE = ".csv"
-_WHERE = ("e", "n", "u", "latitude", "longitude", "altitude")
-_COLUMNS = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
 
 
 @dataclass(frozen=True)
@@ -62,20 +50,6 @@ class Place:
     sparse_map: SparseMap
     images: Path
     origin: Geodetic | None
-
-
-@dataclass(frozen=True)
-class Located:
-    """A photograph, its estimate, and the camera's position on earth (None if unknown)."""
-
-    name: str
-    estimate: Estimate
-    place: Geodetic | None
-
-    @property
-    def found(self) -> bool:
-        """Return whether the photograph was localized; a fallback pose does not count."""
-        return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
 
 
 def open_place(path: Path) -> Place:
@@ -104,12 +78,15 @@ def localize(
     gps_sigma_m: float = 10.0,
     gimbal_sigma_deg: float = 5.0,
     cache: Path | None = None,
+    also: Sequence[Path] = (),
+    undulation_m: float | None = None,
 ) -> list[Located]:
     """Localize every photograph of a folder and write the poses as a text file and a CSV file.
 
     The text file has a line ``name qw qx qy qz tx ty tz`` (world to camera, metres) for each
     localized photograph. The CSV file beside it has a row for each photograph: status, camera
-    centre in the map's frame, latitude, longitude, altitude, sigma and the reason of a failure. A
+    centre in the map's frame, latitude, longitude, altitude, sigma and the reason of a failure,
+    then time, attitude and covariance (``Located.values``, ``Located.covariance``). A
     photograph that cannot be read, or has no camera, fails with that reason. Answers are kept in a
     hidden journal until the end, so that an interrupted run goes on where it stopped.
 
@@ -124,17 +101,23 @@ def localize(
         gps_sigma_m: standard deviation of EXIF positions per axis, metres.
         gimbal_sigma_deg: standard deviation of gimbal attitudes per axis, degrees.
         cache: folder for what the method keeps per map; None for a scratch folder beside ``out``.
+        also: further files to write, GeoJSON or KML by their ending.
+        undulation_m: height of the geoid above the ellipsoid at the place; None where heights above
+            sea level are not asked for.
 
     Returns:
         One entry for each photograph.
 
     Raises:
         InputError: there is no photograph that can be read and has a camera, the priors cannot be
-            read or name none of the photographs, or an output cannot be written or would replace
-            a file of another program.
+            read or name none of the photographs, an output cannot be written or would replace
+            a file of another program, or the map of further files has no position on earth.
     """
     paths = {path.name: path for path in _photographs(photographs)}
-    table = _outputs(out, [*paths.values(), *([] if priors is None else [priors])])
+    files = outputs(out, also)
+    check_outputs(files, [*paths.values(), *([] if priors is None else [priors])])
+    if also and place.origin is None:
+        raise InputError(f"the map has no position on earth: {also[0]} cannot be written")
     reader = _QueryReader(place, camera, _priors(priors, paths), gps_sigma_m, gimbal_sigma_deg)
     _require_one(reader, paths, photographs)
     located: list[Located] = []
@@ -147,10 +130,11 @@ def localize(
         with progress_bar(f"localize with {localizer.name}", len(paths)) as advance:
             for name, path in paths.items():
                 estimate = _localize_one(reader, localizer, journal, name, path)
-                located.append(Located(name, estimate, _geodetic(estimate, place)))
+                on_earth = _geodetic(estimate, place)
+                located.append(Located(name, estimate, on_earth, _time(path)))
                 advance(len(located))
-        write_text(out, _pose_lines(located))
-        write_text(table, _table(located))
+        for file, text in contents(located, files, undulation_m):
+            write_text(file, text)
     return located
 
 
@@ -274,19 +258,6 @@ def _photographs(folder: Path) -> list[Path]:
     return paths
 
 
-def _outputs(out: Path, inputs: Sequence[Path]) -> Path:
-    """Return the path of the CSV file, after checking that both outputs may be written."""
-    if not out.name or out.suffix.lower() == _TABLE:
-        raise InputError(
-            f"{out} cannot name the poses, for a table lies beside: let it end in .txt"
-        )
-    table = out.with_suffix(_TABLE)
-    check_outputs(
-        [OutputFile(out, _HEADER.encode()), OutputFile(table, ",".join(_COLUMNS).encode())], inputs
-    )
-    return table
-
-
 def _priors(path: Path | None, photographs: Mapping[str, Path]) -> dict[str, Prior] | None:
     """Read the priors of a table; None without a table."""
     if path is None:
@@ -368,50 +339,15 @@ def _geodetic(estimate: Estimate, place: Place) -> Geodetic | None:
     """Return the camera's position on earth; None without a pose or an origin."""
     if estimate.cam_from_world is None or place.origin is None:
         return None
-    return geodetic_from_enu(_centre(estimate), place.origin)
+    return geodetic_from_enu(estimate.cam_from_world.centre().numpy(), place.origin)
 
 
-def _centre(estimate: Estimate) -> NDArray[np.float64]:
-    assert estimate.cam_from_world is not None
-    return np.asarray(estimate.cam_from_world.centre().numpy())
-
-
-def _pose_lines(located: Sequence[Located]) -> str:
-    """Return the content of the text file."""
-    lines = [_HEADER]
-    for item in located:
-        pose = item.estimate.cam_from_world
-        if item.found and pose is not None:
-            lines.append(pose_line(item.name, pose, 9))
-    return "\n".join(lines) + "\n"
-
-
-def _table(located: Sequence[Located]) -> str:
-    """Return the content of the CSV file."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(_rows(located))
-    return text.getvalue()
-
-
-def _rows(located: Sequence[Located]) -> Iterator[Mapping[str, Any]]:
-    """Yield the rows of the CSV file; columns that are unknown are missing."""
-    for item in located:
-        estimate = item.estimate
-        row = {"name": quote_cell(item.name), "status": estimate.status.value}
-        row |= {"inliers": str(estimate.inliers), "reason": for_terminal(estimate.reason)}
-        if estimate.cam_from_world is not None:
-            row |= {k: f"{x:.4f}" for k, x in zip("enu", _centre(estimate), strict=True)}
-            sigma = estimate.sigma_position()
-            row["sigma_m"] = "" if sigma is None else f"{sigma:.4f}"
-        if item.place is not None:
-            row |= {
-                "latitude": f"{item.place.latitude:.8f}",
-                "longitude": f"{item.place.longitude:.8f}",
-                "altitude": f"{item.place.altitude:.3f}",
-            }
-        yield row
+def _time(path: Path) -> datetime | None:
+    """Return when a photograph was taken; None where it does not say or cannot be read."""
+    try:
+        return read_exif(path).time
+    except (InputError, OSError):
+        return None
 
 
 def _origin(path: Path) -> Geodetic | None:

@@ -23,6 +23,7 @@ from scene.errors import HDF5_DAMAGE, InputError
 from scene.maps.sparse_map import SparseMap
 from scene.storage.atomic import atomic_write, remove_partial, write_text
 from scene.storage.hdf5 import array
+from scene.storage.images import check_photographs
 from scene.storage.locks import write_lock
 from scene.storage.names import quote_cell
 from scene.storage.outputs import OutputFile, check_outputs
@@ -86,6 +87,8 @@ def find_landmarks(
     if network.detector is None:
         raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
     sparse_map = scene.sparse_map()
+    cameras = {name: image.camera for name, image in sparse_map.images.items()}
+    check_photographs(scene.images_root, cameras)
     config = ObjConnectConfig()
     options = LandmarkOptions() if config.objects is None else config.objects.landmarks
     extract = MapExtractor(network, config.longest, config.precision)

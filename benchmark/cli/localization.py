@@ -28,6 +28,25 @@ from benchmark.cli.output import Summary, emit
 
 app = typer.Typer(rich_markup_mode=None)
 
+Further = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE",
+        help="Further file to write: GeoJSON (.geojson) for a GIS, KML (.kml) for a globe; repeat "
+        "the option for several.",
+    ),
+]
+Undulation = Annotated[
+    float | None,
+    typer.Option(
+        help="Height of the geoid above the ellipsoid at the place, metres, for heights above sea "
+        "level. Without it, marks of KML lie on the ground.",
+        min=-200,
+        max=200,
+        show_default="unknown",
+    ),
+]
+
 
 @app.command()
 # More than six parameters: each is an option or argument of the command.
@@ -61,6 +80,8 @@ def localize(
             help="Standard deviation of the gimbal attitudes in XMP, degrees.", min=0.01, max=180
         ),
     ] = 5.0,
+    also: Further = None,
+    undulation: Undulation = None,
     overrides: Settings = None,
     cache: Cache = None,
     as_json: Json = False,
@@ -68,9 +89,9 @@ def localize(
     """Find the poses of new photographs in a map.
 
     Writes POSES (name qw qx qy qz tx ty tz, world to camera) and beside it a CSV file with
-    latitude, longitude, altitude, sigma and, for photographs that were not found or cannot be read,
-    the reason. Without --camera, photographs have the map's camera of their size. An interrupted
-    run goes on where it stopped.
+    latitude, longitude, altitude above the ellipsoid, sigmas, time, yaw, pitch, roll, covariance
+    and, for photographs that were not found or cannot be read, the reason. Without --camera,
+    photographs have the map's camera of their size. An interrupted run goes on where it stopped.
     """
     from benchmark.localize import localize as run
     from benchmark.localize import open_place
@@ -88,6 +109,8 @@ def localize(
         gps_sigma_m=gps_sigma,
         gimbal_sigma_deg=gimbal_sigma,
         cache=cache,
+        also=also or (),
+        undulation_m=undulation,
     )
     localized = sum(item.found for item in located)
     text = f"{out}: {localized} of {len(located)} photographs found"

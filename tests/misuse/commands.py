@@ -141,6 +141,8 @@ LOCALIZE = Row(
         "priors": file("tables/priors.csv", "csv"),
         "gps_sigma": real("10"),
         "gimbal_sigma": real("5"),
+        "also": out_file("out.geojson"),
+        "undulation": real("48"),
         "overrides": SETTINGS,
         "cache": cache(),
         "as_json": FLAG,

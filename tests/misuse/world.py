@@ -191,9 +191,9 @@ def _masks(folder: Path, names: tuple[str, ...]) -> None:
 
 def _weights(folder: Path) -> None:
     torch.manual_seed(0)
-    config = ObjConnectNetConfig.model_validate(
-        {"width": 0.02, "pyramid": 8, "strides": [4], "dims": [8], "segments": 4}
-    )
+    settings = {"width": 0.02, "pyramid": 8, "strides": [4], "dims": [8], "segments": 4}
+    detector = {"stride": 4, "size": 4, "vector": 2}
+    config = ObjConnectNetConfig.model_validate({**settings, "detector": detector})
     network = objconnect.ObjConnectNet(config)
     write_weights(_made(folder) / "net.safetensors", network, config.model_dump(mode="json"))
 

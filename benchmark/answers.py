@@ -1,0 +1,242 @@
+"""What ``localize`` writes of the photographs: poses, a table, and maps for GIS and globes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.datasets.textfiles import pose_line
+from ingest.attitude import gimbal_angles
+from scene.errors import InputError
+from scene.geometry.geodesy import Geodetic
+from scene.localizer import Estimate, Status
+from scene.runtime.escaping import for_terminal
+from scene.storage.names import quote_cell
+from scene.storage.outputs import OutputFile
+
+# By these a file of this command is recognized. The columns after the first ones came later.
+_HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
+_WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
+_FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
+_LATER: Final = ("time", "sea_level_m", "yaw_deg", "pitch_deg", "roll_deg", "eph_m", "epv_m")
+_COLUMNS: Final = (*_FIRST, *_LATER, "covariance")
+_MARK: Final = "poses by objconnect localize"
+_TABLE: Final = ".csv"
+
+
+@dataclass(frozen=True)
+class Located:
+    """A photograph with its estimate.
+
+    Attributes:
+        name: file name.
+        estimate: pose, in the frame of the map.
+        place: the camera on earth; None if unknown.
+        time: when it was taken; None if the photograph does not say.
+    """
+
+    name: str
+    estimate: Estimate
+    place: Geodetic | None
+    time: datetime | None = None
+
+    @property
+    def found(self) -> bool:
+        """Return whether the photograph was localized; a fallback pose does not count."""
+        return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
+
+    @property
+    def centre(self) -> NDArray[np.float64] | None:
+        """Return the camera centre (3,) in the map's frame, metres; None without a pose."""
+        pose = self.estimate.cam_from_world
+        return None if pose is None else np.asarray(pose.centre().numpy())
+
+    @property
+    def covariance(self) -> NDArray[np.float64] | None:
+        """Return the covariance (6, 6) of centre and attitude; None where it is unknown.
+
+        The centre is metres to the east, north and up, the attitude rad about these axes. With
+        ``exp(omega, v) @ (R, t)`` the centre moves by ``-R^T v`` and the camera turns by
+        ``-R^T omega``.
+        """
+        pose, covariance = self.estimate.cam_from_world, self.estimate.covariance
+        if pose is None or covariance is None:
+            return None
+        world_from_cam = pose.rotation.numpy().T
+        moves = np.zeros((6, 6))
+        moves[:3, 3:] = moves[3:, :3] = -world_from_cam
+        return np.asarray(moves @ covariance @ moves.T)
+
+    def values(self, undulation_m: float | None) -> dict[str, str | float]:
+        """Return what is known of time, height above sea level, attitude and its uncertainty.
+
+        Args:
+            undulation_m: height of the geoid above the ellipsoid; None leaves sea level out.
+        """
+        known: dict[str, str | float] = {}
+        if self.time is not None:
+            known["time"] = self.time.replace(tzinfo=None).isoformat(timespec="milliseconds")
+        if self.place is not None and undulation_m is not None:
+            known["sea_level_m"] = round(self.place.altitude - undulation_m, 3)
+        pose, covariance = self.estimate.cam_from_world, self.covariance
+        if pose is not None:
+            angles = gimbal_angles(pose)
+            known |= dict(zip(_LATER[2:5], (round(angle, 4) for angle in angles), strict=True))
+        if covariance is not None:
+            east, north, up = covariance.diagonal()[:3].tolist()
+            known["eph_m"] = round(math.sqrt(east + north), 4)
+            known["epv_m"] = round(math.sqrt(up), 4)
+        return known
+
+
+def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
+    """Return the files that ``write_answers`` writes: poses, the table beside, and further ones.
+
+    Raises:
+        InputError: the name of the poses is that of a table, or a further file has an ending that
+            is not one of ``FURTHER``.
+    """
+    if not poses.name or poses.suffix.lower() == _TABLE:
+        raise InputError(
+            f"{poses} cannot name the poses, for a table lies beside: let it end in .txt"
+        )
+    for path in also:
+        if path.suffix.lower() not in FURTHER:
+            raise InputError(f"{path} must end in {' or '.join(FURTHER)}")
+    table = poses.with_suffix(_TABLE)
+    return [
+        OutputFile(poses, _HEADER.encode()),
+        OutputFile(table, ",".join(_FIRST).encode()),
+        *(OutputFile(path, _MARK.encode()) for path in also),
+    ]
+
+
+def contents(
+    located: Sequence[Located], files: Sequence[OutputFile], undulation_m: float | None
+) -> Iterator[tuple[Path, str]]:
+    """Yield the files that ``outputs`` named, with their texts."""
+    poses, table, *also = (file.path for file in files)
+    yield poses, _pose_lines(located)
+    yield table, _table(located, undulation_m)
+    for path in also:
+        yield path, FURTHER[path.suffix.lower()](located, undulation_m)
+
+
+def _pose_lines(located: Sequence[Located]) -> str:
+    lines = [_HEADER]
+    for item in located:
+        pose = item.estimate.cam_from_world
+        if item.found and pose is not None:
+            lines.append(pose_line(item.name, pose, 9))
+    return "\n".join(lines) + "\n"
+
+
+def _table(located: Sequence[Located], undulation_m: float | None) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(_row(item, undulation_m) for item in located)
+    return text.getvalue()
+
+
+def _row(item: Located, undulation_m: float | None) -> Mapping[str, Any]:
+    """Return the row of a photograph; columns that are unknown are missing."""
+    estimate = item.estimate
+    row = {"name": quote_cell(item.name), "status": estimate.status.value}
+    row |= {"inliers": str(estimate.inliers), "reason": for_terminal(estimate.reason)}
+    if item.centre is not None:
+        row |= {k: f"{x:.4f}" for k, x in zip("enu", item.centre, strict=True)}
+        sigma = estimate.sigma_position()
+        row["sigma_m"] = "" if sigma is None else f"{sigma:.4f}"
+    if item.place is not None:
+        row |= {
+            "latitude": f"{item.place.latitude:.8f}",
+            "longitude": f"{item.place.longitude:.8f}",
+            "altitude": f"{item.place.altitude:.3f}",
+        }
+    row |= {name: str(value) for name, value in item.values(undulation_m).items()}
+    if item.covariance is not None:
+        row["covariance"] = " ".join(f"{number:.6g}" for number in item.covariance.ravel())
+    return row
+
+
+def _geojson(located: Sequence[Located], undulation_m: float | None) -> str:
+    """Return GeoJSON (RFC 7946): a point for each photograph, null where it was not found.
+
+    Altitudes are above the ellipsoid, as the standard has them.
+    """
+    features = []
+    for item in located:
+        place = item.place if item.found else None
+        values: dict[str, Any] = {"name": for_terminal(item.name)}
+        values["status"] = item.estimate.status.value
+        if item.estimate.reason:
+            values["reason"] = for_terminal(item.estimate.reason)
+        if place is not None:
+            values |= item.values(undulation_m)
+        at = None if place is None else [place.longitude, place.latitude, place.altitude]
+        geometry = None if at is None else {"type": "Point", "coordinates": at}
+        features.append({"type": "Feature", "geometry": geometry, "properties": values})
+    whole = {"type": "FeatureCollection", "generator": _MARK, "features": features}
+    return json.dumps(whole, indent=1, allow_nan=False) + "\n"
+
+
+def _kml(located: Sequence[Located], undulation_m: float | None) -> str:
+    """Return KML 2.2: a placemark for each photograph that was found, and their path.
+
+    Its altitudes are above sea level. Where that is not known, the marks lie on the ground.
+    """
+    root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
+    document = ElementTree.SubElement(root, "Document")
+    ElementTree.SubElement(document, "name").text = _MARK
+    mode = "clampToGround" if undulation_m is None else "absolute"
+    found = [item for item in located if item.found and item.place is not None]
+    for item in found:
+        mark = ElementTree.SubElement(document, "Placemark")
+        ElementTree.SubElement(mark, "name").text = for_terminal(item.name)
+        if item.time is not None:
+            stamp = ElementTree.SubElement(mark, "TimeStamp")
+            when = item.time.replace(tzinfo=None).isoformat(timespec="milliseconds")
+            ElementTree.SubElement(stamp, "when").text = f"{when}Z"
+        _geometry(mark, "Point", [item], mode, undulation_m)
+    if len(found) > 1:
+        mark = ElementTree.SubElement(document, "Placemark")
+        ElementTree.SubElement(mark, "name").text = "path"
+        _geometry(mark, "LineString", found, mode, undulation_m)
+    ElementTree.indent(root, " ")
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def _geometry(
+    mark: ElementTree.Element,
+    kind: str,
+    located: Sequence[Located],
+    mode: str,
+    undulation_m: float | None,
+) -> None:
+    geometry = ElementTree.SubElement(mark, kind)
+    ElementTree.SubElement(geometry, "altitudeMode").text = mode
+    places = [item.place for item in located if item.place is not None]
+    ElementTree.SubElement(geometry, "coordinates").text = " ".join(
+        f"{place.longitude:.8f},{place.latitude:.8f},{place.altitude - (undulation_m or 0.0):.3f}"
+        for place in places
+    )
+
+
+FURTHER: Final[Mapping[str, Callable[[Sequence[Located], float | None], str]]] = {
+    ".geojson": _geojson,
+    ".kml": _kml,
+}
+"""Formats of further files by their ending."""
