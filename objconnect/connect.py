@@ -201,7 +201,10 @@ class Connector:
         where = where * height[:, None, None]
         near, there = self._graph.neighbours(torch.from_numpy(laid.offset).float())
         batch = max(1, min(_BATCH, _AT_ONCE // (len(laid) * len(self._landmarks))))
-        weights, rows = [], []
+        count = min(count, len(self._landmarks))
+        # Made before what is large: kept arrays between large ones that go would hold their memory.
+        weights = np.empty((len(assumed), len(laid), count))
+        rows = np.empty(weights.shape, np.int64)
         for first in range(0, len(assumed), batch):
             part = slice(first, first + batch)
             own = self._graph(
@@ -214,11 +217,11 @@ class Connector:
             )
             # A softmax, which is quicker without its maximum: no cosine is larger than one.
             sharpness = self._graph.sharpness.exp()
-            likely = torch.add(-sharpness, sharpness * own @ self._described.T).exp_()
-            best, row = likely.topk(min(count, likely.shape[-1]), -1)
-            weights.append((best / likely.sum(-1, keepdim=True)).double().numpy())
-            rows.append(row.numpy())
-        return where, np.concatenate(weights), np.concatenate(rows)
+            likely = ((sharpness * own) @ self._described.T).sub_(sharpness).exp_()
+            best, row = likely.topk(count, -1)
+            weights[part] = (best / likely.sum(-1, keepdim=True)).numpy()
+            rows[part] = row.numpy()
+        return where, weights, rows
 
     def _voted(self, laid: LaidOut, assumed: _Vector) -> list[tuple[_Pose2, _Matches]]:
         """Return the places with most votes, each with the matches that voted for it."""

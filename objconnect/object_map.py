@@ -19,6 +19,7 @@ from objconnect.detector import Detections, DetectorMaps, ObjectDetector, detect
 from objconnect.landmarks import LandmarkOptions, Landmarks, View, merged, on_ground
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import SparseMap
+from scene.runtime.memory import return_freed
 from scene.runtime.progress import progress_bar
 from scene.storage.images import read_rgb
 
@@ -89,6 +90,7 @@ class ObjectFinder:
                     found = self(read_rgb(images / name, image.camera), image.camera)
                     placed = on_ground(found, image.camera, image.pose, ground)
                     views.append(View(name, image.camera, image.pose, found, placed))
+                    return_freed()
                 advance(done)
         return views
 
