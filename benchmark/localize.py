@@ -117,7 +117,10 @@ def localize(
     files = outputs(out, also)
     check_outputs(files, [*paths.values(), *([] if priors is None else [priors])])
     if also and place.origin is None:
-        raise InputError(f"the map has no position on earth: {also[0]} cannot be written")
+        raise InputError(
+            f"{also[0]} cannot be written, for the map has no position on earth: give a flight its "
+            "origin.json (lat, lon, alt)"
+        )
     reader = _QueryReader(place, camera, _priors(priors, paths), gps_sigma_m, gimbal_sigma_deg)
     _require_one(reader, paths, photographs)
     located: list[Located] = []

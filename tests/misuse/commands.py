@@ -129,7 +129,7 @@ LOCALIZE = Row(
     {
         "place": folder(
             "meadow",
-            part("meadow/origin.json", "json", optional=True),
+            part("meadow/origin.json", "json"),
             part("meadow/images/c.jpg", "photograph"),
             part("meadow/sparse/map/images.bin", "bytes"),
         ),
@@ -141,7 +141,7 @@ LOCALIZE = Row(
         "priors": file("tables/priors.csv", "csv"),
         "gps_sigma": real("10"),
         "gimbal_sigma": real("5"),
-        "also": out_file("out.geojson").left_out(),
+        "also": out_file("out.geojson"),
         "undulation": real("48", "0", "-1"),
         "overrides": SETTINGS,
         "cache": cache(),
