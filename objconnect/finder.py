@@ -38,6 +38,8 @@ class ObjectPlaceOptions(Config):
             known, one after the other.
         clear_ratio: the other tilts are not tried where the best place of the first has so many
             times the score of the second.
+        most_landmarks: in a map with more of them the place search is asked first. Its time grows
+            less with the map, and more things look alike.
     """
 
     landmarks: LandmarkOptions = LandmarkOptions()
@@ -46,6 +48,7 @@ class ObjectPlaceOptions(Config):
     heights: tuple[float, ...] = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
     tilts_deg: tuple[float, ...] = Field((0.0, 15.0, 30.0, 45.0, 60.0), min_length=1)
     clear_ratio: float = Field(2.0, ge=1)
+    most_landmarks: int = Field(5000, ge=0)
 
 
 class ObjectPlaceFinder:
@@ -55,6 +58,10 @@ class ObjectPlaceFinder:
         network: with a detector and a graph over objects.
         extract: of its feature maps.
         options: of the search.
+
+    Attributes:
+        is_first: once prepared, whether the map is small enough to ask objects before the place
+            search.
     """
 
     def __init__(
@@ -63,6 +70,7 @@ class ObjectPlaceFinder:
         assert network.detector is not None and network.constellation is not None
         self._graph, self._options = network.constellation, options
         self._find = ObjectFinder(extract, network.detector, options.landmarks)
+        self.is_first = True
 
     def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
         """Find the objects of a map, or read them from the cache.
@@ -80,6 +88,7 @@ class ObjectPlaceFinder:
         ground = map_ground(sparse_map)
         self._connect = Connector(self._graph, landmarks, ground, self._options.connect)
         self._heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
+        self.is_first = len(landmarks) <= self._options.most_landmarks
 
     def find(self, query: Query) -> list[Candidate]:
         """Return places where the query may be, best first."""

@@ -48,8 +48,8 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
 
     def __init__(self, config: ObjConnectConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
-        quick = None
+        objects = None
         if config.objects is not None and network.constellation is not None:
             extract = MapExtractor(network, config.longest, config.precision)
-            quick = ObjectPlaceFinder(network, extract, config.objects)
-        super().__init__("objconnect", network, digest, config, quick)
+            objects = ObjectPlaceFinder(network, extract, config.objects)
+        super().__init__("objconnect", network, digest, config, objects)

@@ -43,8 +43,14 @@ from scene.storage.scratch import scratch
 _UNCLEAR: Final = "no place of the map fits the image clearly"
 
 
-class QuickFinder(Protocol):
-    """Finds places of a map where a query may be, in less time than the search."""
+class OtherFinder(Protocol):
+    """Finds places of a map where a query may be, in another way than the search.
+
+    Attributes:
+        is_first: once prepared, whether it is asked before the search, or where that fails.
+    """
+
+    is_first: bool
 
     def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
         """Prepare for a map; ``key`` identifies the network, ``cache`` keeps files."""
@@ -63,7 +69,7 @@ class FeaturemetricLocalizer:
         network: the trained network.
         weights_sha256: digest of its weights.
         config: options of the method.
-        quick: finds places before the search does, which it then spares where one fits well.
+        other: finds places too, before the search or after it.
     """
 
     def __init__(
@@ -72,14 +78,14 @@ class FeaturemetricLocalizer:
         network: Network,
         weights_sha256: str,
         config: FeaturemetricConfig,
-        quick: QuickFinder | None = None,
+        other: OtherFinder | None = None,
     ) -> None:
         self.name = name
         self.weights_sha256: str | None = weights_sha256
         self.config = config
         self._extract = MapExtractor(network, config.longest, config.precision)
         self._damping = [factors().detach() for factors in network.damping]
-        self._quick = quick
+        self._other = other
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Compute the features of the map's points in its photographs, unless they are cached."""
@@ -123,8 +129,8 @@ class FeaturemetricLocalizer:
         if config.multistart and config.place.candidates:
             self._places = PlaceFinder(self._extract, config.place)
             self._places.prepare(sparse_map, images, source.extractor_key, cache)
-        if config.multistart and self._quick is not None:
-            self._quick.prepare(sparse_map, images, source.extractor_key, cache)
+        if config.multistart and self._other is not None:
+            self._other.prepare(sparse_map, images, source.extractor_key, cache)
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
@@ -151,17 +157,20 @@ class FeaturemetricLocalizer:
             if attempt.fit < options.place_accept_fit:
                 return self._estimate([attempt], [start], clock)
             attempts = [attempt]
-        if lost and self._quick is not None and not _here(query.prior):
-            with clock.stage("objects"):
-                near = self._quick.find(query)
-            for place in near:
-                tried = self._at_place(query, place, self.config.search.place_accept_fit, clock)
-                if len(tried) > 1:
-                    return self._estimate(tried, [place.pose], clock)
-                attempts += tried
+        other = self._other if lost and not _here(query.prior) else None
+        if other is not None and other.is_first:
+            tried, accepted = self._at_places_of(other, query, clock)
+            if accepted:
+                return self._estimate(tried, accepted, clock)
+            attempts += tried
         places = self._found_places(query, clock) if lost else []
         if places:
             attempts = self._attempts_at_places(query, attempts, places, clock)
+        if other is not None and not other.is_first and all(each.reason for each in attempts):
+            tried, accepted = self._at_places_of(other, query, clock)
+            if accepted:
+                return self._estimate(tried, accepted, clock)
+        if places:
             return self._estimate(attempts, [place.pose for place in places], clock)
         with clock.stage("retrieval"):
             chosen = self._chosen(query)
@@ -216,6 +225,20 @@ class FeaturemetricLocalizer:
         with clock.stage("retrieval"):
             begin = starts(query.prior, self._map, self._chosen(query), self.config.starts)
         return [Candidate(pose, 0.0) for pose in begin[:count]]
+
+    def _at_places_of(
+        self, finder: OtherFinder, query: Query, clock: Stopwatch
+    ) -> tuple[list[Attempt], list[Pose]]:
+        """Try the places of another finder until one fits well; return it, or none, last."""
+        with clock.stage("objects"):
+            places = finder.find(query)
+        attempts: list[Attempt] = []
+        for place in places:
+            tried = self._at_place(query, place, self.config.search.place_accept_fit, clock)
+            if len(tried) > 1:
+                return tried, [place.pose]
+            attempts += tried
+        return attempts, []
 
     def _attempts_at_places(
         self,

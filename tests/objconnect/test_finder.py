@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from baselines.featuremetric.maps import MapExtractor
+from baselines.place.search import Candidate
 from benchmark.datasets.open import open_datasets
 from objconnect.finder import ObjectPlaceFinder, ObjectPlaceOptions, headings_around
 from objconnect.landmarks import Landmarks
@@ -17,7 +18,7 @@ from objconnect.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network import read_network
 from scene.bundle.scene import Scene
 from scene.geometry.pose import so3_exp
-from scene.localizer import Prior
+from scene.localizer import Prior, Status
 
 DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0])).double()
 ROTATION = (DOWN @ so3_exp(torch.ones(3).double() / 9)).numpy()
@@ -99,5 +100,44 @@ def test_the_place_of_a_query_is_among_those_found(
 def test_objects_are_switched_off_by_name() -> None:
     with_objects = ObjConnectLocalizer(ObjConnectConfig())
     without = ObjConnectLocalizer(ObjConnectConfig(objects=None))
-    assert with_objects._quick is not None
-    assert without._quick is None
+    assert with_objects._other is not None
+    assert without._other is None
+
+
+@pytest.mark.parametrize(("most", "asked"), [(5000, True), (0, False)])
+def test_in_large_maps_the_search_is_asked_first(
+    rendered: Scene, tmp_path: Path, most: int, asked: bool
+) -> None:
+    """Of a query that the search finds by itself."""
+    options = ObjectPlaceOptions(most_landmarks=most)
+    localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
+    (dataset,) = open_datasets(rendered.path)
+    localizer.prepare(dataset.load_map(), dataset.images, tmp_path)
+    other = localizer._other
+    assert isinstance(other, ObjectPlaceFinder)
+    assert other.is_first is asked
+    calls: list[str] = []
+    find = other.find
+    other.find = lambda query: calls.append(query.name) or find(query)  # type: ignore[method-assign, func-returns-value]
+    query = next(query for query in dataset.queries if "summer" in query.name)
+    assert localizer.localize(query.load()).status is Status.OK
+    assert calls == ([query.name] if asked else [])
+
+
+def test_objects_are_asked_where_the_search_fails(
+    rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ObjectPlaceOptions(most_landmarks=0)
+    localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
+    (dataset,) = open_datasets(rendered.path)
+    localizer.prepare(dataset.load_map(), dataset.images, tmp_path)
+    monkeypatch.setattr(localizer, "_found_places", lambda query, clock: [])
+    query = next(query for query in dataset.queries if "summer" in query.name)
+    calls: list[str] = []
+    other = localizer._other
+    assert isinstance(other, ObjectPlaceFinder)
+    there = Candidate(query.reference, 1.0)
+    monkeypatch.setattr(other, "find", lambda query: calls.append(query.name) or [there])
+    estimate = localizer.localize(query.load())
+    assert calls == [query.name]
+    assert estimate.status is Status.OK
