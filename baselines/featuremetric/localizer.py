@@ -26,7 +26,14 @@ from baselines.align.problem import Problem
 from baselines.featuremetric.attempt import Attempt, is_clear, photograph_pose, stayed_near
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network
 from baselines.featuremetric.matcher import matcher
-from baselines.featuremetric.options import FeaturemetricConfig, SearchOptions
+from baselines.featuremetric.options import FeaturemetricConfig
+from baselines.featuremetric.priors import (
+    default_radius,
+    known_pose,
+    says_all,
+    says_where,
+    search_radius,
+)
 from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder, fit
 from baselines.featuremetric.references import ReferenceSource, references
 from baselines.place.finder import PlaceFinder
@@ -36,7 +43,7 @@ from baselines.sift import SiftLocalizer
 from baselines.starts import starts
 from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Prior, Query, Status, Stopwatch, query_error
+from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 from scene.storage.scratch import scratch
 
@@ -141,7 +148,7 @@ class FeaturemetricLocalizer:
             reason = f"the image is {side} pixels wide or high, {LEAST_SIDE} are needed"
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
-        lost = self.config.multistart and query.references is None and not _whole(query.prior)
+        lost = self.config.multistart and query.references is None and not says_all(query.prior)
         matched = self._matched(query, clock) if lost else None
         attempts: list[Attempt] = []
         if matched is not None and matched.cam_from_world is not None:
@@ -157,7 +164,7 @@ class FeaturemetricLocalizer:
             if attempt.fit < options.place_accept_fit:
                 return self._estimate([attempt], [start], clock)
             attempts = [attempt]
-        other = self._other if lost and not _here(query.prior) else None
+        other = self._other if lost and not says_where(query.prior) else None
         if other is not None and other.is_first:
             tried, accepted = self._at_places_of(other, query, clock)
             if accepted:
@@ -220,7 +227,7 @@ class FeaturemetricLocalizer:
             return []
         with clock.stage("place"):
             places = self._places.find(query)
-        if places or _here(query.prior):
+        if places or says_where(query.prior):
             return places
         with clock.stage("retrieval"):
             begin = starts(query.prior, self._map, self._chosen(query), self.config.starts)
@@ -273,7 +280,7 @@ class FeaturemetricLocalizer:
         self, query: Query, place: Candidate, least: float, clock: Stopwatch
     ) -> list[Attempt]:
         """Align the image at a place, and where it fits better than ``least``, once more."""
-        radius = _default_radius(self.config.search)
+        radius = default_radius(self.config.search)
         attempt = self._attempt_near(query, place.pose, clock, radius)
         if attempt.fit < least:
             return [attempt, self._attempt_near(query, attempt.pose, clock, radius)]
@@ -292,7 +299,7 @@ class FeaturemetricLocalizer:
         seen from there it is turned and scaled better.
         """
         options = self.config.search
-        radius = _search_radius(query.prior, options)
+        radius = search_radius(query.prior, options)
         attempts: list[Attempt] = []
         by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
         for _, at_place in by_place:
@@ -300,7 +307,7 @@ class FeaturemetricLocalizer:
             best = min(attempts, key=lambda attempt: attempt.fit)
             if best.fit < options.stop_fit:
                 if len(begin) > 1:
-                    near = _default_radius(options)
+                    near = default_radius(options)
                     attempts.append(self._attempt_near(query, best.pose, clock, near))
                 break
         return attempts
@@ -309,7 +316,7 @@ class FeaturemetricLocalizer:
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius
     ) -> Attempt:
         """Align the image from a start that says more than the query's own prior."""
-        near = replace(query, prior=_known_pose(start))
+        near = replace(query, prior=known_pose(start))
         return self._attempt(near, self._chosen(near), start, clock, radius)
 
     def _attempt(
@@ -355,7 +362,7 @@ class FeaturemetricLocalizer:
         if alignment.failed[0]:
             return problem, alignment
         pose = photograph_pose(view, alignment)
-        chosen = self._chosen(replace(query, prior=_known_pose(pose)))
+        chosen = self._chosen(replace(query, prior=known_pose(pose)))
         after = self._problems.build(view, maps, chosen, pose, self.config.points)
         # The coarsest level has no more to say of a pose that the finest one found.
         final = align(after.finer() if after.levels[1:] else after)
@@ -368,7 +375,7 @@ class FeaturemetricLocalizer:
 
         SIFT features tell which look most like it: those of the network were learned from above.
         """
-        if self._matches is not None and query.references is None and not _here(query.prior):
+        if self._matches is not None and query.references is None and not says_where(query.prior):
             return self._matches.similar(query, self.config.references)
         return self._retrieval.choose(
             query, self.config.references, lambda: self._described(query), tilted=False
@@ -385,36 +392,3 @@ class FeaturemetricLocalizer:
         _, maps = self._extract(query.image, query.camera, levels=1)
         cells = maps[0].features[0].flatten(1).T.float()
         return torch.nn.functional.normalize(cells, dim=1).numpy()
-
-
-def _known_pose(pose: Pose) -> Prior:
-    """Return a prior that knows position and attitude."""
-    return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
-
-
-def _here(prior: Prior | None) -> bool:
-    """Return whether a prior says where the camera is."""
-    return prior is not None and prior.has_position
-
-
-def _whole(prior: Prior | None) -> bool:
-    """Return whether a prior says where the camera is and which way it is turned."""
-    return prior is not None and prior.has_position and prior.has_heading
-
-
-def _default_radius(options: SearchOptions) -> SearchRadius:
-    """Return how far to look around a start of which no uncertainty is known."""
-    return SearchRadius(options.radius_m, options.radius_deg)
-
-
-def _search_radius(prior: Prior | None, options: SearchOptions) -> SearchRadius:
-    """Return how far a prior may be off, by its standard deviations where they are known."""
-    if prior is None:
-        return _default_radius(options)
-    metres, sigmas = options.radius_m, options.prior_sigmas
-    if prior.position_sigma is not None:
-        # An axis that was not measured is infinitely unsure: nothing says how far to look.
-        known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
-        metres = max([metres, *(sigmas * float(sigma) for sigma in known)])
-    degrees = max(options.radius_deg, sigmas * (prior.attitude_sigma_deg or 0.0))
-    return SearchRadius(min(metres, options.max_radius_m), min(degrees, options.max_radius_deg))

@@ -1,0 +1,43 @@
+"""What a prior says of a query, and how far to look around it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from baselines.align.options import SearchRadius
+from baselines.featuremetric.options import SearchOptions
+from scene.geometry.pose import Pose
+from scene.localizer import Prior
+
+
+def known_pose(pose: Pose) -> Prior:
+    """Return a prior that knows position and attitude."""
+    return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
+
+
+def says_where(prior: Prior | None) -> bool:
+    """Return whether a prior says where the camera is."""
+    return prior is not None and prior.has_position
+
+
+def says_all(prior: Prior | None) -> bool:
+    """Return whether a prior says where the camera is and which way it is turned."""
+    return prior is not None and prior.has_position and prior.has_heading
+
+
+def default_radius(options: SearchOptions) -> SearchRadius:
+    """Return how far to look around a start of which no uncertainty is known."""
+    return SearchRadius(options.radius_m, options.radius_deg)
+
+
+def search_radius(prior: Prior | None, options: SearchOptions) -> SearchRadius:
+    """Return how far a prior may be off, by its standard deviations where they are known."""
+    if prior is None:
+        return default_radius(options)
+    metres, sigmas = options.radius_m, options.prior_sigmas
+    if prior.position_sigma is not None:
+        # An axis that was not measured is infinitely unsure: nothing says how far to look.
+        known = prior.position_sigma[:2][np.isfinite(prior.position_sigma[:2])]
+        metres = max([metres, *(sigmas * float(sigma) for sigma in known)])
+    degrees = max(options.radius_deg, sigmas * (prior.attitude_sigma_deg or 0.0))
+    return SearchRadius(min(metres, options.max_radius_m), min(degrees, options.max_radius_deg))
