@@ -86,7 +86,7 @@ class Located:
         """
         known: dict[str, str | float] = {}
         if self.time is not None:
-            known["time"] = self.time.replace(tzinfo=None).isoformat(timespec="milliseconds")
+            known["time"] = _stamp(self.time)
         if self.place is not None and undulation_m is not None:
             known["sea_level_m"] = round(self.place.altitude - undulation_m, 3)
         pose, covariance = self.estimate.cam_from_world, self.covariance
@@ -207,8 +207,7 @@ def _kml(located: Sequence[Located], undulation_m: float | None) -> str:
         ElementTree.SubElement(mark, "name").text = for_terminal(item.name)
         if item.time is not None:
             stamp = ElementTree.SubElement(mark, "TimeStamp")
-            when = item.time.replace(tzinfo=None).isoformat(timespec="milliseconds")
-            ElementTree.SubElement(stamp, "when").text = f"{when}Z"
+            ElementTree.SubElement(stamp, "when").text = f"{_stamp(item.time)}Z"
         _geometry(mark, "Point", [item], mode, undulation_m)
     if len(found) > 1:
         mark = ElementTree.SubElement(document, "Placemark")
@@ -217,6 +216,11 @@ def _kml(located: Sequence[Located], undulation_m: float | None) -> str:
     ElementTree.indent(root, " ")
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def _stamp(time: datetime) -> str:
+    """Return a time as a photograph has it, to the millisecond."""
+    return time.replace(tzinfo=None).isoformat(timespec="milliseconds")
 
 
 def _geometry(

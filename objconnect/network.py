@@ -142,7 +142,7 @@ class ObjConnectNet(nn.Module):
 
         The objects are None where the network has none. Arguments are those of ``forward``.
         """
-        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
+        decoded = self._decoded(image)
         if not self._with_objects:
             labels = None
         elif labels is None and self.config.segmentation == "learned":
@@ -184,7 +184,7 @@ class ObjConnectNet(nn.Module):
         Raises:
             InputError: the network has no detector.
         """
-        return self._learned(self.decoder(encode(self.encoder, image, self.config.strides[-1])))
+        return self._learned(self._decoded(image))
 
     def learned_objects(self, image: Tensor) -> list[Detections]:
         """Return the detector's objects of images (B, 3, H, W), the surest first.
@@ -192,8 +192,13 @@ class ObjConnectNet(nn.Module):
         Raises:
             InputError: the network has no detector.
         """
-        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
+        decoded = self._decoded(image)
         return [found for _, found in self._detected(decoded)]
+
+    def _decoded(self, image: Tensor) -> Iterable[Tensor]:
+        """Yield the decoder's maps of images, coarse to fine."""
+        maps: Iterable[Tensor] = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
+        return maps
 
     def _learned(self, decoded: Iterable[Tensor]) -> Tensor:
         detected = self._detected(decoded)

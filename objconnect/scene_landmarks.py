@@ -90,7 +90,7 @@ def find_landmarks(
     cameras = {name: image.camera for name, image in sparse_map.images.items()}
     check_photographs(scene.images_root, cameras)
     config = ObjConnectConfig()
-    options = LandmarkOptions() if config.objects is None else config.objects.landmarks
+    options = LandmarkOptions()
     extract = MapExtractor(network, config.longest, config.precision)
     finder = ObjectFinder(extract, network.detector, options)
     landmarks, tracks = merged(finder.views(sparse_map, scene.images_root), options)

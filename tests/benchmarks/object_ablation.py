@@ -41,7 +41,7 @@ from objconnect.segmentation import at_level, segment
 from scene.bundle.scene import Scene
 from scene.geometry.pose import Pose
 from scene.storage.images import read_rgb
-from tests.benchmarks.objects import is_right, ranks_of
+from tests.benchmarks.objects import finder_of, rank_of_right, ranks_of
 
 VARIANTS = [("learned", 2), ("learned", 0), ("slic", 2), ("felzenszwalb", 2), ("grid", 2)]
 # As many segments as the detector has objects at most.
@@ -87,7 +87,7 @@ def main() -> None:
     given = parser.parse_args()
     network, _ = read_network(given.weights)
     for kind in given.kinds:
-        finder = _finder(network, kind)
+        finder = finder_of(network) if kind == "learned" else SegmentFinder(network, kind)
         same_m = ConstellationTraining().same_m
         taught = [lesson(Scene.open(path), finder, same_m) for path in given.scenes]
         scenes = [Scene.open(path) for path in given.report]
@@ -112,14 +112,6 @@ def main() -> None:
                 )
 
 
-def _finder(network: ObjConnectNet, kind: str) -> ObjectFinder:
-    if kind != "learned":
-        return SegmentFinder(network, kind)
-    assert network.detector is not None
-    extract = MapExtractor(network, LONGEST, "float32")
-    return ObjectFinder(extract, network.detector, LandmarkOptions())
-
-
 def _starts(
     finder: ObjectFinder,
     graph: torch.nn.Module,
@@ -136,8 +128,7 @@ def _starts(
         camera, true = frames.cameras[row], Pose.from_matrix(frames.cam_from_world[row])
         found = finder(read_rgb(scene.images_root / name), camera)
         places = connect(found, camera, *headings_around(None, heights))
-        right = [is_right(place.pose, true) for place in places]
-        ranks.append(right.index(True) if True in right else 99)
+        ranks.append(rank_of_right(places, true))
     return ranks
 
 

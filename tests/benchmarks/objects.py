@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from baselines.featuremetric.maps import MapExtractor
+from baselines.place.search import Candidate
 from baselines.training.instances import LARGEST_M, LINES
 from objconnect.config import ConstellationConfig, ObjConnectNetConfig
 from objconnect.connect import ConnectOptions, Connector, described_landmarks
@@ -317,8 +318,7 @@ def starts(network: ObjConnectNet, scenes: Sequence[Scene], session: str) -> Non
             found = connect(finder(rgb, camera), camera, *headings_around(None, heights))
             seconds.append(time.perf_counter() - began)
             true = Pose.from_matrix(frames.cam_from_world[row])
-            right = [is_right(each.pose, true) for each in found]
-            here.append(right.index(True) if True in right else 99)
+            here.append(rank_of_right(found, true))
         ranks += here
         print(
             f"{scene.name}: first {np.mean(np.array(here) == 0):.3f}, among five "
@@ -337,6 +337,12 @@ def landmarks_bytes(landmarks: object) -> int:
     """Return the bytes that landmarks take as they are written."""
     arrays = [value for value in vars(landmarks).values() if isinstance(value, np.ndarray)]
     return sum(a.nbytes // 2 if a.dtype == np.float32 else a.nbytes for a in arrays)
+
+
+def rank_of_right(places: Sequence[Candidate], true: Pose) -> int:
+    """Return the rank of the first right start, from 0 on; 99 for none."""
+    right = [is_right(place.pose, true) for place in places]
+    return right.index(True) if True in right else 99
 
 
 def is_right(pose: Pose, true: Pose) -> bool:
