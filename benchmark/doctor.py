@@ -42,6 +42,16 @@ _MODULES: Final = {
     "scikit-image": "skimage",
     "pyyaml": "yaml",
     "pillow": "PIL",
+    "rerun-sdk": "rerun",
+}
+# Extras that bring one ability each: a package of theirs, and what is impossible without it.
+_EXTRAS: Final = {
+    "simulate": ("bpy", "rendering"),
+    "cluster": ("ray", "--cluster"),
+    "geo": ("pyproj", "coordinates by EPSG code and GeoTIFF"),
+    "video": ("av", "--video"),
+    "robot": ("pymavlink", "writing for autopilots and ROS 2"),
+    "rerun": ("rerun-sdk", "export to rerun"),
 }
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 # Loading torch takes long on a busy machine.
@@ -137,10 +147,9 @@ def doctor() -> Diagnosis:
     if sys.version_info < _PYTHON:
         return Diagnosis((_python(),))
     requirements = _requirements()
-    rendering = _version("bpy") is not None
+    present = {extra for extra, (package, _) in _EXTRAS.items() if _version(package)}
     # The packages of an extra that is not installed are not loaded.
-    wanted = {"", *(["simulate"] if rendering else []), *(["cluster"] if _version("ray") else [])}
-    loadable = [r for r in requirements if r.extra in wanted]
+    loadable = [r for r in requirements if r.extra in {"", *present}]
     with ThreadPoolExecutor(min(4, _cores())) as pool:
         modules = list(dict.fromkeys(r.module for r in loadable))
         loaded = dict(zip(modules, pool.map(_load, modules), strict=True))
@@ -148,8 +157,8 @@ def doctor() -> Diagnosis:
         *_machine(),
         _device(loaded["torch"]),
         *(_package(r, loaded[r.module]) for r in loadable),
-        *_rendering(rendering),
-        *_cluster("cluster" in wanted),
+        *_rendering("simulate" in present),
+        *_optional(present - {"simulate"}),
         *_testing([r for r in requirements if r.extra == "test"]),
         *_weights([_ROOT / package for package in _WITH_WEIGHTS]),
     ]
@@ -317,11 +326,12 @@ def _rendering(installed: bool) -> Iterator[Check]:
         yield Check("Blender's libraries", "ok", "all there")
 
 
-def _cluster(installed: bool) -> Iterator[Check]:
-    """Check what ``--cluster`` needs, which never counts as missing."""
-    if not installed:
-        fix = f"{sys.executable} -m pip install 'objconnect[cluster]'"
-        yield Check("ray", "absent", "not installed: --cluster is not possible", fix)
+def _optional(present: set[str]) -> Iterator[Check]:
+    """Check the extras besides rendering's, which never count as missing."""
+    for extra, (package, ability) in _EXTRAS.items():
+        if extra not in {"simulate", *present}:
+            fix = f"{sys.executable} -m pip install 'objconnect[{extra}]'"
+            yield Check(package, "absent", f"not installed: {ability} is not possible", fix)
 
 
 def _testing(requirements: list[_Requirement]) -> Iterator[Check]:

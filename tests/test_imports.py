@@ -51,6 +51,7 @@ ADAPTERS = {
     "mathutils": "simulate.render.blender",
     "pycolmap": "scene.colmap",
     "ray": "scene.runtime.cluster",
+    "pyproj": "scene.geo.crs",
 }
 
 
@@ -76,6 +77,8 @@ def imported(statement: ast.AST) -> Iterator[str]:
         assert statement.module is not None
         yield statement.module
         yield from (f"{statement.module}.{alias.name}" for alias in statement.names)
+    elif isinstance(statement, ast.Call) and ast.unparse(statement.func) == "import_extra":
+        yield ast.literal_eval(statement.args[0])
 
 
 def imports_anywhere(tree: ast.Module) -> set[str]:
