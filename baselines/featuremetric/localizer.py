@@ -102,10 +102,12 @@ class FeaturemetricLocalizer:
             return
         config = self.config
         self._map = sparse_map
+        cameras = [image.camera for image in sparse_map.images.values()]
+        kept_mb = max(1, config.memory_mb - self._extract.pass_megabytes(cameras))
         # First, as the extraction of SIFT takes more memory than all that follows.
         self._matches: SiftLocalizer | None = None
         if config.multistart and config.matches is not None:
-            least_mb = min(config.memory_mb, config.matches.memory_mb)
+            least_mb = min(kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
             self._matches = matcher(of_matches, sparse_map, images, cache)
         source = ReferenceSource(
@@ -119,7 +121,7 @@ class FeaturemetricLocalizer:
             config.reference,
             config.corner,
         )
-        self._observations = references(source, cache, config.memory_mb)
+        self._observations = references(source, cache, kept_mb)
         solver = Options(**config.solver.model_dump(), iterations=config.iterations)
         self._problems = ProblemBuilder(
             self._extract,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Final, Literal, Protocol
 
 import numpy as np
 import torch
@@ -14,8 +15,11 @@ from torch import Tensor, nn
 from baselines.align.sampling import sample
 from baselines.views import WarpedImage, level_image, warp_image
 from scene.geometry.camera import Camera
+from scene.storage.lru_cache import MEGABYTE
 
 Precision = Literal["float32", "bfloat16"]
+# Bytes per pixel that a pass of the networks takes at its peak, beside what they return.
+_PASS_BYTES: Final = 320
 
 
 class Levels(Protocol):
@@ -137,6 +141,14 @@ class MapExtractor:
     def largest_scale(self, camera: Camera) -> float:
         """Return the largest scale at which photographs of a camera are seen."""
         return min(1.0, self.longest / max(camera.width, camera.height))
+
+    def pass_megabytes(self, cameras: Iterable[Camera]) -> int:
+        """Return about what a pass takes for photographs of these cameras, turned by any angle."""
+        sides = (
+            self.largest_scale(camera) * math.hypot(camera.width, camera.height)
+            for camera in cameras
+        )
+        return round(max(sides, default=0.0) ** 2 * _PASS_BYTES / MEGABYTE)
 
 
 def _shown(seen: WarpedImage, size: torch.Size, stride: int) -> NDArray[np.bool_]:

@@ -145,10 +145,10 @@ class FeaturemetricConfig(Config):
     )
     precision: Precision = Field("float32", description="Precision of the convolutions.")
     memory_mb: int = Field(
-        1400,
+        1300,
         ge=1,
         description="Memory of the whole process; features of the map stay in memory as far as "
-        "there is room below it.",
+        "there is room below it beside a pass of the network.",
     )
     place: PlaceOptions = Field(
         PlaceOptions(candidates=0),

@@ -24,6 +24,8 @@ from scene.config import Config, describe
 from scene.errors import InputError
 
 STRIDES: Final = (16, 8, 4, 2, 1)
+# Rows of a map that are decoded at once: few enough for the processor's cache, and even.
+_ROWS: Final = 64
 
 
 def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
@@ -104,12 +106,40 @@ class Decoder(nn.ModuleList):
         if 0 in self._wanted:
             yield decoded
         for number, step in enumerate(self, 1):
-            skip = skips.pop()
-            up = functional.interpolate(decoded, scale_factor=2.0, mode="bilinear")
-            height, width = up.shape[-2:]
-            decoded = step(torch.cat([up, skip[..., :height, :width]], 1))
+            decoded = _decode(step, decoded, skips.pop())
             if number in self._wanted:
                 yield decoded
+
+
+def _decode(step: nn.Module, coarse: Tensor, skip: Tensor) -> Tensor:
+    """Apply a step of the decoder to maps of half its resolution and the encoder's block.
+
+    What goes into the convolution is made for some rows at a time: of a whole picture it would take
+    three times the memory of the result.
+    """
+    rows = 2 * coarse.shape[-2]
+    # The statistics of a batch are those of whole maps.
+    count = rows if step.training else _ROWS
+    decoded = None
+    for first in range(0, rows, count):
+        last = min(first + count, rows)
+        # The convolution sees one row more at either side, and the resizing one of the coarse map.
+        above, below = int(first > 0), int(last < rows)
+        start = first // 2 - 2 * above
+        up = functional.interpolate(
+            coarse[..., start : last // 2 + 2 * below, :], scale_factor=2.0, mode="bilinear"
+        )
+        fine = skip[..., first - above : last + below, : up.shape[-1]]
+        up = up[..., first - above - 2 * start :, :][..., : fine.shape[-2], :]
+        made = step(torch.cat([up, fine], 1))[..., above : above + last - first, :]
+        if decoded is None:
+            size = (*made.shape[:2], rows, made.shape[-1])
+            decoded = torch.empty(
+                size, dtype=made.dtype, device=made.device, memory_format=torch.channels_last
+            )
+        decoded[..., first:last, :] = made
+    assert decoded is not None
+    return decoded
 
 
 class PixlocNet(nn.Module):

@@ -54,12 +54,14 @@ class SiftExtractor:
     """An extractor of SIFT features that takes one image at a time."""
 
     def __init__(self, options: SiftOptions) -> None:
-        self._native = pycolmap.FeatureExtractor.create(options.native(), pycolmap.Device.cpu)
+        self._options = options.native()
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         """Return the features of an image (H, W, 3) uint8."""
+        # COLMAP's extractor keeps the scale space of its last image: 0.3 GB of 1024 x 1024 pixels.
+        native = pycolmap.FeatureExtractor.create(self._options, pycolmap.Device.cpu)
         grey = pycolmap.Bitmap.from_array(np.ascontiguousarray(rgb)).clone_as_grey()
-        keypoints, descriptors = self._native.extract(grey)
+        keypoints, descriptors = native.extract(grey)
         x, y, scale, _ = pycolmap.keypoints_to_matrix(keypoints).T
         return Features(np.stack([x, y], -1), scale.copy(), np.array(descriptors.data))
 

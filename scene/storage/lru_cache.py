@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable
 from threading import Lock
 from typing import Final, Generic, Protocol, TypeVar
 
-from scene.runtime.memory import resident_bytes
+from scene.runtime.memory import resident_bytes, return_freed
 
 MEGABYTE: Final = 2**20
 
@@ -24,12 +24,13 @@ V = TypeVar("V", bound=_Sized)
 def room(bound_mb: int) -> int:
     """Return the bytes that a cache may take so that the whole process stays below a bound.
 
-    This is half of what is left below the bound now: the other half is for what a query needs
-    while it is localized.
+    This is half of what is left below the bound now, after memory that was freed has been given
+    back to the system. The other half is for another cache and what a query needs.
 
     Args:
         bound_mb: memory of the process, megabytes.
     """
+    return_freed()
     return max(0, (bound_mb * MEGABYTE - resident_bytes()) // 2)
 
 

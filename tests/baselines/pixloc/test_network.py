@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from baselines.checkpoint import write_weights
-from baselines.pixloc.network import PixlocNet, PixlocNetConfig, read_network
+from baselines.pixloc.network import PixlocNet, PixlocNetConfig, _decode, read_network
 from scene.config import load_config
 from scene.errors import InputError
 from tests.baselines.pixloc import official
@@ -85,3 +85,21 @@ def test_bad_weights(tmp_path: Path) -> None:
 def test_bad_configuration(wrong: dict[str, object]) -> None:
     with pytest.raises(InputError):
         load_config(PixlocNetConfig, None, wrong)
+
+
+@pytest.mark.parametrize("size", [(160, 64), (272, 96), (301, 77)])
+def test_rows_are_decoded_as_the_whole(size: tuple[int, int]) -> None:
+    """Maps of more than 64 rows are decoded some rows at a time, to the same values."""
+    torch.manual_seed(1)
+    decoder = PixlocNet(PixlocNetConfig(width=0.125, decoder=(16, 16, 8, 8))).decoder.eval()
+    coarse = torch.rand(1, 8, size[0] // 2, size[1] // 2)
+    skip = torch.rand(1, 8, *size)
+    step = decoder[3]
+    with torch.no_grad():
+        step[1].running_mean.uniform_(-1, 1)
+        rows = _decode(step, coarse, skip)
+        up = torch.nn.functional.interpolate(coarse, scale_factor=2.0, mode="bilinear")
+        whole = step(torch.cat([up, skip[..., : up.shape[-2], : up.shape[-1]]], 1))
+    assert rows.shape == whole.shape == (1, 8, size[0] // 2 * 2, size[1] // 2 * 2)
+    assert torch.allclose(rows, whole, atol=1e-6)
+    assert whole.std() > 0.1
