@@ -14,6 +14,7 @@ from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import parts_of
 from benchmark.datasets.textfiles import (
     read_cameras,
+    read_conditions,
     read_gps,
     read_poses,
     read_priors,
@@ -27,7 +28,7 @@ from scene.maps.sparse_map import SparseMap
 TRACK: Final = "flight"
 SPARSE_SUFFIX: Final = "-sparse"
 
-# Map and queries come from one flight, so that season and light are the same.
+# Without a table of conditions, map and queries come from one flight: season and light are equal.
 _CONDITION: Final = "same-flight"
 
 # Fewer residuals than this do not tell how accurate the GPS is.
@@ -120,9 +121,16 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
     for query in cameras.keys() & sparse_map.images.keys():
         raise InputError(f"{query_list}: query {query} is a photograph of the map {model}")
     priors = _priors(path, sparse_map, {*cameras, *sparse_map.images})
+    conditions = _conditions(path, sparse_map.images.keys(), cameras.keys())
     queries = tuple(
         BenchmarkQuery(
-            query, _CONDITION, name, camera, images / query, priors.get(query), references[query]
+            query,
+            conditions[query],
+            name,
+            camera,
+            images / query,
+            priors.get(query),
+            references[query],
         )
         for query, camera in cameras.items()
     )
@@ -130,12 +138,29 @@ def _open(path: Path, name: str, model: Path, ending: str) -> Dataset:
         name=name,
         track=TRACK,
         parts=parts_of(model, images, sparse_map.names, queries),
-        map_conditions=(_CONDITION,),
+        map_conditions=tuple(dict.fromkeys(conditions[mapped] for mapped in sparse_map.names)),
         model=model,
         load_map=lambda: sparse_map,
         images=images,
         queries=queries,
     )
+
+
+def _conditions(path: Path, mapped: Set[str], queries: Set[str]) -> dict[str, str]:
+    """Return the condition of each photograph of the map and of each query.
+
+    Raises:
+        InputError: the table of conditions is wrong, or lacks one of them.
+    """
+    photographs, table = sorted({*mapped, *queries}), path / "conditions.csv"
+    if not os.path.lexists(table):
+        return dict.fromkeys(photographs, _CONDITION)
+    conditions = read_conditions(table)
+    require_same_case(table, conditions, photographs)
+    for name in photographs:
+        if name not in conditions:
+            raise InputError(f"{table} does not tell the condition of {name}: add a row for it")
+    return conditions
 
 
 def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[str, Prior]:

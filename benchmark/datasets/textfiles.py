@@ -11,6 +11,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from scene.bundle.manifest import ALL_CONDITIONS
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
 from scene.geometry.geodesy import FARTHEST_M
@@ -24,6 +25,7 @@ from scene.storage.tables import read_table
 _POSE: Final = ("name", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
 _PRIOR: Final = ("name", "e", "n", "u", "sigma_m", "qw", "qx", "qy", "qz", "sigma_deg")
 _GPS: Final = ("name", "e", "n", "u")
+_CONDITIONS: Final = ("name", "condition")
 
 # Smallest sigma (metres, degrees): no receiver or gimbal is better, and weights would overflow.
 _LEAST_SIGMA: Final = 1e-6
@@ -178,6 +180,26 @@ def read_gps(path: Path) -> dict[str, NDArray[np.float64]]:
             raise InputError(f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away")
         _add(fixes, _name(where, row), position, where)
     return fixes
+
+
+def read_conditions(path: Path) -> dict[str, str]:
+    """Read the columns ``name``, ``condition`` of a ``conditions.csv``.
+
+    Returns:
+        The condition of each photograph, such as ``winter-dusk``, in the order of the file.
+
+    Raises:
+        InputError: the file cannot be read, a column is missing, a row has the wrong number of
+            columns, a condition that is empty, not printable or called "all", or a name that was
+            given before.
+    """
+    conditions: dict[str, str] = {}
+    for where, row in read_table(path, "table of conditions", _CONDITIONS):
+        condition = row["condition"].strip()
+        if not condition or not condition.isprintable() or condition == ALL_CONDITIONS:
+            raise InputError(f"{where}: {condition!r} is no condition: give a name as winter-dusk")
+        _add(conditions, _name(where, row), condition, where)
+    return conditions
 
 
 def require_same_case(path: Path, listed: Collection[str], photographs: Collection[str]) -> None:

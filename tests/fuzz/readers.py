@@ -23,7 +23,13 @@ from baselines.training.loop import _claim, _log, _restore
 from benchmark.basin import load_basin
 from benchmark.datasets.cmu import open_cmu, open_slices
 from benchmark.datasets.open import open_datasets
-from benchmark.datasets.textfiles import read_cameras, read_gps, read_poses, read_priors
+from benchmark.datasets.textfiles import (
+    read_cameras,
+    read_conditions,
+    read_gps,
+    read_poses,
+    read_priors,
+)
 from benchmark.journal import Journal
 from benchmark.localize import _origin
 from benchmark.report.album import Album, Entry, Neighbour, read_album, write_album
@@ -182,6 +188,7 @@ def _tables(folder: Path) -> None:
     shutil.rmtree(folder / "flight")
     shutil.copyfile(ROOT / "tests/data/gate/priors.csv", folder / "priors.csv")
     (folder / "positions.csv").write_text("name,lat,lon,alt\na.jpg,47.1,8.1,420\nb.jpg,47,8,1\n")
+    (folder / "conditions.csv").write_text("name,condition\na.jpg,summer-noon\nb.jpg,winter\n")
     (folder / "pairs.txt").write_text("# pairs\nb.jpg a.jpg\nb.jpg c.jpg\n")
 
 
@@ -378,6 +385,7 @@ READERS: dict[str, Reader] = {
             "reference_poses.txt": ("text", lambda f: read_poses(f / "reference_poses.txt", True)),
             "gps.csv": ("text", lambda f: read_gps(f / "gps.csv")),
             "priors.csv": ("text", lambda f: read_priors(f / "priors.csv")),
+            "conditions.csv": ("text", lambda f: read_conditions(f / "conditions.csv")),
             "positions.csv": ("text", lambda f: read_positions(f / "positions.csv")),
             "pairs.txt": ("text", lambda f: parse_start(f"pairs={f / 'pairs.txt'}")),
         },

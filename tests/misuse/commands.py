@@ -52,10 +52,17 @@ MODEL = {
     for model in ("cameras", "images", "points3D")
     for name, fault in part(f"hamlet/map/{model}.bin", "bytes").items()
 }
+# Its cells are names: no number can be wrong.
+CONDITIONS = {
+    name: fault
+    for name, fault in part("meadow/conditions.csv", "csv", optional=True).items()
+    if name.partition(":")[2] not in ("nan", "inf", "word", "huge", "no_number")
+}
 FLIGHT_LISTS = (
     part("meadow/queries.txt", "words"),
     part("meadow/reference_poses.txt", "words"),
     part("meadow/gps.csv", "csv", optional=True),
+    CONDITIONS,
 )
 FLIGHT = (
     *FLIGHT_LISTS,

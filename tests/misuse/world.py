@@ -30,6 +30,7 @@ from scene.storage.images import Exif
 from scene.storage.images import write_jpeg as write_photograph
 from tests.benchmark.made_data import (
     CAMERA,
+    MAP_NAMES,
     QUERY_NAMES,
     pose_at,
     write_flight,
@@ -125,6 +126,8 @@ def _cmu(root: Path) -> None:
 
 def _meadow(path: Path) -> None:
     write_flight(path)
+    declared = [f"{name},same-flight" for name in (*MAP_NAMES, *QUERY_NAMES)]
+    (path / "conditions.csv").write_text("\n".join(["name,condition", *declared]) + "\n")
     (path / "origin.json").write_text('{"lat": 47.0, "lon": 8.0, "alt": 400.5}\n')
 
 

@@ -43,6 +43,39 @@ def test_flight(made_flight: Path) -> None:
         assert query.prior is not None
 
 
+def _declare(flight: Path, queries: str = "winter-dusk") -> Path:
+    """Write a table that says: the map of summer, and queries of another condition."""
+    table = flight / "conditions.csv"
+    rows = [f"{name},summer-noon" for name in MAP_NAMES] + [f"{n},{queries}" for n in QUERY_NAMES]
+    table.write_text("\n".join(["name,condition", *rows]) + "\n")
+    return table
+
+
+def test_a_flight_declares_its_conditions(made_flight: Path) -> None:
+    """A winter flight over a summer map is not the map's own condition, and not saturated."""
+    same = only(made_flight).sha256
+    _declare(made_flight)
+    dataset = only(made_flight)
+    assert dataset.map_conditions == ("summer-noon",)
+    assert {query.condition for query in dataset.queries} == {"winter-dusk"}
+    assert dataset.sha256 != same
+
+
+@pytest.mark.parametrize("wrong", ["all", " ", "win\x07ter"])
+def test_what_is_no_condition(made_flight: Path, wrong: str) -> None:
+    table = _declare(made_flight, wrong)
+    with pytest.raises(InputError, match=rf"{table}:6: .* is no condition"):
+        only(made_flight)
+
+
+def test_a_table_of_conditions_has_all_photographs(made_flight: Path) -> None:
+    table = _declare(made_flight)
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join(lines[:-1]) + "\n")
+    with pytest.raises(InputError, match=f"does not tell the condition of {QUERY_NAMES[-1]}"):
+        only(made_flight)
+
+
 def test_gps_sigma_is_the_rms_over_map_photographs(made_flight: Path) -> None:
     prior = only(made_flight).queries[0].prior
     assert prior is not None
