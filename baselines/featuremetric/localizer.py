@@ -45,6 +45,8 @@ from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
+from scene.runtime.memory import return_freed_above
+from scene.storage.lru_cache import MEGABYTE
 from scene.storage.scratch import scratch
 
 _UNCLEAR: Final = "no place of the map fits the image clearly"
@@ -103,11 +105,11 @@ class FeaturemetricLocalizer:
         config = self.config
         self._map = sparse_map
         cameras = [image.camera for image in sparse_map.images.values()]
-        kept_mb = max(1, config.memory_mb - self._extract.pass_megabytes(cameras))
+        self._kept_mb = max(1, config.memory_mb - self._extract.pass_megabytes(cameras))
         # First, as the extraction of SIFT takes more memory than all that follows.
         self._matches: SiftLocalizer | None = None
         if config.multistart and config.matches is not None:
-            least_mb = min(kept_mb, config.matches.memory_mb)
+            least_mb = min(self._kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
             self._matches = matcher(of_matches, sparse_map, images, cache)
         source = ReferenceSource(
@@ -121,7 +123,7 @@ class FeaturemetricLocalizer:
             config.reference,
             config.corner,
         )
-        self._observations = references(source, cache, kept_mb)
+        self._observations = references(source, cache, self._kept_mb)
         solver = Options(**config.solver.model_dump(), iterations=config.iterations)
         self._problems = ProblemBuilder(
             self._extract,
@@ -330,6 +332,7 @@ class FeaturemetricLocalizer:
         radius: SearchRadius,
     ) -> Attempt:
         """Warp the image as if a start were right, and align it."""
+        return_freed_above(self._kept_mb * MEGABYTE)
         options, points = self.config.search, self.config.points
         with clock.stage("features"):
             view, maps = self._problems.view(query, chosen, start)

@@ -32,6 +32,15 @@ def return_freed() -> None:
         return
 
 
+def return_freed_above(bound: int) -> None:
+    """Give memory that was freed back where the process holds more than ``bound`` bytes.
+
+    To take it again later costs time, which is lost where there is room.
+    """
+    if resident_bytes() > bound:
+        return_freed()
+
+
 def reset_peak() -> None:
     """Reset the peak, where the system allows it; else it is counted since the process began."""
     try:

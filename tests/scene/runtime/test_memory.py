@@ -1,0 +1,44 @@
+"""Memory that was freed goes back to the system where the process holds too much."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FREED = """
+import ctypes
+from scene.runtime.memory import resident_bytes, return_freed_above
+
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+libc.malloc.argtypes = [ctypes.c_size_t]
+libc.free.argtypes = [ctypes.c_void_p]
+blocks = [libc.malloc(100_000) for _ in range(2000)]
+for block in blocks:
+    ctypes.memset(block, 1, 100_000)
+# The last one stays, so that the heap cannot shrink by itself.
+for block in blocks[:-1]:
+    libc.free(block)
+held = resident_bytes()
+return_freed_above(held + 50_000_000)
+print(held - resident_bytes())
+return_freed_above(held - 50_000_000)
+print(held - resident_bytes())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc keeps what is freed")
+def test_freed_memory_goes_back_above_a_bound() -> None:
+    answer = subprocess.run(
+        [sys.executable, "-c", FREED],
+        check=True,
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+    )
+    below, above = map(int, answer.stdout.split())
+    assert abs(below) < 20_000_000
+    assert above > 150_000_000
