@@ -151,6 +151,7 @@ class FeaturemetricLocalizer:
         if (side := self._least_side(query)) < LEAST_SIDE:
             reason = f"the image is {side} pixels wide or high, {LEAST_SIDE} are needed"
             return Estimate(Status.FAILED, reason=reason)
+        return_freed_above(self._kept_mb * MEGABYTE)
         clock = Stopwatch()
         lost = self.config.multistart and query.references is None and not says_all(query.prior)
         matched = self._matched(query, clock) if lost else None

@@ -102,6 +102,7 @@ class Decoder(nn.ModuleList):
             blocks: outputs of the encoder's blocks, from the finest stride of the decoder to 16.
         """
         skips = list(blocks)
+        del blocks  # each of them can go once it is decoded
         decoded = skips.pop()
         if 0 in self._wanted:
             yield decoded
@@ -175,8 +176,8 @@ class PixlocNet(nn.Module):
             pixels wide and start at the top left corner. The part of an image beyond a multiple of
             16 pixels is cut off.
         """
-        blocks = encode(self.encoder, image, self.config.strides[-1])
-        maps = islice(self.decoder(blocks), levels)
+        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
+        maps = islice(decoded, levels)
         return [
             (features(level), torch.sigmoid(-confidence(level)))
             for level, features, confidence in zip(
