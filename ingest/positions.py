@@ -7,7 +7,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ingest.photographs import Flight, FlightImage
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, median_place
+from scene.imports.names import match_files
 from scene.storage.files import read_text
 
 FEWEST = 3
@@ -29,7 +30,7 @@ def with_positions(flight: Flight, table: Path) -> Flight:
         table: CSV file with a header. The column ``name`` is the name of a file, or its path in
             the folder; ``lat`` and ``lon`` are degrees, ``alt`` is metres. Other columns do not
             count, nor do rows of photographs that are not in the flight. Names are compared
-            exactly first, then without regard to case and with ``\\`` as ``/``.
+            as ``match_files`` does.
 
     Raises:
         InputError: The table cannot be read, lacks a column or has one twice, holds a bad number
@@ -37,7 +38,7 @@ def with_positions(flight: Flight, table: Path) -> Flight:
             none of the photographs.
     """
     places = _read(table)
-    rows = _rows([image.file for image in flight.images], list(places), table)
+    rows = match_files([image.file for image in flight.images], list(places), table)
     images = [
         replace(
             image,
@@ -53,35 +54,6 @@ def with_positions(flight: Flight, table: Path) -> Flight:
             f"of the first photograph {flight.images[0].file!r}"
         )
     return replace(flight, images=tuple(images))
-
-
-def _rows(files: Sequence[str], names: Sequence[str], table: Path) -> dict[str, str]:
-    """Return the name in the table of each file that has one."""
-    known = set(names)
-    loose: dict[str, list[str]] = {}
-    for name in names:
-        loose.setdefault(_folded(name), []).append(name)
-    rows: dict[str, str] = {}
-    owners: dict[str, str] = {}
-    for file in files:
-        spellings = (file, PurePosixPath(file).name)
-        matches = [name for name in spellings if name in known]
-        for alike in (loose.get(_folded(spelling), []) for spelling in spellings):
-            matches += alike if len(alike) == 1 else []
-        if not matches:
-            continue
-        other = owners.setdefault(matches[0], file)
-        if other != file:
-            raise InputError(
-                f"{table}: {matches[0]!r} may be {other!r} or {file!r}: give names with their "
-                "folder"
-            )
-        rows[file] = matches[0]
-    return rows
-
-
-def _folded(name: str) -> str:
-    return name.replace("\\", "/").casefold()
 
 
 def _read(table: Path) -> dict[str, Geodetic]:

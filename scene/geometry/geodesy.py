@@ -36,7 +36,7 @@ def is_on_earth(place: Geodetic) -> bool:
     return abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= _MAX_ALTITUDE_M
 
 
-def _ecef(place: Geodetic) -> NDArray[np.float64]:
+def ecef_from_geodetic(place: Geodetic) -> NDArray[np.float64]:
     """Return earth-centred, earth-fixed coordinates, (3,) metres."""
     lat, lon = math.radians(place.latitude), math.radians(place.longitude)
     n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)
@@ -49,7 +49,7 @@ def _ecef(place: Geodetic) -> NDArray[np.float64]:
     )
 
 
-def _enu_axes(origin: Geodetic) -> NDArray[np.float64]:
+def enu_axes(origin: Geodetic) -> NDArray[np.float64]:
     """Return the axes east, north and up in earth-centred coordinates, as rows (3, 3)."""
     lat, lon = math.radians(origin.latitude), math.radians(origin.longitude)
     sl, cl, so, co = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
@@ -65,7 +65,7 @@ def enu_from_geodetic(place: Geodetic, origin: Geodetic) -> NDArray[np.float64]:
         >>> f"{north:.2f} m north, {up:.2f} m up"
         '111.18 m north, 50.00 m up'
     """
-    return np.asarray(_enu_axes(origin) @ (_ecef(place) - _ecef(origin)))
+    return np.asarray(enu_axes(origin) @ (ecef_from_geodetic(place) - ecef_from_geodetic(origin)))
 
 
 def geodetic_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> Geodetic:
@@ -78,7 +78,16 @@ def geodetic_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> Geodetic:
         >>> f"{place.latitude:.6f} {place.longitude:.6f} {place.altitude:.3f}"
         '47.000000 8.001315 400.001'
     """
-    x, y, z = _ecef(origin) + _enu_axes(origin).T @ np.asarray(enu, dtype=np.float64)
+    ecef = ecef_from_geodetic(origin) + enu_axes(origin).T @ np.asarray(enu, dtype=np.float64)
+    return geodetic_from_ecef(ecef)
+
+
+def geodetic_from_ecef(ecef: NDArray[np.float64]) -> Geodetic:
+    """Return the geodetic coordinates of earth-centred, earth-fixed ones, (3,) metres.
+
+    The result is exact to well under a millimetre.
+    """
+    x, y, z = ecef
     p = math.hypot(x, y)
     lat = math.atan2(z, p * (1 - _E2))
     for _ in range(6):  # every iteration reduces the error by a factor of e^2
@@ -96,7 +105,7 @@ def median_place(places: Sequence[Geodetic]) -> Geodetic:
     Each coordinate is a median, so that a few wrong places have no effect. Longitudes are measured
     from the longitude of the median place in earth-centred coordinates, so that they do not wrap.
     """
-    x, y, _ = np.median([_ecef(place) for place in places], axis=0).tolist()
+    x, y, _ = np.median([ecef_from_geodetic(place) for place in places], axis=0).tolist()
     middle = math.degrees(math.atan2(y, x))
     turned = [middle + longitude_difference(place.longitude, middle) for place in places]
     latitude = float(np.median([place.latitude for place in places]))
