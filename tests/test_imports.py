@@ -52,6 +52,7 @@ ADAPTERS = {
     "pycolmap": "scene.colmap",
     "ray": "scene.runtime.cluster",
     "pyproj": "scene.geo.crs",
+    "rerun": "scene.exports.rerun",
 }
 
 

@@ -14,6 +14,7 @@ from benchmark.cli.choices import described, listed
 from benchmark.datasets.open import READERS, Reader
 from benchmark.registry import LOCALIZERS, TRAINABLES
 from scene.exports.formats import FORMATS
+from scene.imports.formats import FORMATS as POSE_FORMATS
 from scene.registry import Lazy, Registry
 from simulate.look.conditions import LIGHTS, SEASONS, WEATHER
 from simulate.place.presets import PRESETS
@@ -25,6 +26,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "benchmark.registry.TRAINABLES": TRAINABLES,
     "benchmark.datasets.open.READERS": READERS,
     "scene.exports.formats.FORMATS": FORMATS,
+    "scene.imports.formats.FORMATS": POSE_FORMATS,
     "simulate.place.presets.PRESETS": PRESETS,
     "simulate.look.conditions.SEASONS": SEASONS,
     "simulate.look.conditions.LIGHTS": LIGHTS,
@@ -34,6 +36,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
 TABLES: dict[str, Registry[Any]] = {
     "method": LOCALIZERS,
     "format": FORMATS,
+    "poses": POSE_FORMATS,
     "data set": READERS,
     "preset": PRESETS,
 }
@@ -92,7 +95,9 @@ def test_readers_are_known_by_their_names() -> None:
 
 def test_help_explains_every_format() -> None:
     assert set(FORMATS.summaries()) == set(FORMATS.built_in)
-    assert listed(FORMATS).startswith("<colmap|nerfstudio|tum|hloc|cmu")
+    assert listed(FORMATS).startswith(
+        "<colmap|colmap-database|nerfstudio|nerfstudio-depth|tum|hloc"
+    )
     assert "tum: a trajectory per session." in described(FORMATS)
 
 

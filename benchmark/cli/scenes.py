@@ -114,7 +114,7 @@ def export(
 ) -> None:
     """Write the poses and cameras of a scene in the format of another program.
 
-    Photographs stay in the scene, except with --format cmu. Image names in the files are relative
+    Photographs stay in the scene, except with --format cmu and rerun-images. Image names in the files are relative
     to SCENE/sessions; in transforms.json they are relative to the file itself.
     """
     from scene.exports.export import export as run

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 import pycolmap
+from numpy.typing import NDArray
 
 from scene.colmap.models import empty_model, lens_ids, posed_model
 from scene.colmap.native import ROOM, SEED, Progress, native_camera
@@ -200,6 +201,44 @@ def _write_features(
             db.write_descriptors(ids[name], native)
             shape = item.scale[:, None] * np.eye(2, dtype=np.float32).reshape(1, 4)
             db.write_keypoints(ids[name], np.hstack([item.xy, shape]))
+
+
+def write_matched(
+    path: Path,
+    images: Sequence[PosedImage],
+    features: Mapping[str, Features],
+    matches: Sequence[tuple[str, str, NDArray[np.int64]]],
+) -> None:
+    """Write a database of posed images with features and matches that are known to be right.
+
+    Args:
+        path: new file.
+        images: images in the order of their identifiers, as for ``models.write_posed``.
+        features: features of some of them, by name.
+        matches: names of two images, and the keypoints of the first and the second, (K, 2).
+
+    Raises:
+        WriteError: the disk has no space.
+    """
+    keypoints = {image.name: np.zeros((0, 2)) for image in images}
+    model, ids = posed_model(images, keypoints)
+    size = sum(item.descriptors.nbytes + 24 * len(item.xy) for item in features.values())
+    pairs = sum(8 * len(rows) for _, _, rows in matches)
+    require_disk_space(path, ROOM + 2 * (size + 2 * pairs))
+    write_database(path, model)
+    with pycolmap.Database.open(path) as db:
+        _write_features(db, ids, features)
+        with pycolmap.DatabaseTransaction(db):
+            for a, b, rows in matches:
+                native = rows.astype(np.uint32)
+                first, second = model.image(ids[a]), model.image(ids[b])
+                geometry = pycolmap.TwoViewGeometry()
+                geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+                geometry.cam2_from_cam1 = second.cam_from_world() * first.cam_from_world().inverse()
+                geometry.E = pycolmap.essential_matrix_from_pose(geometry.cam2_from_cam1)
+                geometry.inlier_matches = native
+                db.write_matches(ids[a], ids[b], native)
+                db.write_two_view_geometry(ids[a], ids[b], geometry)
 
 
 def _find_features(

@@ -25,11 +25,30 @@ FORMATS: Final[Registry[Writer]] = Registry(
     "objconnect.exports",
     {
         "colmap": Lazy("scene.exports.colmap:write", "a model of all poses, with the map's points"),
+        "colmap-database": Lazy(
+            "scene.exports.colmap:write_with_database",
+            "as colmap, with the database of the map's features and verified matches",
+        ),
         "nerfstudio": Lazy("scene.exports.nerfstudio:write", "transforms.json"),
+        "nerfstudio-depth": Lazy(
+            "scene.exports.nerfstudio:write_with_depth", "as nerfstudio, with depth maps"
+        ),
         "tum": Lazy("scene.exports.tum:write", "a trajectory per session"),
         "hloc": Lazy(
             "scene.exports.hloc:write",
             "query list with intrinsics, and pair lists from the covisibility",
+        ),
+        "hloc-features": Lazy(
+            "scene.exports.hloc:write_features",
+            "features, verified matches and pairs of the map as HDF5",
+        ),
+        "opensfm": Lazy(
+            "scene.exports.opensfm:write", "reconstruction.json and geo.txt of ODM and OpenSfM"
+        ),
+        "metashape": Lazy("scene.exports.metashape:write", "cameras.xml of Agisoft Metashape"),
+        "rerun": Lazy("scene.exports.rerun:write", "cameras, trajectories and points as .rrd"),
+        "rerun-images": Lazy(
+            "scene.exports.rerun:write_with_images", "as rerun, with the photographs"
         ),
         "cmu": Lazy(
             "scene.exports.cmu:write",

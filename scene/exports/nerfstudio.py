@@ -1,7 +1,8 @@
 """Export to nerfstudio: ``transforms.json``.
 
 Camera axes are OpenGL's, and the paths of the photographs, which stay in the scene, are relative to
-the file.
+the file. Depth is planar z in millimetres, which nerfstudio's default scale makes metres; 0 is no
+surface.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 
+# nerfstudio multiplies depth by its option depth_unit_scale_factor, by default 0.001.
+_UNITS_PER_METRE = 1000
+
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
     """Write ``transforms.json``; see ``formats.Writer``.
@@ -25,6 +29,38 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     Raises:
         InputError: the sessions mix perspective and fisheye cameras.
     """
+    _write_document(scene, sessions, folder, final, {})
+
+
+def write_with_depth(
+    scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path
+) -> None:
+    """Write ``transforms.json``, and a depth map of each photograph; see ``formats.Writer``.
+
+    Depth maps are NumPy files, because those of a flight exceed the 65 m of a 16-bit picture.
+
+    Raises:
+        InputError: a session has no depth, or the sessions mix perspective and fisheye cameras.
+    """
+    depths = {}
+    for session, frames in sessions.items():
+        with scene.dense(session) as dense:
+            for k, name in enumerate(frames.names):
+                depths[name] = (Path("depth") / name).with_suffix(".npy").as_posix()
+                target = folder / depths[name]
+                target.parent.mkdir(parents=True, exist_ok=True)
+                np.save(target, dense.read("depth", k) * np.float32(_UNITS_PER_METRE))
+    _write_document(scene, sessions, folder, final, depths)
+
+
+def _write_document(
+    scene: Scene,
+    sessions: Mapping[str, Frames],
+    folder: Path,
+    final: Path,
+    depths: Mapping[str, str],
+) -> None:
+    """Write ``transforms.json`` with the path of each photograph's depth map, by name."""
     cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))
     if len({camera.is_fisheye for camera in cameras}) > 1:
         raise InputError(
@@ -40,9 +76,14 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
         transforms = world_from_cam @ np.diag([1.0, -1.0, -1.0, 1.0])
         for name, camera, transform in zip(frames.names, frames.cameras, transforms, strict=True):
             own = {} if shared else _intrinsics(camera)
-            file_path = (Path(root) / name).as_posix()
+            depth = {"depth_file_path": depths[name]} if name in depths else {}
             frames_json.append(
-                {"file_path": file_path, **own, "transform_matrix": transform.tolist()}
+                {
+                    "file_path": (Path(root) / name).as_posix(),
+                    **depth,
+                    **own,
+                    "transform_matrix": transform.tolist(),
+                }
             )
     model = "OPENCV_FISHEYE" if cameras[0].is_fisheye else "OPENCV"
     document = {"camera_model": model, **shared, "frames": frames_json}

@@ -1,0 +1,88 @@
+"""Export to rerun: ``scene.rrd``, which the viewer of https://rerun.io plays.
+
+The world is right-handed with Z up. Each session has its trajectory, and its cameras one after
+another on the time lines ``frame`` (number in the session) and ``time`` (where photographs tell
+it). A camera is a pinhole: rerun draws no distortion. The map's points are there all the time.
+
+This is the one module that imports rerun, which the extra ``[rerun]`` installs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scene.bundle.frames import Frames
+from scene.bundle.scene import Scene
+from scene.runtime.extras import import_extra
+
+_FILE = "scene.rrd"
+_ORANGE = (255, 140, 0)
+
+
+def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
+    """Write ``scene.rrd`` without photographs; see ``formats.Writer``.
+
+    Raises:
+        InputError: rerun is not installed.
+    """
+    _write(scene, sessions, folder / _FILE, photographs=False)
+
+
+def write_with_images(
+    scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path
+) -> None:
+    """Write ``scene.rrd`` with the photographs in it; see ``formats.Writer``.
+
+    Raises:
+        InputError: rerun is not installed.
+    """
+    _write(scene, sessions, folder / _FILE, photographs=True)
+
+
+def _write(scene: Scene, sessions: Mapping[str, Frames], path: Path, photographs: bool) -> None:
+    rr = import_extra("rerun", "rerun", "export to rerun")
+    stream = rr.RecordingStream("objconnect", recording_id=scene.name)
+    stream.save(path)
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    if scene.map_path.is_dir():
+        sparse_map = scene.sparse_map()
+        stream.log("world/map", rr.Points3D(sparse_map.xyz, colors=sparse_map.rgb), static=True)
+    for session, frames in sessions.items():
+        entity = ["world", session]
+        centres = frames.poses.centre().numpy()
+        line = rr.LineStrips3D([centres], colors=[_ORANGE])
+        stream.log([*entity, "trajectory"], line, static=True)
+        for k in range(len(frames)):
+            stream.set_time("frame", sequence=k)
+            if np.isfinite(frames.time[k]):
+                stream.set_time("time", timestamp=float(frames.time[k]))
+            else:
+                stream.disable_timeline("time")
+            _log_camera(rr, stream, [*entity, "camera"], frames, k)
+            if photographs:
+                photograph = scene.images_root / frames.names[k]
+                stream.log([*entity, "camera"], rr.EncodedImage(path=photograph))
+        stream.reset_time()
+    stream.flush()
+    stream.disconnect()
+
+
+def _log_camera(rr: Any, stream: Any, entity: list[str], frames: Frames, k: int) -> None:
+    """Log pose and pinhole of one frame; the entity's frame is the camera's, OpenCV's axes."""
+    world_from_cam = np.linalg.inv(frames.cam_from_world[k])
+    camera = frames.cameras[k]
+    stream.log(
+        entity,
+        rr.Transform3D(translation=world_from_cam[:3, 3], mat3x3=world_from_cam[:3, :3]),
+        rr.Pinhole(
+            image_from_camera=camera.calibration,
+            width=camera.width,
+            height=camera.height,
+            camera_xyz=rr.ViewCoordinates.RDF,
+        ),
+        rr.TextDocument(frames.names[k]),
+    )
