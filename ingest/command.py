@@ -11,21 +11,23 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel
 
-from ingest.adjustment import adjust
+from ingest.adjustment import Adjusted, adjust
 from ingest.attitude import turned_over
 from ingest.georegister import georegister
+from ingest.given import Given, read_given, triangulated
 from ingest.neighbours import choose_pairs
 from ingest.options import IngestOptions
 from ingest.outputs import write_lists, write_measurements
 from ingest.photographs import SESSION, Flight, photographs_of, read_flight
 from ingest.picture import draw
+from ingest.plan import WORK, Plan, finished, resumable
 from ingest.positions import FEWEST, local, with_positions
 from ingest.report import REPORT, AttitudeFindings, IngestReport, make_report
 from ingest.split import Split, queries_of
 from scene.bundle.manifest import Manifest, Session, read_json, write_json
-from scene.bundle.scene import COVISIBILITY, FEATURES, MANIFEST, MAP_FILES, Scene, finish_scene
+from scene.bundle.scene import COVISIBILITY, FEATURES, MAP_FILES, finish_scene
 from scene.colmap.database import MatchingJob, match_photographs
 from scene.colmap.sift import SiftOptions
 from scene.colmap.structure_from_motion import Mapper, map_photographs
@@ -39,32 +41,14 @@ from scene.maps.photographs import Photograph, PosedImage
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder, remove_owned
+from scene.storage.atomic import atomic_folder, remove_owned
 from scene.storage.files import sha256_of
 from scene.storage.images import read_rgb, write_resized
 from scene.storage.locks import write_lock
-from scene.storage.resumable import ResumableFolder
 
-_WORK = f"{TEMPORARY_PREFIX}ingest"
-_PLAN = "plan.json"
 _TURNED = "turned.json"
 _DATABASE = Path("database.db")
 _DEFAULTS: Final = IngestOptions()
-
-
-class _Plan(BaseModel):
-    """The request of a run. A folder that was begun with another request is refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    size: int
-    mapper: Mapper
-    split: Split
-    every: int
-    camera: str | None
-    gps: str | None
-    photographs: dict[str, str]
-    options: IngestOptions = IngestOptions()
 
 
 @dataclass(frozen=True)
@@ -78,6 +62,7 @@ class _Source:
         fixes: measured positions (3,) by name, world metres.
         queries: names of the queries.
         plan: what was asked for.
+        given: poses of another program; None for structure from motion.
     """
 
     folder: Path
@@ -85,7 +70,8 @@ class _Source:
     taken: Sequence[Photograph]
     fixes: Mapping[str, NDArray[np.float64]]
     queries: set[str]
-    plan: _Plan
+    plan: Plan
+    given: Given | None
 
 
 class _Turned(BaseModel):
@@ -100,6 +86,7 @@ def ingest(
     out: Path,
     *,
     gps: Path | None = None,
+    poses: Path | None = None,
     camera: Camera | None = None,
     size: int = 1600,
     mapper: Mapper = "incremental",
@@ -109,14 +96,16 @@ def ingest(
 ) -> IngestReport:
     """Make a scene of a folder of geotagged JPEGs, or continue an interrupted run.
 
-    Poses come from structure from motion of all photographs together, georegistered by GPS. The map
-    is triangulated again from its own photographs.
+    Poses come from structure from motion of all photographs together, georegistered by GPS, or from
+    a file of another program. The map is triangulated again from its own photographs.
 
     Args:
         photographs: folder of the photographs, with sub-folders.
         out: new folder, or one left by a run of the same photographs and options.
         gps: table of positions instead of those in EXIF, see ``with_positions``.
-        camera: calibration of all photographs; None takes it from EXIF.
+        poses: poses and cameras of another program, see ``scene.imports``; photographs without a
+            pose are left out.
+        camera: calibration of all photographs; None takes it from ``poses`` or EXIF.
         size: longest side of the photographs in the scene, pixels; larger ones are reduced.
         mapper: "incremental" or "global" structure from motion.
         split: queries are every ``every``-th "photo" or flight "line", or "none".
@@ -132,34 +121,47 @@ def ingest(
     flight = read_flight(photographs)
     if gps is not None:
         flight = with_positions(flight, gps)
+    given = None
+    if poses is not None:
+        flight, given = read_given(poses, flight, size, camera)
     _require(flight, photographs)
-    plan = _Plan(
+    plan = Plan(
         size=size,
         mapper=mapper,
         split=split,
         every=every,
         camera=None if camera is None else str(camera),
         gps=None if gps is None else sha256_of(gps),
+        poses=None if given is None else given.sha256,
         photographs={image.file: image.sha256 for image in flight.images},
         options=options,
     )
     with write_lock(out):
-        return _ingest(photographs, out, flight, camera, plan)
+        return _ingest(photographs, out, flight, camera, given, plan)
 
 
 def _ingest(
-    photographs: Path, out: Path, flight: Flight, camera: Camera | None, plan: _Plan
+    photographs: Path,
+    out: Path,
+    flight: Flight,
+    camera: Camera | None,
+    given: Given | None,
+    plan: Plan,
 ) -> IngestReport:
-    origin, fixes = local(flight.images)
+    origin, fixes = local(flight.images, None if given is None else given.origin)
     names, options = [image.name for image in flight.images], plan.options
-    queries = queries_of(names, fixes, plan.split, plan.every, options.line_turn_deg)
-    taken = photographs_of(flight.images, plan.size, camera, options.guessed_focal)
-    if _finished(out, plan):
+    course = fixes if given is None or given.origin is None else given.centres
+    queries = queries_of(names, course, plan.split, plan.every, options.line_turn_deg)
+    if given is None:
+        taken = photographs_of(flight.images, plan.size, camera, options.guessed_focal)
+    else:
+        taken = given.photographs()
+    if finished(out, plan):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
-    unfinished = _resumable(out, plan)
+    unfinished = resumable(out, plan)
     unfinished.begin()
     try:
-        report = _build(out, _Source(photographs, flight, taken, fixes, queries, plan))
+        report = _build(out, _Source(photographs, flight, taken, fixes, queries, plan, given))
     except WriteError:
         raise  # the same command continues when there is room
     except InputError:
@@ -183,9 +185,12 @@ def _build(out: Path, source: _Source) -> IngestReport:
     """Write everything of the scene but its manifest."""
     taken, fixes, queries = source.taken, source.fixes, source.queries
     options = source.plan.options
-    flight, model_path, turned = _structure(out, source)
-    times = {image.name: image.exif.time.timestamp() for image in flight.images if image.exif.time}
-    adjusted = adjust(model_path, taken, fixes, times, out / _WORK, options)
+    if source.given is not None:
+        flight, adjusted, turned = _as_given(out, source, source.given)
+    else:
+        flight, model_path, turned = _structure(out, source)
+        times = {i.name: i.exif.time.timestamp() for i in flight.images if i.exif.time}
+        adjusted = adjust(model_path, taken, fixes, times, out / WORK, options)
     model, images = adjusted.model, flight.images
     wrong_attitudes = write_measurements(out, adjusted, images, fixes, queries, options)
     sparse_map = _triangulate(out, model, queries)
@@ -208,10 +213,22 @@ def _build(out: Path, source: _Source) -> IngestReport:
     return report
 
 
+def _as_given(out: Path, source: _Source, given: Given) -> tuple[Flight, Adjusted, set[str]]:
+    """Return the photographs, their model with the given poses, and no rotated photographs."""
+    placed = _place(source.flight, source.folder, out, source.plan.size, set())
+    _require(placed, source.folder)
+    there = [image.name for image in placed.images]
+    taken = [photograph for photograph in source.taken if photograph.name in set(there)]
+    options, database = source.plan.options, out / WORK / _DATABASE
+    _match(taken, given.centres, options, out)
+    adjusted = triangulated(given, there, source.fixes, out / "sessions", database, options)
+    return placed, adjusted, set()
+
+
 def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     """Return the photographs of one model, the folder of the model, and the rotated photographs."""
     fixes, options = source.fixes, source.plan.options
-    known = out / _WORK / _TURNED
+    known = out / WORK / _TURNED
     turned = set(read_json(known, _Turned, "turned photographs").names) if known.exists() else set()
     placed = _place(source.flight, source.folder, out, source.plan.size, turned)
     _require(placed, source.folder)
@@ -227,7 +244,7 @@ def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
             # Their features belong to the unturned pictures, so the reconstruction starts again.
             for name in turned:
                 (out / "sessions" / name).unlink()
-            for path in (out / _WORK).glob(f"{_DATABASE.stem}*"):
+            for path in (out / WORK).glob(f"{_DATABASE.stem}*"):
                 path.unlink()
             shutil.rmtree(model_path.parent)
             write_json(known, _Turned(names=tuple(sorted(turned))))
@@ -247,49 +264,6 @@ def _require(flight: Flight, folder: Path) -> None:
             f"{folder} has {len(flight.images)} usable photographs, {FEWEST} are the fewest that "
             f"make a scene{reasons}"
         )
-
-
-def _resumable(out: Path, plan: _Plan) -> ResumableFolder:
-    """Return the folder of a scene, whose record is the plan while the scene is unfinished."""
-
-    def difference(record: Path) -> str | None:
-        recorded = read_json(record, _Plan, "plan of the unfinished scene")
-        return None if recorded == plan else "photographs or options"
-
-    request = plan.model_dump_json(indent=1, by_alias=True) + "\n"
-    return ResumableFolder(out, out / _WORK / _PLAN, request, difference)
-
-
-def _finished(out: Path, plan: _Plan) -> bool:
-    """Return whether the folder holds this very flight already; refuse any other content."""
-    unfinished = _resumable(out, plan)
-    if (out / MANIFEST).is_file():
-        if _recorded_plan(Scene.open(out).manifest) != plan:
-            raise InputError(
-                f"{out} holds a scene of other photographs or options: choose another folder or "
-                "remove it"
-            )
-        unfinished.end()  # a run killed at its very end left its folder of intermediate results
-        return True
-    if not unfinished.resume(
-        lambda difference: (
-            f"{out} holds an unfinished scene of other {difference}: choose another folder or "
-            "remove it"
-        )
-    ):
-        unfinished.require_empty("scene")
-    return False
-
-
-def _recorded_plan(manifest: Manifest) -> _Plan | None:
-    """Return the plan that a scene was made by; None if it was not made of photographs.
-
-    Options that came later than the scene had the effect of their defaults.
-    """
-    try:
-        return _Plan.model_validate(manifest.config)
-    except ValidationError:
-        return None
 
 
 def _place(flight: Flight, folder: Path, out: Path, size: int, turned: set[str]) -> Flight:
@@ -318,15 +292,15 @@ def _match(
     pairs = choose_pairs([photograph.name for photograph in taken], fixes, options.pairs)
     with progress_bar("extract and match", len(taken) + len(pairs)) as advance:
         job = MatchingJob(out / "sessions", pairs, SiftOptions(), matching=options.matching)
-        match_photographs(job, taken, out / _WORK / _DATABASE, advance)
+        match_photographs(job, taken, out / WORK / _DATABASE, advance)
 
 
 def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, dict[str, str]]:
     """Return the model of most photographs, and the reasons why others are not in it."""
-    models = out / _WORK / "models"
+    models = out / WORK / "models"
     with progress_bar("map", len(taken)) as advance, atomic_folder(models) as folder:
         models_by_size = map_photographs(
-            out / "sessions", taken, out / _WORK / _DATABASE, folder, mapper, advance
+            out / "sessions", taken, out / WORK / _DATABASE, folder, mapper, advance
         )
         members = [read_model(path).names for path in models_by_size]
     if not members or len(members[0]) < FEWEST:
@@ -350,13 +324,13 @@ def _triangulate(out: Path, model: SparseMap, queries: set[str]) -> SparseMap:
     ]
     with atomic_folder(out / "map", MAP_FILES) as folder:
         sparse_map, features = triangulate_matched(
-            out / "sessions", images, out / _WORK / _DATABASE, folder
+            out / "sessions", images, out / WORK / _DATABASE, folder
         )
         write_features(folder / FEATURES, features)
     return sparse_map
 
 
-def _manifest(plan: _Plan, origin: Geodetic) -> Manifest:
+def _manifest(plan: Plan, origin: Geodetic) -> Manifest:
     return Manifest(
         versions={n: version(n) for n in ("objconnect", "pycolmap", "numpy", "pillow", "h5py")},
         preset=None,

@@ -41,7 +41,8 @@ def write_measurements(
     measured = [name for name in names if name in fixes and name not in placed.blunders]
     mapped = [name for name in measured if name not in queries] or measured
     off = residuals(model, fixes, mapped)
-    sigma = np.maximum(np.sqrt((off**2).mean(0)), options.placement.min_sigma_m)
+    spread = np.sqrt((off**2).mean(0)) if mapped else np.zeros(3)
+    sigma = np.maximum(spread, options.placement.min_sigma_m)
     nothing = np.full(3, np.nan)
     attitude, attitude_sigma, wrong = attitudes(images, poses, queries, options)
     times = [image.exif.time.timestamp() if image.exif.time else np.nan for image in images]

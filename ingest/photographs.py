@@ -148,15 +148,14 @@ def photographs_of(
     """
     photographs = []
     for image in images:
-        scale = min(1.0, longest / max(image.size))
-        width, height = (round(scale * side) for side in image.size)
         focal = image.exif.focal_35mm
         if calibration is None:
+            width, height = reduced(image, longest)
             pixels = (focal / 36 if focal else guessed_focal) * max(width, height)
             # One coefficient: more of them bend flat ground into a dome.
             camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
         else:
-            camera = _fitted(calibration, width, height, image)
+            camera = fitted(calibration, longest, image)
         photographs.append(
             Photograph(
                 image.name,
@@ -169,7 +168,20 @@ def photographs_of(
     return photographs
 
 
-def _fitted(calibration: Camera, width: int, height: int, image: FlightImage) -> Camera:
+def reduced(image: FlightImage, longest: int) -> tuple[int, int]:
+    """Return width and height of a photograph in the scene, whose longest side is at most that."""
+    scale = min(1.0, longest / max(image.size))
+    width, height = (round(scale * side) for side in image.size)
+    return width, height
+
+
+def fitted(calibration: Camera, longest: int, image: FlightImage) -> Camera:
+    """Return a calibration at the size that a photograph has in the scene.
+
+    Raises:
+        InputError: the calibration is for images of another shape.
+    """
+    width, height = reduced(image, longest)
     # Sides are whole pixels, so that a smaller picture's shape may be off by one of them.
     if abs(calibration.width * height - calibration.height * width) > max(
         calibration.width, calibration.height

@@ -93,22 +93,29 @@ def _parsed(reader: csv.DictReader[str], table: Path) -> dict[str, Geodetic]:
     return places
 
 
-def local(images: Sequence[FlightImage]) -> tuple[Geodetic, dict[str, NDArray[np.float64]]]:
+def local(
+    images: Sequence[FlightImage], origin: Geodetic | None = None
+) -> tuple[Geodetic, dict[str, NDArray[np.float64]]]:
     """Return an origin amid the photographs, and their positions (3,) from it.
 
     Positions are by name, metres east, north and up.
 
+    Args:
+        images: The photographs.
+        origin: An origin that is known; then no photograph needs a position.
+
     Raises:
-        InputError: Fewer than three photographs have a position.
+        InputError: Fewer than three photographs have a position, and the origin is not known.
     """
     known: Mapping[str, Geodetic] = {
         image.name: image.exif.position for image in images if image.exif.position is not None
     }
-    if len(known) < FEWEST:
-        raise InputError(
-            f"{len(known)} of {len(images)} photographs have a GPS position, {FEWEST} are needed, "
-            "for a scene has metres and a place on earth: give --gps CSV with columns "
-            f"{','.join(_COLUMNS)}"
-        )
-    origin = median_place(list(known.values()))
+    if origin is None:
+        if len(known) < FEWEST:
+            raise InputError(
+                f"{len(known)} of {len(images)} photographs have a GPS position, {FEWEST} are "
+                "needed, for a scene has metres and a place on earth: give --gps CSV with columns "
+                f"{','.join(_COLUMNS)}"
+            )
+        origin = median_place(list(known.values()))
     return origin, {name: enu_from_geodetic(place, origin) for name, place in known.items()}

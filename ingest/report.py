@@ -59,13 +59,13 @@ class IngestReport(BaseModel):
         track_length: mean number of photographs that observe a point.
         reprojection_error_px: mean reprojection error over all observations, pixels.
         lenses: the cameras.
-        level: what defines the vertical: "gps" or the "ground".
+        level: what defines the vertical: "gps", the "ground", or the poses that were "given".
         fixes: number of photographs whose GPS position was used.
         blunders: distance from the camera of each fix that was not used, metres, by file.
         wrong_attitudes: angle between each gimbal attitude that was not used and its camera,
             degrees, by file.
         turned: files whose pictures were turned by 180 degrees and are turned back in the scene.
-        gps: residuals of the fixes that were used, as the camera wrote them.
+        gps: residuals of the fixes that were used, as the camera wrote them; None without any.
         lag_s: delay of the fixes behind their photographs, seconds; 0 where none was estimated.
         gps_without_lag: residuals of the fixes after this delay is removed; None without a delay.
         map_images: number of photographs of the map.
@@ -87,7 +87,7 @@ class IngestReport(BaseModel):
     blunders: dict[str, float]
     wrong_attitudes: dict[str, float]
     turned: tuple[str, ...]
-    gps: Residuals
+    gps: Residuals | None
     lag_s: float
     gps_without_lag: Residuals | None
     map_images: int
@@ -99,12 +99,14 @@ class IngestReport(BaseModel):
         up = {
             "gps": "up is where GPS says",
             "ground": "up is across the ground: GPS altitudes cannot tell",
+            "given": "poses are as given",
         }
+        gps = "none" if self.gps is None else self.gps.text()
         lines = [
             f"{self.registered} of {self.photographs} photographs registered, {self.points} points "
             f"in tracks of {self.track_length:.1f}, "
             f"{self.reprojection_error_px:.2f} px mean reprojection error",
-            f"GPS residuals of {self.fixes} photographs: {self.gps.text()}; {up[self.level]}",
+            f"GPS residuals of {self.fixes} photographs: {gps}; {up[self.level]}",
             *(
                 [f"GPS is {self.lag_s:.1f} s late; without that: {self.gps_without_lag.text()}"]
                 if self.gps_without_lag is not None
@@ -234,7 +236,7 @@ def make_report(
         },
         wrong_attitudes=dict(findings.wrong),
         turned=tuple(findings.turned),
-        gps=summary(residuals(model, fixes, used)),
+        gps=summary(residuals(model, fixes, used)) if used else None,
         lag_s=adjusted.delay,
         gps_without_lag=(
             summary(residuals(model, adjusted.undone, [n for n in used if n in adjusted.undone]))

@@ -52,6 +52,15 @@ def ingest(
             "read from EXIF.",
         ),
     ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Poses and cameras of another program, which replace structure from motion: "
+            "reconstruction.json of ODM, cameras.xml of Metashape, transforms.json of nerfstudio, "
+            "or the folder of a COLMAP model. Photographs without a pose are left out.",
+        ),
+    ] = None,
     camera: CameraWords = None,
     size: Annotated[
         int, typer.Option(help="Longest side of photographs in the scene, pixels.", min=64)
@@ -72,8 +81,9 @@ def ingest(
     """Turn a folder of photographs with GPS positions into a scene.
 
     Writes SCENE with its map, the report ingest.json and a picture of the flight. The reference
-    poses come from structure from motion over all photographs, aligned to GPS. Without --camera,
-    focal lengths are read from EXIF. An interrupted run goes on where it stopped.
+    poses come from structure from motion over all photographs, aligned to GPS, or from --poses.
+    Without --camera, focal lengths are read from there or from EXIF. An interrupted run goes on
+    where it stopped.
     """
     from ingest.command import ingest as run
 
@@ -81,6 +91,7 @@ def ingest(
         photographs,
         out,
         gps=gps,
+        poses=poses,
         camera=parse_camera(camera),
         size=size,
         mapper=mapper.value,
@@ -114,8 +125,8 @@ def export(
 ) -> None:
     """Write the poses and cameras of a scene in the format of another program.
 
-    Photographs stay in the scene, except with --format cmu and rerun-images. Image names in the files are relative
-    to SCENE/sessions; in transforms.json they are relative to the file itself.
+    Photographs stay in the scene, except with --format cmu and rerun-images. Image names in the
+    files are relative to SCENE/sessions; in transforms.json they are relative to the file itself.
     """
     from scene.exports.export import export as run
 

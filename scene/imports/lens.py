@@ -19,6 +19,9 @@ MOST_OFF: Final = 1e-3
 """Largest distance between a lens and the camera that stands in for it, in longer sides of the
 picture. A usual lens with k3 = -0.03 is off by half of that, in the corners."""
 
+LARGEST_SIDE: Final = 1_000_000
+"""No picture is wider or higher (pixels)."""
+
 # Rays of the fit: directions around the axis, and steps from the axis to the corner.
 _DIRECTIONS, _STEPS = 48, 60
 # Iterations that bring the fit from the least squares near the least maximum (Lawson's method).

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_axes, geodetic_from_ecef
-from scene.imports.lens import BrownLens
+from scene.imports.lens import LARGEST_SIDE, BrownLens
 from scene.imports.poses import ForeignPoses, Format, begins_with, posed
 from scene.storage.files import read_text
 
@@ -139,6 +139,8 @@ def _camera(path: Path, sensor: ET.Element) -> Camera | None:
     try:
         if "f" not in part:
             raise InputError("no focal length f")
+        if max(width, height) > LARGEST_SIDE:
+            raise InputError(f"no picture is {width} x {height} pixels")
         if part.get("p3") or part.get("p4"):
             raise InputError("the coefficients p3 and p4 are not supported")
         return _lens(calibration.get("type", "frame"), (width, height), part)

@@ -11,12 +11,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from scene.bundle.manifest import read_json
 from scene.errors import InputError
 from scene.geometry.camera import Camera
-from scene.imports.lens import BrownLens
+from scene.imports.lens import LARGEST_SIDE, BrownLens
 from scene.imports.poses import ForeignPoses, Format, begins_with, posed
 
 _FILE = "transforms.json"
@@ -28,8 +28,8 @@ class _Intrinsics(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
     camera_model: str | None = None
-    w: float | None = None
-    h: float | None = None
+    w: float | None = Field(None, gt=0, le=LARGEST_SIDE)
+    h: float | None = Field(None, gt=0, le=LARGEST_SIDE)
     fl_x: float | None = None
     fl_y: float | None = None
     cx: float | None = None

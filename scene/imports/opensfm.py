@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, FiniteFloat, RootModel
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel
 
 from scene.bundle.manifest import Vector, read_json
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, is_on_earth
-from scene.imports.lens import BrownLens
+from scene.imports.lens import LARGEST_SIDE, BrownLens
 from scene.imports.poses import ForeignPoses, Format, begins_with, posed
 
 
@@ -28,8 +28,8 @@ class _Part(BaseModel):
 
 class _Lens(_Part):
     projection_type: str = "perspective"
-    width: int
-    height: int
+    width: int = Field(gt=0, le=LARGEST_SIDE)
+    height: int = Field(gt=0, le=LARGEST_SIDE)
     focal: float | None = None
     focal_x: float | None = None
     focal_y: float | None = None

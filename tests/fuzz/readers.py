@@ -47,6 +47,7 @@ from scene.bundle.manifest import Objects, SceneObject, Surroundings, write_json
 from scene.bundle.scene import Scene
 from scene.config import load_config
 from scene.geometry.geodesy import Geodetic
+from scene.imports.formats import read_foreign
 from scene.maps.colmap_files import read_model
 from scene.maps.features import Features, read_features, write_features
 from scene.storage.images import read_rgb
@@ -55,6 +56,9 @@ from simulate.config import SimulateConfig
 from simulate.flight.qgroundcontrol import read_plan
 from tests.benchmark.made_data import CAMERA, pose_at, write_flight, write_model, write_scene
 from tests.scene.bundle.test_frames import ALL, made_frames, made_layers
+from tests.scene.imports.test_imports import metashape as write_metashape
+from tests.scene.imports.test_imports import nerfstudio as write_nerfstudio
+from tests.scene.imports.test_imports import opensfm as write_opensfm
 from tests.simulate.test_qgroundcontrol import PLAN, item, plan_of, survey, waypoint
 
 ROOT = Path(__file__).parents[2]
@@ -190,6 +194,14 @@ def _tables(folder: Path) -> None:
     (folder / "positions.csv").write_text("name,lat,lon,alt\na.jpg,47.1,8.1,420\nb.jpg,47,8,1\n")
     (folder / "conditions.csv").write_text("name,condition\na.jpg,summer-noon\nb.jpg,winter\n")
     (folder / "pairs.txt").write_text("# pairs\nb.jpg a.jpg\nb.jpg c.jpg\n")
+
+
+def _foreign(folder: Path) -> None:
+    write_metashape(folder, "<k1>-0.1</k1><k2>0.02</k2><k3>-0.006</k3>")
+    write_nerfstudio(folder)
+    write_opensfm(folder, focal=0.8, k1=-0.1)
+    (folder / "tum.txt").write_text("# comment\n1.5 1 2 3 1 0 0 0\n2.5 1 2 4 0 0 0 1\n")
+    (folder / "places.csv").write_text("name,lat,lon,alt\na.jpg,47.1,8.1,420\nb.jpg,47,8,1\n")
 
 
 def _photographs(folder: Path) -> None:
@@ -401,6 +413,17 @@ READERS: dict[str, Reader] = {
             "flight/images/b.jpg": ("jpeg", _read_flight),
         },
         0.5,
+    ),
+    "foreign": Reader(
+        _foreign,
+        {
+            "cameras.xml": ("text", lambda f: read_foreign(f / "cameras.xml")),
+            "transforms.json": ("json", lambda f: read_foreign(f / "transforms.json")),
+            "reconstruction.json": ("json", lambda f: read_foreign(f / "reconstruction.json")),
+            "tum.txt": ("text", lambda f: read_foreign(f / "tum.txt")),
+            "places.csv": ("text", lambda f: read_foreign(f / "places.csv")),
+        },
+        4,
     ),
     "photographs": Reader(
         _photographs,

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from typer.testing import CliRunner
 
 import ingest.command
+import ingest.plan
 import scene.bundle.manifest
 import scene.storage.images
 from benchmark.cli import app
@@ -63,14 +64,14 @@ def test_the_manifest_records_the_options(ingested: Ingested) -> None:
     manifest = ingested[0].manifest
     assert manifest.config["options"] == IngestOptions().model_dump(mode="json")
     before = {key: value for key, value in manifest.config.items() if key != "options"}
-    plan = ingest.command._recorded_plan(manifest)
+    plan = ingest.plan.recorded_plan(manifest)
     assert plan is not None
-    assert ingest.command._recorded_plan(manifest.model_copy(update={"config": before})) == plan
+    assert ingest.plan.recorded_plan(manifest.model_copy(update={"config": before})) == plan
     other = {**manifest.config, "options": {"line_turn_deg": 30.0}}
-    assert ingest.command._recorded_plan(manifest.model_copy(update={"config": other})) != plan
+    assert ingest.plan.recorded_plan(manifest.model_copy(update={"config": other})) != plan
     rendered = {"preset": "town", "seed": 1}
     changed = manifest.model_copy(update={"config": rendered})
-    assert ingest.command._recorded_plan(changed) is None
+    assert ingest.plan.recorded_plan(changed) is None
 
 
 def test_poses_are_those_of_the_flight(ingested: Ingested, beach: Path) -> None:

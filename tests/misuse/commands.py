@@ -349,6 +349,7 @@ COMMANDS: dict[str, Row] = {
             ),
             "out": out_folder("out", "*"),
             "gps": file("tables/gps.csv", "csv").fine("too_many"),
+            "poses": file("tables/reconstruction.json", "json"),
             "camera": CAMERA,
             "size": integer("96", HUGE),
             "mapper": choice("incremental"),

@@ -157,6 +157,23 @@ def _tables(folder: Path) -> None:
     (folder / "priors.csv").write_text("\n".join(rows) + "\n")
     rows = ["name,lat,lon,alt", *(f"p{k}.jpg,47.000{k},8.0,430.0" for k in range(3))]
     (folder / "gps.csv").write_text("\n".join(rows) + "\n")
+    (folder / "reconstruction.json").write_text(json.dumps([_reconstruction()]))
+
+
+def _reconstruction() -> dict[str, object]:
+    """The photographs' poses as ODM tells them: looking down, which is half a turn about east."""
+    lens = {"projection_type": "perspective", "focal": 0.85, "k1": 0.0, "k2": 0.0}
+    lens |= {"width": CAMERA.width, "height": CAMERA.height}
+    shots = {
+        f"p{k}.jpg": {
+            "rotation": [np.pi, 0.0, 0.0],
+            "translation": [-4.0 * k, 0.0, 40.0],
+            "camera": "lens",
+        }
+        for k in range(3)
+    }
+    reference = {"latitude": 47.0, "longitude": 8.0, "altitude": 400.0}
+    return {"cameras": {"lens": lens}, "shots": shots, "reference_lla": reference}
 
 
 def _configs(folder: Path) -> None:
