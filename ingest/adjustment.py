@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,16 +35,18 @@ class Adjusted:
     Attributes:
         model: The adjusted model, in world metres.
         placed: Where GPS placed the model before the adjustment.
-        focal: Lenses whose focal length was adjusted.
+        refined: Parameters of the lenses that were adjusted.
         delay: Seconds that fixes are behind the photographs; 0 where it is not known.
         undone: Fixes (3,) without the delay by name, world metres; empty where there is no delay.
+        folder: Folder of the model.
     """
 
     model: SparseMap
     placed: Georegistration
-    focal: Collection[str]
+    refined: RefinedLenses
     delay: float
     undone: Mapping[str, Array]
+    folder: Path
 
 
 def adjust(
@@ -82,23 +84,27 @@ def adjust(
     tell = _relief(raw) > limits.min_relief
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
 
-    def adjusted(principal_point: bool) -> SparseMap:
-        with atomic_folder(work / "adjusted") as folder:
-            return adjust_to_positions(
+    def adjusted(principal_point: bool) -> Adjusted:
+        out = work / ("adjusted-principal" if principal_point else "adjusted")
+        refined = RefinedLenses(focal, principal_point)
+        with atomic_folder(out) as folder:
+            model = adjust_to_positions(
                 model_path,
                 taken,
                 placed.world_from_model,
                 MeasuredPositions(positions, sigma),
-                RefinedLenses(focal, principal_point),
+                refined,
                 folder,
             )
+        return Adjusted(model, placed, refined, delay, {} if used is fixes else used, out)
 
-    model = adjusted(principal_point=False)
+    best = adjusted(principal_point=False)
     if _common_direction(raw, taken) < limits.max_common_direction:
         off_middle = adjusted(principal_point=True)
-        if off_middle.reprojection_error() < (1 - limits.min_gain) * model.reprojection_error():
-            model = off_middle
-    return Adjusted(model, placed, focal, delay, {} if used is fixes else used)
+        least = (1 - limits.min_gain) * best.model.reprojection_error()
+        if off_middle.model.reprojection_error() < least:
+            best = off_middle
+    return best
 
 
 def _place(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -15,6 +15,8 @@ from pydantic import BaseModel
 
 from ingest.adjustment import Adjusted, adjust
 from ingest.attitude import turned_over
+from ingest.control import fit_to_control
+from ingest.control_points import ControlPoint, read_control_points
 from ingest.georegister import georegister
 from ingest.given import Given, read_given, triangulated
 from ingest.neighbours import choose_pairs
@@ -24,7 +26,7 @@ from ingest.photographs import SESSION, Flight, photographs_of, read_flight
 from ingest.picture import draw
 from ingest.plan import WORK, Plan, finished, resumable
 from ingest.positions import FEWEST, local, with_positions
-from ingest.report import REPORT, AttitudeFindings, IngestReport, make_report
+from ingest.report import REPORT, Findings, IngestReport, make_report
 from ingest.split import Split, queries_of
 from scene.bundle.manifest import Manifest, Session, read_json, write_json
 from scene.bundle.scene import COVISIBILITY, FEATURES, MAP_FILES, finish_scene
@@ -59,19 +61,23 @@ class _Source:
         folder: folder of the photographs.
         flight: its photographs, and the files that are left out.
         taken: the photographs as structure from motion takes them.
+        origin: place of the world's origin.
         fixes: measured positions (3,) by name, world metres.
         queries: names of the queries.
         plan: what was asked for.
         given: poses of another program; None for structure from motion.
+        control: ground control points, with marks in the photographs of the folder.
     """
 
     folder: Path
     flight: Flight
     taken: Sequence[Photograph]
+    origin: Geodetic
     fixes: Mapping[str, NDArray[np.float64]]
     queries: set[str]
     plan: Plan
     given: Given | None
+    control: Sequence[ControlPoint]
 
 
 class _Turned(BaseModel):
@@ -87,6 +93,8 @@ def ingest(
     *,
     gps: Path | None = None,
     poses: Path | None = None,
+    gcp: Path | None = None,
+    checks: Sequence[str] = (),
     camera: Camera | None = None,
     size: int = 1600,
     mapper: Mapper = "incremental",
@@ -105,6 +113,9 @@ def ingest(
         gps: table of positions instead of those in EXIF, see ``with_positions``.
         poses: poses and cameras of another program, see ``scene.imports``; photographs without a
             pose are left out.
+        gcp: list of ground control points, see ``control_points``. With ``poses``, which stay as
+            they are, all points are check points.
+        checks: names of points that are only compared.
         camera: calibration of all photographs; None takes it from ``poses`` or EXIF.
         size: longest side of the photographs in the scene, pixels; larger ones are reduced.
         mapper: "incremental" or "global" structure from motion.
@@ -125,6 +136,9 @@ def ingest(
     if poses is not None:
         flight, given = read_given(poses, flight, size, camera)
     _require(flight, photographs)
+    if checks and gcp is None:
+        raise InputError("check points are points of a list: give --gcp")
+    control = [] if gcp is None else read_control_points(gcp, flight, size, checks)
     plan = Plan(
         size=size,
         mapper=mapper,
@@ -133,21 +147,25 @@ def ingest(
         camera=None if camera is None else str(camera),
         gps=None if gps is None else sha256_of(gps),
         poses=None if given is None else given.sha256,
+        gcp=None if gcp is None else sha256_of(gcp),
+        checks=tuple(sorted(set(checks))),
         photographs={image.file: image.sha256 for image in flight.images},
         options=options,
     )
+    source = _source(photographs, flight, camera, given, control, plan)
     with write_lock(out):
-        return _ingest(photographs, out, flight, camera, given, plan)
+        return _ingest(out, source)
 
 
-def _ingest(
+def _source(
     photographs: Path,
-    out: Path,
     flight: Flight,
     camera: Camera | None,
     given: Given | None,
+    control: Sequence[ControlPoint],
     plan: Plan,
-) -> IngestReport:
+) -> _Source:
+    """Return what a scene is made of; only the photographs themselves are still unread."""
     origin, fixes = local(flight.images, None if given is None else given.origin)
     names, options = [image.name for image in flight.images], plan.options
     course = fixes if given is None or given.origin is None else given.centres
@@ -156,19 +174,25 @@ def _ingest(
         taken = photographs_of(flight.images, plan.size, camera, options.guessed_focal)
     else:
         taken = given.photographs()
+        control = [replace(point, check=True) for point in control]
+    return _Source(photographs, flight, taken, origin, fixes, queries, plan, given, control)
+
+
+def _ingest(out: Path, source: _Source) -> IngestReport:
+    plan = source.plan
     if finished(out, plan):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
     unfinished = resumable(out, plan)
     unfinished.begin()
     try:
-        report = _build(out, _Source(photographs, flight, taken, fixes, queries, plan, given))
+        report = _build(out, source)
     except WriteError:
         raise  # the same command continues when there is room
     except InputError:
         # These photographs make no scene, so nothing is kept for a later run.
-        remove_owned(out, _owned(flight))
+        remove_owned(out, _owned(source.flight))
         raise
-    finish_scene(out, _manifest(plan, origin))
+    finish_scene(out, _manifest(plan, source.origin))
     unfinished.end()
     return report
 
@@ -191,12 +215,16 @@ def _build(out: Path, source: _Source) -> IngestReport:
         flight, model_path, turned = _structure(out, source)
         times = {i.name: i.exif.time.timestamp() for i in flight.images if i.exif.time}
         adjusted = adjust(model_path, taken, fixes, times, out / WORK, options)
+    points = [_as_placed(point, turned, taken) for point in source.control]
+    adjusted, residuals = fit_to_control(
+        adjusted, points, source.origin, taken, out / WORK, options
+    )
     model, images = adjusted.model, flight.images
     wrong_attitudes = write_measurements(out, adjusted, images, fixes, queries, options)
     sparse_map = _triangulate(out, model, queries)
     write_lists(out, model, images, queries, options.covisibility_points)
     over = [image.file for image in images if image.name in turned]
-    findings = AttitudeFindings(wrong_attitudes, over)
+    findings = Findings(wrong_attitudes, over, residuals)
     report = make_report(taken, flight, adjusted, fixes, sparse_map, findings)
     write_json(out / REPORT, report)
     draw(
@@ -211,6 +239,14 @@ def _build(out: Path, source: _Source) -> IngestReport:
     for name in {image.name for image in source.flight.images} - model.images.keys():
         (out / "sessions" / name).unlink(missing_ok=True)
     return report
+
+
+def _as_placed(point: ControlPoint, turned: set[str], taken: Sequence[Photograph]) -> ControlPoint:
+    """Return a point with its marks in photographs as they are in the scene, where some are
+    rotated."""
+    size = {p.name: np.array([p.camera.width, p.camera.height]) for p in taken}
+    marks = {name: size[name] - xy if name in turned else xy for name, xy in point.marks.items()}
+    return replace(point, marks=marks)
 
 
 def _as_given(out: Path, source: _Source, given: Given) -> tuple[Flight, Adjusted, set[str]]:

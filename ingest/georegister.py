@@ -30,8 +30,8 @@ class Georegistration:
 
     Attributes:
         world_from_model: Similarity (3, 4).
-        level: What decides which way is up: "gps", or the "ground" where altitudes or a straight
-            flight cannot tell.
+        level: What decides which way is up: "gps", the "ground" where altitudes or a straight
+            flight cannot tell, poses that are "given", or points of "control".
         blunders: Photographs whose fix contradicts the others.
         sigma: Standard deviation (3,) of the other fixes per axis, metres.
     """
@@ -77,15 +77,15 @@ def georegister(
         raise InputError("all GPS positions are one: they do not tell scale and direction")
 
     upright = _upright(model, options.ground_sigmas)
-    similarity, good = _robust(_similarity, centres, measured, 3, options)
+    placed, good = robust_similarity(centres, measured, options)
     level = "gps"
-    on_a_line = _width_over_length(centres) < options.min_width
-    if on_a_line or _tilt_deg(similarity, model, upright[2]) > options.max_tilt_deg:
-        similarity, good = _fit_level(upright, centres, measured, options)
+    tilted = _tilt_deg(placed, model, upright[2]) > options.max_tilt_deg
+    if tilted or is_on_a_line(centres, options):
+        placed, good = _fit_level(upright, centres, measured, options)
         level = "ground"
-    off = (_apply(similarity, centres) - measured)[good]
+    off = (_apply(placed, centres) - measured)[good]
     return Georegistration(
-        world_from_model=similarity,
+        world_from_model=placed,
         level=level,
         blunders=tuple(name for name, ok in zip(names, good, strict=True) if not ok),
         sigma=np.maximum(np.sqrt((off**2).mean(0)), options.min_sigma_m),
@@ -118,9 +118,21 @@ def _degrees(a: Array, b: Array) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
-def _width_over_length(centres: Array) -> float:
-    singular = np.linalg.svd(centres - centres.mean(0), compute_uv=False)
-    return float(singular[1] / max(singular[0], 1e-12))
+def is_on_a_line(points: Array, options: PlacementOptions = _DEFAULTS) -> bool:
+    """Return whether points (N, 3) are too near one line to tell the rotation about it."""
+    singular = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return bool(singular[1] < options.min_width * max(singular[0], 1e-12))
+
+
+def robust_similarity(
+    source: Array, target: Array, options: PlacementOptions = _DEFAULTS
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Fit a similarity to points (N, 3) of which up to half are wrong.
+
+    Returns:
+        The similarity (3, 4), and which points fit it, (N,).
+    """
+    return _robust(similarity, source, target, 3, options)
 
 
 def _fit_level(
@@ -159,8 +171,8 @@ def _median_square(similarity: Array, source: Array, target: Array, axes: int) -
     return float(np.median((off**2).sum(1)))
 
 
-def _similarity(source: Array, target: Array) -> Array:
-    """Fit a similarity to all axes by least squares (Umeyama 1991)."""
+def similarity(source: Array, target: Array) -> Array:
+    """Return the similarity (3, 4) of points (N, 3) by least squares (Umeyama 1991)."""
     a, b = source - source.mean(0), target - target.mean(0)
     u, singular, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from ingest.adjustment import Adjusted
 from ingest.georegister import Georegistration, georegister
 from ingest.options import IngestOptions
 from ingest.photographs import Flight, fitted
+from scene.colmap.structure_from_motion import RefinedLenses
 from scene.colmap.triangulation import triangulate_matched
 from scene.errors import InputError
 from scene.geometry.camera import Camera
@@ -130,12 +131,13 @@ def triangulated(
         InputError: no point could be triangulated, or as ``georegister``.
     """
     images = [given.images[name] for name in there]
-    with atomic_folder(database.parent / "given") as folder:
-        raw, _ = triangulate_matched(root, images, database, folder)
+    lenses, folder = RefinedLenses(()), database.parent / "given"
+    with atomic_folder(folder) as partial:
+        raw, _ = triangulate_matched(root, images, database, partial)
     if given.origin is not None:
-        return Adjusted(raw, _as_given(raw, fixes, options), (), 0.0, {})
+        return Adjusted(raw, _as_given(raw, fixes, options), lenses, 0.0, {}, folder)
     placed = georegister(raw, fixes, options.placement)
-    return Adjusted(moved(raw, placed.world_from_model), placed, (), 0.0, {})
+    return Adjusted(raw.moved(placed.world_from_model), placed, lenses, 0.0, {}, folder)
 
 
 def _as_given(
@@ -150,17 +152,3 @@ def _as_given(
     sigma = np.sqrt((off[good] ** 2).mean(0)) if good.any() else np.full(3, limits.min_sigma_m)
     blunders = tuple(name for name, ok in zip(names, good, strict=True) if not ok)
     return Georegistration(_IDENTITY, "given", blunders, np.maximum(sigma, limits.min_sigma_m))
-
-
-def moved(model: SparseMap, similarity: Array) -> SparseMap:
-    """Return a map under a similarity (3, 4) of its world: scale times rotation, translation."""
-    scale = float(np.cbrt(np.linalg.det(similarity[:, :3])))
-    images = {}
-    for name, image in model.images.items():
-        pose = np.eye(4)
-        pose[:3, :3] = image.cam_from_world[:3, :3] @ similarity[:, :3].T / scale
-        centre = similarity[:, :3] @ image.centre + similarity[:, 3]
-        pose[:3, 3] = -pose[:3, :3] @ centre
-        images[name] = replace(image, cam_from_world=pose)
-    xyz = model.xyz @ similarity[:, :3].T + similarity[:, 3]
-    return replace(model, images=images, xyz=xyz)

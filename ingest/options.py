@@ -119,6 +119,22 @@ class AdjustmentOptions(Config):
     )
 
 
+class ControlOptions(Config):
+    """The surveyed points that a model is adjusted to."""
+
+    sigma_m: float = Field(
+        0.05,
+        gt=0.0005,
+        description="Standard deviation of a surveyed coordinate (m).",
+    )
+    wrong_m: float = Field(
+        1.0,
+        ge=0,
+        description="A point is wrong if it is further than this (m), and than blunder_sigmas of "
+        "the placement, from where the others put it.",
+    )
+
+
 class IngestOptions(Config):
     """The options of ingest. The manifest of the scene records these options."""
 
@@ -131,6 +147,7 @@ class IngestOptions(Config):
     adjustment: AdjustmentOptions = Field(
         AdjustmentOptions(), description="Parameters of the lenses that are adjusted."
     )
+    control: ControlOptions = Field(ControlOptions(), description="Ground control points.")
     guessed_focal: float = Field(
         1.2,
         gt=0,

@@ -33,6 +33,8 @@ class Plan(BaseModel):
     camera: str | None
     gps: str | None
     poses: str | None = None
+    gcp: str | None = None
+    checks: tuple[str, ...] = ()
     photographs: dict[str, str]
     options: IngestOptions = IngestOptions()
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from ingest.adjustment import Adjusted
+from ingest.control import ControlResidual, control_text
 from ingest.photographs import Flight
 from scene.geometry.camera import Camera
 from scene.maps.photographs import Photograph
@@ -59,7 +60,8 @@ class IngestReport(BaseModel):
         track_length: mean number of photographs that observe a point.
         reprojection_error_px: mean reprojection error over all observations, pixels.
         lenses: the cameras.
-        level: what defines the vertical: "gps", the "ground", or the poses that were "given".
+        level: what defines the vertical: "gps", the "ground", poses that were "given",
+            or points of "control".
         fixes: number of photographs whose GPS position was used.
         blunders: distance from the camera of each fix that was not used, metres, by file.
         wrong_attitudes: angle between each gimbal attitude that was not used and its camera,
@@ -71,6 +73,7 @@ class IngestReport(BaseModel):
         map_images: number of photographs of the map.
         map_points: number of points of the map, triangulated from its photographs alone.
         queries: number of photographs that are queries.
+        control: ground control points, in the order of their list.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -93,6 +96,7 @@ class IngestReport(BaseModel):
     map_images: int
     map_points: int
     queries: int
+    control: tuple[ControlResidual, ...] = ()
 
     def text(self) -> str:
         """Return the report as text."""
@@ -100,6 +104,7 @@ class IngestReport(BaseModel):
             "gps": "up is where GPS says",
             "ground": "up is across the ground: GPS altitudes cannot tell",
             "given": "poses are as given",
+            "control": "up is where ground control points say",
         }
         gps = "none" if self.gps is None else self.gps.text()
         lines = [
@@ -114,6 +119,7 @@ class IngestReport(BaseModel):
             ),
             f"map of {self.map_images} photographs and {self.map_points} points, "
             f"{self.queries} queries",
+            *control_text(self.control),
             *(f"lens {x.name}: {x.photographs} photographs, {x.origin}" for x in self.lenses),
             *_listed("wrong GPS", {k: f"{v:.0f} m off" for k, v in self.blunders.items()}),
             *_listed(
@@ -162,7 +168,7 @@ def lenses_of(photographs: Sequence[Photograph], adjusted: Adjusted) -> tuple[Le
             name=lens,
             photographs=len(taken),
             camera=str(images[taken[0].name].camera),
-            origin=_origin(taken[0], images[taken[0].name].camera, lens in adjusted.focal),
+            origin=_origin(taken[0], images[taken[0].name].camera, lens in adjusted.refined.focal),
         )
         for lens, taken in by_lens.items()
     )
@@ -186,16 +192,18 @@ def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
 
 
 @dataclass(frozen=True)
-class AttitudeFindings:
-    """What the gimbals of a flight show.
+class Findings:
+    """What the gimbals of a flight and ground control points show.
 
     Attributes:
         wrong: degrees by which attitudes that were not used are off, by file.
         turned: files that someone had turned by 180 degrees.
+        control: residuals of ground control points.
     """
 
     wrong: Mapping[str, float]
     turned: Sequence[str]
+    control: tuple[ControlResidual, ...] = ()
 
 
 def make_report(
@@ -204,7 +212,7 @@ def make_report(
     adjusted: Adjusted,
     fixes: Mapping[str, NDArray[np.float64]],
     sparse_map: SparseMap,
-    findings: AttitudeFindings,
+    findings: Findings,
 ) -> IngestReport:
     """Make the report of a finished flight.
 
@@ -214,7 +222,7 @@ def make_report(
         adjusted: the model of all photographs in the world.
         fixes: measured positions by name, world metres.
         sparse_map: the map of the map's photographs.
-        findings: attitudes that were not used, and photographs that are turned back.
+        findings: what gimbals and ground control points show.
     """
     model, placed = adjusted.model, adjusted.placed
     files = {image.name: image.file for image in flight.images}
@@ -246,6 +254,7 @@ def make_report(
         map_images=len(sparse_map.images),
         map_points=len(sparse_map.xyz),
         queries=len(model.images) - len(sparse_map.images),
+        control=findings.control,
     )
 
 

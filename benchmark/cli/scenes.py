@@ -61,6 +61,29 @@ def ingest(
             "or the folder of a COLMAP model. Photographs without a pose are left out.",
         ),
     ] = None,
+    gcp: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Ground control points in ODM's format: first line EPSG:n, then lines "
+            "'x y z px py PHOTO NAME'. The report tells their residuals and names wrong points.",
+        ),
+    ] = None,
+    gcp_check: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Ground control point that is only compared; repeat the option for several.",
+        ),
+    ] = None,
+    gcp_sigma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Standard deviation of surveyed coordinates; by default 0.05 m.",
+            min=0.001,
+        ),
+    ] = None,
     camera: CameraWords = None,
     size: Annotated[
         int, typer.Option(help="Longest side of photographs in the scene, pixels.", min=64)
@@ -86,17 +109,24 @@ def ingest(
     where it stopped.
     """
     from ingest.command import ingest as run
+    from ingest.options import ControlOptions, IngestOptions
 
+    options = IngestOptions()
+    if gcp_sigma is not None:
+        options = IngestOptions(control=ControlOptions(sigma_m=gcp_sigma))
     report = run(
         photographs,
         out,
         gps=gps,
         poses=poses,
+        gcp=gcp,
+        checks=gcp_check or (),
         camera=parse_camera(camera),
         size=size,
         mapper=mapper.value,
         split=split.value,
         every=every,
+        options=options,
     )
     emit(Summary(report.text(), report.model_dump()), as_json)
 

@@ -256,6 +256,24 @@ class RefinedLenses:
     principal_point: bool = False
 
 
+def bundle_of(
+    native: pycolmap.Reconstruction, photographs: Sequence[Photograph], refined: RefinedLenses
+) -> tuple[pycolmap.BundleAdjustmentConfig, pycolmap.BundleAdjustmentOptions]:
+    """Return the set-up of an adjustment of all images of a model of ``map_photographs``."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in native.reg_image_ids():
+        config.add_image(image_id)
+    numbers = lens_ids(photographs)
+    for photograph in photographs:
+        if photograph.calibrated or (refined.focal and photograph.lens not in refined.focal):
+            config.set_constant_cam_intrinsics(numbers[photograph.lens])
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = bool(refined.focal)
+    options.refine_principal_point = refined.principal_point
+    options.ceres.solver_options.num_threads = 1
+    return config, options
+
+
 def adjust_to_positions(
     model: Path,
     photographs: Sequence[Photograph],
@@ -278,17 +296,7 @@ def adjust_to_positions(
     """
     native = pycolmap.Reconstruction(model)
     native.transform(pycolmap.Sim3d(np.ascontiguousarray(world_from_model)))
-    config = pycolmap.BundleAdjustmentConfig()
-    for image_id in native.reg_image_ids():
-        config.add_image(image_id)
-    numbers = lens_ids(photographs)
-    for photograph in photographs:
-        if photograph.calibrated or (refined.focal and photograph.lens not in refined.focal):
-            config.set_constant_cam_intrinsics(numbers[photograph.lens])
-    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-    options.refine_focal_length = bool(refined.focal)
-    options.refine_principal_point = refined.principal_point
-    options.ceres.solver_options.num_threads = 1
+    config, options = bundle_of(native, photographs, refined)
     with_priors = pycolmap.PosePriorBundleAdjustmentOptions()
     with_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
     with_priors.alignment_ransac.random_seed = SEED

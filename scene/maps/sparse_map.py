@@ -108,6 +108,19 @@ class SparseMap:
             images, self.xyz[kept], self.rgb[kept], self.error[kept], self.track_length[kept]
         )
 
+    def moved(self, similarity: NDArray[np.float64]) -> SparseMap:
+        """Return the map under a similarity of its world, (3, 4): scale times rotation, and
+        translation."""
+        linear = similarity[:, :3]
+        scale = float(np.cbrt(np.linalg.det(linear)))
+        images = {}
+        for name, image in self.images.items():
+            pose = np.eye(4)
+            pose[:3, :3] = image.cam_from_world[:3, :3] @ linear.T / scale
+            pose[:3, 3] = -pose[:3, :3] @ (linear @ image.centre + similarity[:, 3])
+            images[name] = replace(image, cam_from_world=pose)
+        return replace(self, images=images, xyz=self.xyz @ linear.T + similarity[:, 3])
+
     @cached_property
     def _nearest_points(self) -> Nearest:
         return Nearest(self.xyz[:, :2])

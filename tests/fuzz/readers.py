@@ -36,7 +36,8 @@ from benchmark.report.album import Album, Entry, Neighbour, read_album, write_al
 from benchmark.results import QueryResult, Results, load
 from benchmark.starts import parse_start
 from dense.workspace import read_array, write_array
-from ingest.photographs import _look_at
+from ingest.control_points import read_control_points
+from ingest.photographs import Flight, FlightImage, _look_at
 from ingest.positions import _read as read_positions
 from objconnect import network as objconnect
 from objconnect.config import ObjConnectNetConfig
@@ -50,7 +51,7 @@ from scene.geometry.geodesy import Geodetic
 from scene.imports.formats import read_foreign
 from scene.maps.colmap_files import read_model
 from scene.maps.features import Features, read_features, write_features
-from scene.storage.images import read_rgb
+from scene.storage.images import Exif, read_rgb
 from simulate.camera.lens import CameraConfig
 from simulate.config import SimulateConfig
 from simulate.flight.qgroundcontrol import read_plan
@@ -194,6 +195,17 @@ def _tables(folder: Path) -> None:
     (folder / "positions.csv").write_text("name,lat,lon,alt\na.jpg,47.1,8.1,420\nb.jpg,47,8,1\n")
     (folder / "conditions.csv").write_text("name,condition\na.jpg,summer-noon\nb.jpg,winter\n")
     (folder / "pairs.txt").write_text("# pairs\nb.jpg a.jpg\nb.jpg c.jpg\n")
+    (folder / "gcp_list.txt").write_text(
+        "WGS84 UTM 32N\n500000 5200000 431.5 100 200 a.jpg corner\n500010 5200000 430 1 2 b.jpg\n"
+    )
+
+
+def _read_control(path: Path) -> None:
+    images = [
+        FlightImage(name, f"flight/images/{name}", name, Exif(None, None), (4000, 3000))
+        for name in ("a.jpg", "b.jpg")
+    ]
+    read_control_points(path, Flight(tuple(images), {}), 1600)
 
 
 def _foreign(folder: Path) -> None:
@@ -399,6 +411,7 @@ READERS: dict[str, Reader] = {
             "priors.csv": ("text", lambda f: read_priors(f / "priors.csv")),
             "conditions.csv": ("text", lambda f: read_conditions(f / "conditions.csv")),
             "positions.csv": ("text", lambda f: read_positions(f / "positions.csv")),
+            "gcp_list.txt": ("text", lambda f: _read_control(f / "gcp_list.txt")),
             "pairs.txt": ("text", lambda f: parse_start(f"pairs={f / 'pairs.txt'}")),
         },
         8,
