@@ -118,7 +118,8 @@ def _parsed(where: str, row: list[str]) -> tuple[float, float, float, float, flo
         numbers = [float(word) for word in row[:5]]
     except ValueError:
         numbers = [math.nan]
-    if len(row) < 6 or not all(map(math.isfinite, numbers)):
+    words = "".join(row).isprintable()
+    if len(row) < 6 or not words or not all(map(math.isfinite, numbers)):
         raise InputError(f"{where}: expected {_COLUMNS}, got {' '.join(row)[:60]!r}")
     x, y, z, px, py = numbers
     return x, y, z, px, py, row[5], " ".join(row[6:])
@@ -140,4 +141,6 @@ def _require(
         )
     for name in checks:
         if name not in points:
-            raise InputError(f"{path} has no point {name!r}; it has {', '.join(points)[:200]}")
+            raise InputError(
+                f"{path} has no point {name!r} for --gcp-check; it has {', '.join(points)[:200]}"
+            )

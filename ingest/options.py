@@ -124,7 +124,8 @@ class ControlOptions(Config):
 
     sigma_m: float = Field(
         0.05,
-        gt=0.0005,
+        ge=0.001,
+        le=1000,
         description="Standard deviation of a surveyed coordinate (m).",
     )
     wrong_m: float = Field(

@@ -77,13 +77,11 @@ def ingest(
         ),
     ] = None,
     gcp_sigma: Annotated[
-        float | None,
+        float,
         typer.Option(
-            metavar="METRES",
-            help="Standard deviation of surveyed coordinates; by default 0.05 m.",
-            min=0.001,
+            help="Standard deviation of surveyed coordinates, metres.", min=0.001, max=1000
         ),
-    ] = None,
+    ] = 0.05,
     camera: CameraWords = None,
     size: Annotated[
         int, typer.Option(help="Longest side of photographs in the scene, pixels.", min=64)
@@ -111,9 +109,6 @@ def ingest(
     from ingest.command import ingest as run
     from ingest.options import ControlOptions, IngestOptions
 
-    options = IngestOptions()
-    if gcp_sigma is not None:
-        options = IngestOptions(control=ControlOptions(sigma_m=gcp_sigma))
     report = run(
         photographs,
         out,
@@ -126,7 +121,7 @@ def ingest(
         mapper=mapper.value,
         split=split.value,
         every=every,
-        options=options,
+        options=IngestOptions(control=ControlOptions(sigma_m=gcp_sigma)),
     )
     emit(Summary(report.text(), report.model_dump()), as_json)
 

@@ -258,7 +258,7 @@ def test_a_list_in_the_format_of_odm(tmp_path: Path, header: str) -> None:
             "gcp.txt:3: 'a' is marked twice in DJI_1.JPG",
         ),
         ("EPSG:4326\n8 97 3 4 5 DJI_1.JPG a\n", "is no place on earth|is no position in"),
-        ("EPSG:32632\n5e5 52e5 3 4 5 DJI_1.JPG a\n", "has no point 'B'; it has a"),
+        ("EPSG:32632\n5e5 52e5 3 4 5 DJI_1.JPG a\n", "has no point 'B' for --gcp-check; it has a"),
     ],
 )
 def test_lists_that_do_not_do(tmp_path: Path, text: str, message: str) -> None:

@@ -350,7 +350,13 @@ COMMANDS: dict[str, Row] = {
             "out": out_folder("out", "*"),
             "gps": file("tables/gps.csv", "csv").fine("too_many"),
             "poses": file("tables/reconstruction.json", "json"),
-            "gcp": file("tables/gcp_list.txt", "text"),
+            "gcp": file("tables/gcp_list.txt", "words").but(
+                "nan",
+                "inf",
+                "word",
+                "huge",
+                "no_number",  # they change the name of a point
+            ),
             "gcp_check": values("A", "", "magic", LONG),
             "gcp_sigma": real("0.05"),
             "camera": CAMERA,
