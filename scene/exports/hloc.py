@@ -26,6 +26,7 @@ from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.exports.matches import described_map, map_pairs, matched_pairs
 from scene.maps.features import unit_descriptors
+from scene.runtime.progress import progress_bar
 from scene.storage.names import quote_name
 
 PAIRS_PER_QUERY: Final = 20
@@ -73,8 +74,9 @@ def write_features(scene: Scene, sessions: Mapping[str, Frames], folder: Path, f
         InputError: the scene has no map, or its features are missing or are not the map's.
     """
     sparse_map, features = described_map(scene)
-    with h5py.File(folder / "features.h5", "w") as file:
-        for name in sparse_map.names:
+    count = len(sparse_map.names)
+    with h5py.File(folder / "features.h5", "w") as file, progress_bar("features", count) as advance:
+        for done, name in enumerate(sparse_map.names, 1):
             item, camera = features[name], sparse_map.images[name].camera
             group = file.create_group(name)
             group["keypoints"] = item.xy - np.float32(0.5)
@@ -82,6 +84,7 @@ def write_features(scene: Scene, sessions: Mapping[str, Frames], folder: Path, f
             group["scores"] = np.ones(len(item.xy), np.float32)
             group["scales"] = item.scale
             group["image_size"] = np.array([camera.width, camera.height])
+            advance(done)
     lines = []
     with h5py.File(folder / "matches.h5", "w") as file:
         for a, b, matches in matched_pairs(scene, sparse_map):

@@ -18,6 +18,7 @@ from scene.bundle.frames import Frames
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
+from scene.runtime.progress import progress_bar
 
 # nerfstudio multiplies depth by its option depth_unit_scale_factor, by default 0.001.
 _UNITS_PER_METRE = 1000
@@ -42,14 +43,17 @@ def write_with_depth(
     Raises:
         InputError: a session has no depth, or the sessions mix perspective and fisheye cameras.
     """
-    depths = {}
-    for session, frames in sessions.items():
-        with scene.dense(session) as dense:
-            for k, name in enumerate(frames.names):
-                depths[name] = (Path("depth") / name).with_suffix(".npy").as_posix()
-                target = folder / depths[name]
-                target.parent.mkdir(parents=True, exist_ok=True)
-                np.save(target, dense.read("depth", k) * np.float32(_UNITS_PER_METRE))
+    depths: dict[str, str] = {}
+    count = sum(len(frames) for frames in sessions.values())
+    with progress_bar("write depth", count) as advance:
+        for session, frames in sessions.items():
+            with scene.dense(session) as dense:
+                for k, name in enumerate(frames.names):
+                    depths[name] = (Path("depth") / name).with_suffix(".npy").as_posix()
+                    target = folder / depths[name]
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    np.save(target, dense.read("depth", k) * np.float32(_UNITS_PER_METRE))
+                    advance(len(depths))
     _write_document(scene, sessions, folder, final, depths)
 
 

@@ -18,6 +18,8 @@ import numpy as np
 from scene.bundle.frames import Frames
 from scene.bundle.scene import Scene
 from scene.runtime.extras import import_extra
+from scene.runtime.progress import progress_bar
+from scene.storage.files import require_readable
 
 _FILE = "scene.rrd"
 _ORANGE = (255, 140, 0)
@@ -52,21 +54,22 @@ def _write(scene: Scene, sessions: Mapping[str, Frames], path: Path, photographs
         sparse_map = scene.sparse_map()
         stream.log("world/map", rr.Points3D(sparse_map.xyz, colors=sparse_map.rgb), static=True)
     for session, frames in sessions.items():
-        entity = ["world", session]
-        centres = frames.poses.centre().numpy()
-        line = rr.LineStrips3D([centres], colors=[_ORANGE])
-        stream.log([*entity, "trajectory"], line, static=True)
-        for k in range(len(frames)):
+        line = rr.LineStrips3D([frames.poses.centre().numpy()], colors=[_ORANGE])
+        stream.log(["world", session, "trajectory"], line, static=True)
+    moments = [(session, k) for session, frames in sessions.items() for k in range(len(frames))]
+    with progress_bar("write frames", len(moments)) as advance:
+        for done, (session, k) in enumerate(moments, 1):
+            frames, entity = sessions[session], ["world", session, "camera"]
+            stream.reset_time()
             stream.set_time("frame", sequence=k)
             if np.isfinite(frames.time[k]):
                 stream.set_time("time", timestamp=float(frames.time[k]))
-            else:
-                stream.disable_timeline("time")
-            _log_camera(rr, stream, [*entity, "camera"], frames, k)
+            _log_camera(rr, stream, entity, frames, k)
             if photographs:
                 photograph = scene.images_root / frames.names[k]
-                stream.log([*entity, "camera"], rr.EncodedImage(path=photograph))
-        stream.reset_time()
+                require_readable(photograph, "photograph")
+                stream.log(entity, rr.EncodedImage(path=photograph))
+            advance(done)
     stream.flush()
     stream.disconnect()
 
