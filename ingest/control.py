@@ -145,9 +145,14 @@ def fit_to_control(
     roles |= {p.name: "unseen" for p in points if p.name not in found}
     roles |= {p.name: "used" for p in used}
     if used:
+        fixed = [
+            SurveyedPoint(
+                surveyed[p.name], options.control.sigma_m, _inside(p.marks, adjusted.model)
+            )
+            for p in used
+        ]
         there = np.array([found[p.name] for p in used])
-        true = np.array([surveyed[p.name] for p in used])
-        adjusted = _fitted(adjusted, used, there, true, taken, work, options)
+        adjusted = _fitted(adjusted, fixed, there, taken, work, options)
     return adjusted, tuple(
         _residual(adjusted.model, point, roles[point.name], surveyed[point.name])
         for point in points
@@ -164,21 +169,17 @@ def _wrong(found: Array, surveyed: Array, options: IngestOptions) -> NDArray[np.
 
 def _fitted(
     adjusted: Adjusted,
-    used: Sequence[ControlPoint],
+    points: Sequence[SurveyedPoint],
     found: Array,
-    surveyed: Array,
     taken: Sequence[Photograph],
     work: Path,
     options: IngestOptions,
 ) -> Adjusted:
-    """Return the model after the fit to points (N, 3) that it has found elsewhere."""
-    if len(used) < _FEWEST or is_on_a_line(found, options.placement):
+    """Return the model after the fit to points that it has found elsewhere, (N, 3)."""
+    surveyed = np.array([point.xyz for point in points])
+    if len(points) < _FEWEST or is_on_a_line(found, options.placement):
         shift = np.column_stack([np.eye(3), (surveyed - found).mean(0)])
         return replace(adjusted, model=adjusted.model.moved(shift))
-    points = [
-        SurveyedPoint(xyz, options.control.sigma_m, _inside(point.marks, adjusted.model))
-        for point, xyz in zip(used, surveyed, strict=True)
-    ]
     with atomic_folder(work / "control") as folder:
         model = adjust_to_points(
             adjusted.folder,

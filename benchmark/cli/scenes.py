@@ -33,6 +33,36 @@ class SplitBy(StrEnum):
     NONE = "none"
 
 
+GivenPoses = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Poses and cameras of another program, which replace structure from motion: "
+        "reconstruction.json of ODM, cameras.xml of Metashape, transforms.json of nerfstudio, "
+        "or the folder of a COLMAP model. Photographs without a pose are left out.",
+    ),
+]
+ControlList = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Ground control points in ODM's format: first line EPSG:n, then lines "
+        "'x y z px py PHOTO NAME'. The report tells their residuals and names wrong points.",
+    ),
+]
+CheckPoints = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="Ground control point that is only compared; repeat the option for several.",
+    ),
+]
+ControlSigma = Annotated[
+    float,
+    typer.Option(help="Standard deviation of surveyed coordinates, metres.", min=0.001, max=1000),
+]
+
+
 @app.command()
 # More than six parameters: each is an option or argument of the command.
 def ingest(
@@ -52,36 +82,10 @@ def ingest(
             "read from EXIF.",
         ),
     ] = None,
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Poses and cameras of another program, which replace structure from motion: "
-            "reconstruction.json of ODM, cameras.xml of Metashape, transforms.json of nerfstudio, "
-            "or the folder of a COLMAP model. Photographs without a pose are left out.",
-        ),
-    ] = None,
-    gcp: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Ground control points in ODM's format: first line EPSG:n, then lines "
-            "'x y z px py PHOTO NAME'. The report tells their residuals and names wrong points.",
-        ),
-    ] = None,
-    gcp_check: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Ground control point that is only compared; repeat the option for several.",
-        ),
-    ] = None,
-    gcp_sigma: Annotated[
-        float,
-        typer.Option(
-            help="Standard deviation of surveyed coordinates, metres.", min=0.001, max=1000
-        ),
-    ] = 0.05,
+    poses: GivenPoses = None,
+    gcp: ControlList = None,
+    gcp_check: CheckPoints = None,
+    gcp_sigma: ControlSigma = 0.05,
     camera: CameraWords = None,
     size: Annotated[
         int, typer.Option(help="Longest side of photographs in the scene, pixels.", min=64)
