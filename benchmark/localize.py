@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -16,40 +14,27 @@ from pydantic import Field
 
 from benchmark.answers import Located, contents, outputs
 from benchmark.datasets.simulated import is_scene
-from benchmark.datasets.textfiles import read_priors, require_same_case
 from benchmark.evaluate import localize_safely, method_of
 from benchmark.journal import Journal, journal_path
+from benchmark.photographs import PhotographReader, Place, priors_of
 from benchmark.results import Environment, Named, PoseNumbers
-from ingest.attitude import gimbal_pose
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
+from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Localizer, Prior, Query, Status
+from scene.localizer import Estimate, Localizer, Query, Status
 from scene.maps.colmap_files import read_model
-from scene.maps.sparse_map import SparseMap
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
 from scene.storage.atomic import write_text
 from scene.storage.digests import digests
 from scene.storage.files import parse_json, read_text, sha256_of
-from scene.storage.images import read_exif, read_rgb
+from scene.storage.images import read_exif
 from scene.storage.listing import PHOTOGRAPHS, list_files
 from scene.storage.names import quote_name
 from scene.storage.outputs import check_outputs
 from scene.storage.scratch import cache_or_scratch
-
-log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Place:
-    """A map, its photographs, and the position of its origin on earth (None if unknown)."""
-
-    sparse_map: SparseMap
-    images: Path
-    origin: Geodetic | None
 
 
 def open_place(path: Path) -> Place:
@@ -121,7 +106,9 @@ def localize(
             f"{also[0]} cannot be written, for the map has no position on earth: give a flight its "
             "origin.json (lat, lon, alt)"
         )
-    reader = _QueryReader(place, camera, _priors(priors, paths), gps_sigma_m, gimbal_sigma_deg)
+    reader = PhotographReader(
+        place, camera, priors_of(priors, paths), gps_sigma_m, gimbal_sigma_deg
+    )
     _require_one(reader, paths, photographs)
     located: list[Located] = []
     with (
@@ -193,65 +180,6 @@ class Answer(Named):
         )
 
 
-@dataclass(frozen=True)
-class _QueryReader:
-    """Reads photographs as queries, with their camera and their prior."""
-
-    place: Place
-    camera: Camera | None
-    priors: Mapping[str, Prior] | None
-    gps_sigma_m: float
-    gimbal_sigma_deg: float
-
-    def __call__(self, name: str, path: Path) -> Query:
-        """Read a photograph as a query.
-
-        Raises:
-            InputError: the photograph cannot be read, or has no camera.
-        """
-        image = read_rgb(path, self.camera)
-        camera = self.camera or self._camera(path, image.shape[1], image.shape[0])
-        prior = self._exif_prior(path) if self.priors is None else self.priors.get(name)
-        return Query(name, image, camera, prior)
-
-    def without_gimbal(self, query: Query) -> Query | None:
-        """Return the query without the attitude of its gimbal; None where it has none.
-
-        The attitude is wrong for a picture that was rotated after it was taken.
-        """
-        prior = query.prior
-        if prior is None or prior.cam_from_world_rotation is None or self.priors is not None:
-            return None
-        return replace(
-            query, prior=replace(prior, cam_from_world_rotation=None, attitude_sigma_deg=None)
-        )
-
-    def _camera(self, path: Path, width: int, height: int) -> Camera:
-        """Return the map's camera of the photograph's size."""
-        cameras = {image.camera for image in self.place.sparse_map.images.values()}
-        fitting = [camera for camera in cameras if (camera.width, camera.height) == (width, height)]
-        if len(fitting) != 1:
-            raise InputError(
-                f"{path} is {width} x {height} pixels and the map has {len(fitting)} cameras of "
-                "that size: give its calibration with --camera 'MODEL width height params...'"
-            )
-        return fitting[0]
-
-    def _exif_prior(self, path: Path) -> Prior | None:
-        """Return the position in EXIF, with the attitude of the gimbal in XMP."""
-        exif, origin = read_exif(path), self.place.origin
-        if exif.position is None or origin is None:
-            return None
-        prior = Prior(enu_from_geodetic(exif.position, origin), np.full(3, self.gps_sigma_m))
-        if exif.gimbal is None:
-            return prior
-        return replace(
-            prior,
-            cam_from_world_rotation=gimbal_pose(*exif.gimbal).rotation.numpy(),
-            attitude_sigma_deg=self.gimbal_sigma_deg,
-        )
-
-
 def _photographs(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
@@ -261,21 +189,7 @@ def _photographs(folder: Path) -> list[Path]:
     return paths
 
 
-def _priors(path: Path | None, photographs: Mapping[str, Path]) -> dict[str, Prior] | None:
-    """Read the priors of a table; None without a table."""
-    if path is None:
-        return None
-    priors = read_priors(path)
-    require_same_case(path, priors, photographs)
-    without = [name for name in photographs if name not in priors]
-    if len(without) == len(photographs):
-        raise InputError(f"{path} has none of the photographs, such as {without[0]!r}")
-    if without:
-        log.warning("%s lacks %d of %d photographs", path, len(without), len(photographs))
-    return priors
-
-
-def _require_one(reader: _QueryReader, paths: Mapping[str, Path], folder: Path) -> None:
+def _require_one(reader: PhotographReader, paths: Mapping[str, Path], folder: Path) -> None:
     """Refuse, before any work, a folder without a photograph that can be localized.
 
     Raises:
@@ -293,7 +207,7 @@ def _require_one(reader: _QueryReader, paths: Mapping[str, Path], folder: Path) 
 
 
 def _localize_one(
-    reader: _QueryReader, localizer: Localizer, journal: Journal[Answer], name: str, path: Path
+    reader: PhotographReader, localizer: Localizer, journal: Journal[Answer], name: str, path: Path
 ) -> Estimate:
     """Localize a photograph, or return the estimate that the journal has for it.
 
