@@ -148,10 +148,10 @@ def photographs_of(
     """
     photographs = []
     for image in images:
-        focal = image.exif.focal_35mm
+        focal = image.exif.focal_in_widths
         if calibration is None:
             width, height = reduced(image, longest)
-            pixels = (focal / 36 if focal else guessed_focal) * max(width, height)
+            pixels = (focal or guessed_focal) * max(width, height)
             # One coefficient: more of them bend flat ground into a dome.
             camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
         else:

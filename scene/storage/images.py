@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 import shutil
 import struct
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
@@ -25,6 +24,7 @@ from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
 from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
+from scene.storage.xmp import DroneXmp, parse_xmp
 
 # The exceptions that libraries raise on a damaged image or EXIF.
 _DAMAGE: Final = (
@@ -143,8 +143,7 @@ class Exif:
         make: maker of the camera.
         model: model of the camera.
         focal_35mm: focal length in millimetres for film 36 mm wide, or None.
-        gimbal: yaw clockwise from north, pitch above the horizon and roll of the camera in degrees,
-            as in DJI's XMP, or None.
+        xmp: what the drone wrote into the XMP; it is read only.
     """
 
     position: Geodetic | None
@@ -152,7 +151,18 @@ class Exif:
     make: str = "ObjConnect"
     model: str = "simulated camera"
     focal_35mm: float | None = None
-    gimbal: tuple[float, float, float] | None = None
+    xmp: DroneXmp = field(default_factory=DroneXmp)
+
+    @property
+    def gimbal(self) -> tuple[float, float, float] | None:
+        """Return yaw clockwise from north, pitch above the horizon and roll of the camera, degrees;
+        None if unknown."""
+        return self.xmp.gimbal
+
+    @property
+    def focal_in_widths(self) -> float | None:
+        """Return the focal length in longest sides of the picture; None if unknown."""
+        return None if self.focal_35mm is None else self.focal_35mm / _FILM_WIDTH
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -258,13 +268,15 @@ def read_exif(path: Path) -> Exif:
         except _DAMAGE:  # the image itself may be whole
             tags, detail, gps = Image.Exif(), {}, {}
     stamp = detail.get(ExifTags.Base.DateTimeOriginal)
+    packet = xmp if isinstance(xmp, bytes) else str(xmp).encode()
+    drone = parse_xmp(packet, _size_taken(detail, size))
     return Exif(
-        position=_decode_position(gps),
+        position=_decode_position(gps, drone.altitude),
         time=_decode_time(stamp, detail.get(ExifTags.Base.SubsecTimeOriginal)),
         make=_text(tags.get(ExifTags.Base.Make)),
         model=_text(tags.get(ExifTags.Base.Model)),
         focal_35mm=_decode_focal(detail, size),
-        gimbal=_decode_gimbal(xmp if isinstance(xmp, bytes) else str(xmp).encode()),
+        xmp=drone,
     )
 
 
@@ -299,18 +311,14 @@ def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None
     return focal * _FILM_WIDTH / _FILM_DIAGONAL * diagonal
 
 
-def _decode_gimbal(xmp: bytes) -> tuple[float, float, float] | None:
-    """Return the camera attitude of DJI's XMP, in which it is an attribute or an element."""
-    angles = []
-    for axis in (b"Yaw", b"Pitch", b"Roll"):
-        angle = re.search(rb"Gimbal" + axis + rb"Degree(?:=\"|>)\s*([+-]?[0-9.]+)", xmp)
-        try:
-            angles.append(math.nan if angle is None else float(angle[1]))
-        except ValueError:
-            return None
-        if not math.isfinite(angles[-1]):
-            return None
-    return angles[0], angles[1], angles[2]
+def _size_taken(detail: dict[int, Any], size: tuple[int, int]) -> tuple[int, int]:
+    """Return the size in which a photograph was taken; programs that resize it keep the tags."""
+    try:
+        width = int(detail[ExifTags.Base.ExifImageWidth])
+        height = int(detail[ExifTags.Base.ExifImageHeight])
+    except _DAMAGE:
+        return size
+    return (width, height) if min(width, height) > 0 else size
 
 
 def _decode_time(stamp: object, fraction: object) -> datetime | None:
@@ -323,7 +331,9 @@ def _decode_time(stamp: object, fraction: object) -> datetime | None:
         return None
 
 
-def _decode_position(gps: dict[int, object]) -> Geodetic | None:
+def _decode_position(gps: dict[int, object], altitude_m: float | None) -> Geodetic | None:
+    """Return the position; ``altitude_m`` stands where EXIF has none."""
+
     def angle(tag: int, reference: int, negative: str) -> float | None:
         parts = gps.get(tag)
         if not isinstance(parts, tuple) or len(parts) != 3:
@@ -334,7 +344,7 @@ def _decode_position(gps: dict[int, object]) -> Geodetic | None:
     try:
         latitude: float | None = angle(ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLatitudeRef, "S")
         longitude = angle(ExifTags.GPS.GPSLongitude, ExifTags.GPS.GPSLongitudeRef, "W")
-        altitude = float(str(gps.get(ExifTags.GPS.GPSAltitude, 0.0)))
+        altitude = float(str(gps.get(ExifTags.GPS.GPSAltitude, math.nan)))
     except _DAMAGE:
         return None
     if latitude is None or longitude is None:
@@ -342,10 +352,11 @@ def _decode_position(gps: dict[int, object]) -> Geodetic | None:
     # A receiver without a fix writes 0/0, which reads as NaN.
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
         return None
+    if gps.get(ExifTags.GPS.GPSAltitudeRef) in (b"\x01", 1):
+        altitude = -altitude
     if not abs(altitude) <= _MAX_ALTITUDE_M:
-        altitude = 0.0
-    below = gps.get(ExifTags.GPS.GPSAltitudeRef) in (b"\x01", 1)
-    return Geodetic(latitude, longitude, -altitude if below else altitude)
+        altitude = altitude_m or 0.0
+    return Geodetic(latitude, longitude, altitude)
 
 
 def _rational(value: float, denominator: int = 10_000) -> IFDRational:

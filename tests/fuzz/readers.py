@@ -221,7 +221,11 @@ def _photographs(folder: Path) -> None:
     with Image.open(SEED_PHOTOGRAPH) as image:
         exif = image.info["exif"]
         small = image.resize((24, 18))
-    xmp = b'<x drone-dji:GimbalYawDegree="+12.3" a:GimbalPitchDegree="-90.0" GimbalRollDegree="0"/>'
+    xmp = (
+        b'<x drone-dji:GimbalYawDegree="+12.3" a:GimbalPitchDegree="-90.0" GimbalRollDegree="0" '
+        b'RtkFlag="50" RtkStdLon="0.01" RtkStdLat="0.01" AbsoluteAltitude="+400" '
+        b'DewarpData="2018-03-13;20,20,0.5,0.5,-0.27,0.12,0,0,-0.04"><RtkStdHgt>0.02</RtkStdHgt></x>'
+    )
     for name in ("a.jpg", "b.jpg"):
         small.save(folder / "photos" / name, exif=exif, xmp=xmp)
 
