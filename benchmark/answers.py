@@ -16,9 +16,11 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.cameras import CameraSource
 from benchmark.datasets.textfiles import pose_line
 from ingest.attitude import gimbal_angles
 from scene.errors import InputError
+from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
 from scene.localizer import Estimate, Status
 from scene.runtime.escaping import for_terminal
@@ -30,7 +32,8 @@ _HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
 _WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
 _FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
 _LATER: Final = ("time", "sea_level_m", "yaw_deg", "pitch_deg", "roll_deg", "eph_m", "epv_m")
-_COLUMNS: Final = (*_FIRST, *_LATER, "covariance")
+_LAST: Final = ("camera", "focal_px")
+_COLUMNS: Final = (*_FIRST, *_LATER, "covariance", *_LAST)
 _MARK: Final = "poses by objconnect localize"
 _TABLE: Final = ".csv"
 
@@ -44,12 +47,16 @@ class Located:
         estimate: pose, in the frame of the map.
         place: the camera on earth; None if unknown.
         time: when it was taken; None if the photograph does not say.
+        camera: its camera; None if it cannot be read.
+        source: where the camera comes from.
     """
 
     name: str
     estimate: Estimate
     place: Geodetic | None
     time: datetime | None = None
+    camera: Camera | None = None
+    source: CameraSource | None = None
 
     @property
     def found(self) -> bool:
@@ -79,7 +86,7 @@ class Located:
         return np.asarray(moves @ covariance @ moves.T)
 
     def values(self, undulation_m: float | None) -> dict[str, str | float]:
-        """Return what is known of time, height above sea level, attitude and its uncertainty.
+        """Return what is known of time, height above sea level, attitude, uncertainty and camera.
 
         Args:
             undulation_m: height of the geoid above the ellipsoid; None leaves sea level out.
@@ -97,6 +104,10 @@ class Located:
             east, north, up = covariance.diagonal()[:3].tolist()
             known["eph_m"] = round(math.sqrt(east + north), 4)
             known["epv_m"] = round(math.sqrt(up), 4)
+        if self.camera is not None and self.source is not None:
+            known["camera"] = self.source.value
+            if self.found or self.source is not CameraSource.ESTIMATED:
+                known["focal_px"] = round(self.camera.focal[0], 2)
         return known
 
 

@@ -6,7 +6,7 @@ import hashlib
 import math
 import os
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,14 @@ from benchmark.answers import Located, contents, outputs
 from benchmark.datasets.simulated import is_scene
 from benchmark.evaluate import localize_safely, method_of
 from benchmark.journal import Journal, journal_path
-from benchmark.photographs import PhotographReader, Place, priors_of
+from benchmark.photographs import (
+    PhotographReader,
+    Place,
+    QueryPhotograph,
+    priors_of,
+    warn_of_rolling_shutter,
+    with_estimates,
+)
 from benchmark.results import Environment, Named, PoseNumbers
 from scene.bundle.scene import Scene
 from scene.errors import InputError
@@ -30,7 +37,6 @@ from scene.runtime.progress import progress_bar
 from scene.storage.atomic import write_text
 from scene.storage.digests import digests
 from scene.storage.files import parse_json, read_text, sha256_of
-from scene.storage.images import read_exif
 from scene.storage.listing import PHOTOGRAPHS, list_files
 from scene.storage.names import quote_name
 from scene.storage.outputs import check_outputs
@@ -71,8 +77,8 @@ def localize(
     The text file has a line ``name qw qx qy qz tx ty tz`` (world to camera, metres) for each
     localized photograph. The CSV file beside it has a row for each photograph: status, camera
     centre in the map's frame, latitude, longitude, altitude, sigma and the reason of a failure,
-    then time, attitude and covariance (``Located.values``, ``Located.covariance``). A
-    photograph that cannot be read, or has no camera, fails with that reason. Answers are kept in a
+    then time, attitude, camera and covariance (``Located.values``, ``Located.covariance``). A
+    photograph that cannot be read fails with that reason. Answers are kept in a
     hidden journal until the end, so that an interrupted run goes on where it stopped.
 
     Args:
@@ -80,10 +86,11 @@ def localize(
         photographs: folder of the photographs.
         localizer: method to run.
         out: text file of the poses. It and the CSV file replace only files of this command.
-        camera: camera of all photographs; None takes the map's camera of each photograph's size.
+        camera: camera of all photographs; None takes that of each one (``calibration_of``).
         priors: CSV file of positions and attitudes; None takes positions from EXIF and attitudes of
             the gimbal from XMP, where a photograph has them.
-        gps_sigma_m: standard deviation of EXIF positions per axis, metres.
+        gps_sigma_m: standard deviation of EXIF positions per axis, metres; XMP has that of a fixed
+            position of RTK.
         gimbal_sigma_deg: standard deviation of gimbal attitudes per axis, degrees.
         cache: folder for what the method keeps per map; None for a scratch folder beside ``out``.
         also: further files to write, GeoJSON or KML by their ending.
@@ -94,9 +101,9 @@ def localize(
         One entry for each photograph.
 
     Raises:
-        InputError: there is no photograph that can be read and has a camera, the priors cannot be
-            read or name none of the photographs, an output cannot be written or would replace
-            a file of another program, or the map of further files has no position on earth.
+        InputError: there is no photograph that can be read, the priors cannot be read or name none
+            of the photographs, an output cannot be written or would replace a file of another
+            program, or the map of further files has no position on earth.
     """
     paths = {path.name: path for path in _photographs(photographs)}
     files = outputs(out, also)
@@ -117,14 +124,14 @@ def localize(
         cache_or_scratch(cache, out.parent) as kept,
     ):
         localizer.prepare(place.sparse_map, place.images, kept)
+        reader = with_estimates(reader, paths, partial(_localize_twice, reader, localizer))
         with progress_bar(f"localize with {localizer.name}", len(paths)) as advance:
             for name, path in paths.items():
-                estimate = _localize_one(reader, localizer, journal, name, path)
-                on_earth = _geodetic(estimate, place)
-                located.append(Located(name, estimate, on_earth, _time(path)))
+                located.append(_localize_one(reader, localizer, journal, name, path))
                 advance(len(located))
         for file, text in contents(located, files, undulation_m):
             write_text(file, text)
+    warn_of_rolling_shutter(reader.said.values())
     return located
 
 
@@ -208,35 +215,44 @@ def _require_one(reader: PhotographReader, paths: Mapping[str, Path], folder: Pa
 
 def _localize_one(
     reader: PhotographReader, localizer: Localizer, journal: Journal[Answer], name: str, path: Path
-) -> Estimate:
-    """Localize a photograph, or return the estimate that the journal has for it.
+) -> Located:
+    """Localize a photograph, or return the answer that the journal has for it.
 
     A photograph that is not found with the attitude of its gimbal is tried again without it. A
     photograph that cannot be read is a failure with the reason.
     """
     try:
-        query = reader(name, path)
-        asked = _digest(query, path)
+        photograph = reader(name, path)
+        asked = _digest(photograph, path)
     except InputError as error:
-        return Estimate(Status.FAILED, reason=str(error))
+        return Located(name, Estimate(Status.FAILED, reason=str(error)), None)
     except OSError as error:
-        return Estimate(Status.FAILED, reason=f"cannot read {path}: {error.strerror}")
-    before = journal.done.get(quote_name(name))
-    if before is not None and before.asked == asked:
-        return before.estimate()
+        reason = f"cannot read {path}: {error.strerror}"
+        return Located(name, Estimate(Status.FAILED, reason=reason), None)
+    answer = journal.done.get(quote_name(name))
+    if answer is None or answer.asked != asked:
+        estimate = _localize_twice(reader, localizer, photograph.query)
+        answer = Answer.of(name, asked, estimate)
+        journal.add(answer)
+    estimate = answer.estimate()
+    place, time = _geodetic(estimate, reader.place), photograph.exif.time
+    camera, source = photograph.query.camera, photograph.calibration.source
+    return Located(name, estimate, place, time, camera, source)
+
+
+def _localize_twice(reader: PhotographReader, localizer: Localizer, query: Query) -> Estimate:
+    """Localize a query, and where it is not found once more without its gimbal's attitude."""
     estimate = localize_safely(localizer, query)
     if estimate.status is not Status.OK and (other := reader.without_gimbal(query)) is not None:
         second = localize_safely(localizer, other)
-        estimate = second if second.status is Status.OK else estimate
-    answer = Answer.of(name, asked, estimate)
-    journal.add(answer)
-    return answer.estimate()
+        return second if second.status is Status.OK else estimate
+    return estimate
 
 
-def _digest(query: Query, path: Path) -> str:
+def _digest(photograph: QueryPhotograph, path: Path) -> str:
     """Return the digest of a photograph, its camera and its prior."""
-    words = [sha256_of(path), str(query.camera)]
-    prior = query.prior
+    prior = photograph.query.prior
+    words = [sha256_of(path), str(photograph.query.camera)]
     if prior is not None:
         arrays = (prior.position, prior.position_sigma, prior.cam_from_world_rotation)
         words += ["" if numbers is None else str(numbers.tolist()) for numbers in arrays]
@@ -257,14 +273,6 @@ def _geodetic(estimate: Estimate, place: Place) -> Geodetic | None:
     if estimate.cam_from_world is None or place.origin is None:
         return None
     return geodetic_from_enu(estimate.cam_from_world.centre().numpy(), place.origin)
-
-
-def _time(path: Path) -> datetime | None:
-    """Return when a photograph was taken; None where it does not say or cannot be read."""
-    try:
-        return read_exif(path).time
-    except (InputError, OSError):
-        return None
 
 
 def _origin(path: Path) -> Geodetic | None:

@@ -3,22 +3,36 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+from benchmark.cameras import Calibration, CameraSource, calibration_of, estimate_camera
 from benchmark.datasets.textfiles import read_priors, require_same_case
 from ingest.attitude import gimbal_pose
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
-from scene.localizer import Prior, Query
+from scene.localizer import Estimate, Prior, Query
 from scene.maps.sparse_map import SparseMap
-from scene.storage.images import read_exif, read_rgb
+from scene.runtime.progress import progress_bar
+from scene.storage.images import Exif, image_size, read_exif, read_rgb
 
 log = logging.getLogger(__name__)
+
+# What DJI calls a shutter that reads line after line, and a speed (m/s) at which this counts.
+_ROLLING: Final = "electronic"
+_FAST: Final = 5.0
+# Photographs of one lens from which its camera is estimated.
+_ENOUGH: Final = 5
+
+Lens = tuple[str, str, float | None, tuple[int, int]]
+"""Maker, model, equivalent focal length (mm) and size in pixels."""
 
 
 @dataclass(frozen=True)
@@ -29,27 +43,77 @@ class Place:
     images: Path
     origin: Geodetic | None
 
+    @cached_property
+    def cameras(self) -> frozenset[Camera]:
+        """Return the cameras of the map's photographs."""
+        return frozenset(image.camera for image in self.sparse_map.images.values())
+
+
+@dataclass(frozen=True)
+class QueryPhotograph:
+    """A photograph to localize.
+
+    Attributes:
+        query: the query, with ``calibration.camera``.
+        calibration: its camera, or cameras to try.
+        exif: what it says of itself.
+    """
+
+    query: Query
+    calibration: Calibration
+    exif: Exif
+
 
 @dataclass(frozen=True)
 class PhotographReader:
-    """Reads photographs as queries, with their camera and their prior."""
+    """Reads photographs as queries, with their camera and their prior.
+
+    Attributes:
+        place: map to localize in.
+        camera: camera of all photographs; None for that of each one.
+        priors: priors by name; None takes them from EXIF and XMP.
+        gps_sigma_m: standard deviation of positions in EXIF per axis, metres.
+        gimbal_sigma_deg: standard deviation of attitudes in XMP per axis, degrees.
+        estimated: cameras of lenses of which nothing else says what they are.
+        said: what the photographs that were read say of themselves.
+    """
 
     place: Place
     camera: Camera | None
     priors: Mapping[str, Prior] | None
     gps_sigma_m: float
     gimbal_sigma_deg: float
+    estimated: Mapping[Lens, Camera] = field(default_factory=dict)
+    said: dict[Path, Exif] = field(default_factory=dict)
 
-    def __call__(self, name: str, path: Path) -> Query:
-        """Read a photograph as a query.
+    def __call__(self, name: str, path: Path) -> QueryPhotograph:
+        """Read a photograph.
 
         Raises:
-            InputError: the photograph cannot be read, or has no camera.
+            InputError: it cannot be read, or is not of the size of the camera of all photographs.
         """
-        image = read_rgb(path, self.camera)
-        camera = self.camera or self._camera(path, image.shape[1], image.shape[0])
-        prior = self._exif_prior(path) if self.priors is None else self.priors.get(name)
-        return Query(name, image, camera, prior)
+        image, exif = read_rgb(path, self.camera), self.exif(path)
+        calibration = self.calibration(exif, (image.shape[1], image.shape[0]))
+        prior = self._prior(exif) if self.priors is None else self.priors.get(name)
+        return QueryPhotograph(Query(name, image, calibration.camera, prior), calibration, exif)
+
+    def exif(self, path: Path) -> Exif:
+        """Return what a photograph says of itself; it is read once.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        if path not in self.said:
+            self.said[path] = read_exif(path)
+        return self.said[path]
+
+    def calibration(self, exif: Exif, size: tuple[int, int]) -> Calibration:
+        """Return the camera of a photograph, or the cameras to try."""
+        if self.camera is not None:
+            return Calibration(self.camera, CameraSource.GIVEN)
+        if (estimate := self.estimated.get(lens_of(exif, size))) is not None:
+            return Calibration(estimate, CameraSource.ESTIMATED)
+        return calibration_of(size, exif, self.place.cameras)
 
     def without_gimbal(self, query: Query) -> Query | None:
         """Return the query without the attitude of its gimbal; None where it has none.
@@ -63,23 +127,13 @@ class PhotographReader:
             query, prior=replace(prior, cam_from_world_rotation=None, attitude_sigma_deg=None)
         )
 
-    def _camera(self, path: Path, width: int, height: int) -> Camera:
-        """Return the map's camera of the photograph's size."""
-        cameras = {image.camera for image in self.place.sparse_map.images.values()}
-        fitting = [camera for camera in cameras if (camera.width, camera.height) == (width, height)]
-        if len(fitting) != 1:
-            raise InputError(
-                f"{path} is {width} x {height} pixels and the map has {len(fitting)} cameras of "
-                "that size: give its calibration with --camera 'MODEL width height params...'"
-            )
-        return fitting[0]
-
-    def _exif_prior(self, path: Path) -> Prior | None:
-        """Return the position in EXIF, with the attitude of the gimbal in XMP."""
-        exif, origin = read_exif(path), self.place.origin
+    def _prior(self, exif: Exif) -> Prior | None:
+        """Return the position in EXIF, with what XMP knows of its sigma and of the attitude."""
+        origin = self.place.origin
         if exif.position is None or origin is None:
             return None
-        prior = Prior(enu_from_geodetic(exif.position, origin), np.full(3, self.gps_sigma_m))
+        sigma = exif.xmp.rtk_sigma or (self.gps_sigma_m,) * 3
+        prior = Prior(enu_from_geodetic(exif.position, origin), np.array(sigma))
         if exif.gimbal is None:
             return prior
         return replace(
@@ -89,8 +143,84 @@ class PhotographReader:
         )
 
 
+def lens_of(exif: Exif, size: tuple[int, int]) -> Lens:
+    """Return what all photographs of one lens have in common."""
+    return exif.make, exif.model, exif.focal_35mm, size
+
+
+def with_estimates(
+    reader: PhotographReader, paths: Mapping[str, Path], localize: Callable[[Query], Estimate]
+) -> PhotographReader:
+    """Return the reader with estimates of the cameras that nothing else tells.
+
+    Args:
+        reader: reads photographs.
+        paths: photographs by name. A few of each lens are localized with every camera to try.
+        localize: answers a query.
+    """
+    tried: dict[Lens, tuple[Camera, ...]] = {}
+    unknown: dict[Lens, dict[str, Path]] = {}
+    for name, path in paths.items():
+        try:
+            exif, size = reader.exif(path), image_size(path)
+        except (InputError, OSError):
+            continue  # it is a row of the answer
+        lens, calibration = lens_of(exif, size), reader.calibration(exif, size)
+        if calibration.others:
+            tried[lens] = (calibration.camera, *calibration.others)
+            unknown.setdefault(lens, {})[name] = path
+    estimated = {}
+    for lens, cameras in tried.items():
+        log.warning(
+            "nothing tells the focal length of %d photographs of %d x %d pixels: it is estimated; "
+            "give --camera for exact poses",
+            len(unknown[lens]),
+            *lens[-1],
+        )
+        some = _some(unknown[lens])
+        with progress_bar("estimate the focal length", len(some)) as advance:
+            estimated[lens] = estimate_camera(cameras, _read(reader, some, advance), localize)
+    return replace(reader, estimated=estimated)
+
+
+def _some(paths: Mapping[str, Path]) -> dict[str, Path]:
+    """Return a few photographs from all over a flight."""
+    names, count = list(paths), min(len(paths), _ENOUGH)
+    return {name: paths[name] for name in (names[k * len(names) // count] for k in range(count))}
+
+
+def _read(
+    reader: PhotographReader, paths: Mapping[str, Path], advance: Callable[[int], None]
+) -> Iterator[Query]:
+    """Yield the photographs that can be read, one after the other."""
+    for done, (name, path) in enumerate(paths.items()):
+        advance(done)
+        with suppress(InputError, OSError):
+            yield reader(name, path).query
+
+
+def warn_of_rolling_shutter(photographs: Collection[Exif]) -> None:
+    """Warn of photographs that were taken at speed with a shutter that reads line after line."""
+    speeds = [
+        exif.xmp.speed
+        for exif in photographs
+        if (exif.xmp.shutter or "").lower() == _ROLLING and (exif.xmp.speed or 0.0) >= _FAST
+    ]
+    if speeds:
+        log.warning(
+            "%d photographs were taken with an electronic shutter at up to %.0f m/s: their lines "
+            "are not of one moment, which moves poses; fly slower or use a mechanical shutter",
+            len(speeds),
+            max(filter(None, speeds)),
+        )
+
+
 def priors_of(path: Path | None, photographs: Mapping[str, Path]) -> dict[str, Prior] | None:
-    """Read the priors of a table; None without a table."""
+    """Read the priors of a table; None without a table.
+
+    Raises:
+        InputError: the table cannot be read, or has none of the photographs.
+    """
     if path is None:
         return None
     priors = read_priors(path)

@@ -72,7 +72,12 @@ def localize(
     ] = None,
     gps_sigma: Annotated[
         float,
-        typer.Option(help="Standard deviation of EXIF positions, metres.", min=0.01, max=1e6),
+        typer.Option(
+            help="Standard deviation of EXIF positions, metres. Fixed positions of RTK have the "
+            "standard deviations of their XMP instead.",
+            min=0.01,
+            max=1e6,
+        ),
     ] = 10.0,
     gimbal_sigma: Annotated[
         float,
@@ -89,9 +94,11 @@ def localize(
     """Find the poses of new photographs in a map.
 
     Writes POSES (name qw qx qy qz tx ty tz, world to camera) and beside it a CSV file with
-    latitude, longitude, altitude above the ellipsoid, sigmas, time, yaw, pitch, roll, covariance
-    and, for photographs that were not found or cannot be read, the reason. Without --camera,
-    photographs have the map's camera of their size. An interrupted run goes on where it stopped.
+    latitude, longitude, altitude above the ellipsoid, sigmas, time, yaw, pitch, roll, covariance,
+    the camera that was used and, for photographs that were not found or cannot be read, the reason.
+    Without --camera, a photograph has the map's camera of its size, else its calibration in XMP,
+    the map's camera scaled, the focal length in EXIF, or an estimate. An interrupted run goes on
+    where it stopped.
     """
     from benchmark.localize import localize as run
     from benchmark.localize import open_place

@@ -105,17 +105,17 @@ def test_real_photographs_of_another_size(flight_copy: Path, tmp_path: Path, bea
     folder.mkdir()
     shutil.copy(beach / "photos" / "DJI_0019.jpg", folder)
     out = tmp_path / "poses.txt"
-    camera = "SIMPLE_RADIAL 1600 900 932.8125 800 450 0.003764"
-    answer = run(flight_copy, folder, out)
-    assert answer.exit_code == 2
-    assert "give its calibration with --camera" in answer.stderr
-    assert not out.exists()
-    answer = run(flight_copy, folder, out, "--camera", camera)
+    answer = run(flight_copy, folder, out, "--method", "sift")
     assert answer.exit_code == 0, answer.stderr
     truth: Pose = read_poses(beach / "reference_poses.txt")["DJI_0019.jpg"]
     metres, degrees = read_poses(out)["DJI_0019.jpg"].error_to(truth)
     assert float(metres) < 0.25
     assert float(degrees) < 0.5
+    with out.with_suffix(".csv").open() as stream:
+        (row,) = csv.DictReader(stream)
+    # The map's cameras are 1024 pixels wide, the photograph 1600.
+    assert row["camera"] == "scaled"
+    assert float(row["focal_px"]) == pytest.approx(597 * 1600 / 1024, abs=0.01)
 
 
 @pytest.mark.parametrize(

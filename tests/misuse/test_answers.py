@@ -176,7 +176,7 @@ def test_a_bad_photograph_is_a_row(
     table = rows(out.with_suffix(".csv"))
     assert [table[name]["status"] for name in sorted(table)] == ["ok", "failed", "failed", "failed"]
     assert "damaged" in table["e.jpg"]["reason"]
-    assert "31 x 17 pixels and the map has 0 cameras" in table["f.jpg"]["reason"]
+    assert (table["f.jpg"]["reason"], table["f.jpg"]["camera"]) == ("nothing found", "estimated")
 
 
 def test_no_good_photograph_is_a_fault(
