@@ -1,14 +1,15 @@
-"""What ``localize`` writes of the photographs: poses, a table, and maps for GIS and globes."""
+"""What ``localize`` writes of the photographs: poses, a table, and files of other tools."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
@@ -18,8 +19,12 @@ from numpy.typing import NDArray
 
 from benchmark.cameras import CameraSource
 from benchmark.datasets.textfiles import pose_line
+from benchmark.fixes import Fix
+from benchmark.mavlink import dialect, telemetry_log
+from benchmark.ros import bag, library
 from ingest.attitude import gimbal_angles
 from scene.errors import InputError
+from scene.geo.crs import Projection
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
 from scene.localizer import Estimate, Status
@@ -33,9 +38,38 @@ _WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
 _FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
 _LATER: Final = ("time", "sea_level_m", "yaw_deg", "pitch_deg", "roll_deg", "eph_m", "epv_m")
 _LAST: Final = ("camera", "focal_px")
+_COORDINATES: Final = ("x", "y", "h", "crs", "h_above")
 _COLUMNS: Final = (*_FIRST, *_LATER, "covariance", *_LAST)
 _MARK: Final = "poses by objconnect localize"
 _TABLE: Final = ".csv"
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Geography:
+    """What a place is said in beside WGS84.
+
+    Attributes:
+        undulation_m: height of the geoid above the ellipsoid; None leaves sea level out.
+        projection: a coordinate reference system; None for none.
+    """
+
+    undulation_m: float | None = None
+    projection: Projection | None = None
+
+    def values(self, place: Geodetic) -> dict[str, str | float]:
+        """Return the height above sea level and the coordinates of a place."""
+        known: dict[str, str | float] = {}
+        if self.undulation_m is not None:
+            known["sea_level_m"] = round(place.altitude - self.undulation_m, 3)
+        if self.projection is not None:
+            digits = 8 if self.projection.is_geographic else 4
+            x, y, h = self.projection.from_geodetic(place).tolist()
+            known |= {"x": round(x, digits), "y": round(y, digits), "h": round(h, 4)}
+            known |= {"crs": self.projection.name, "h_above": self.projection.heights}
+        return known
 
 
 @dataclass(frozen=True)
@@ -85,25 +119,39 @@ class Located:
         moves[:3, 3:] = moves[3:, :3] = -world_from_cam
         return np.asarray(moves @ covariance @ moves.T)
 
-    def values(self, undulation_m: float | None) -> dict[str, str | float]:
-        """Return what is known of time, height above sea level, attitude, uncertainty and camera.
+    @property
+    def sigmas(self) -> tuple[float, float] | None:
+        """Return the horizontal and the vertical standard deviation, metres; None if unknown."""
+        if self.covariance is None:
+            return None
+        east, north, up = self.covariance.diagonal()[:3].tolist()
+        return math.sqrt(east + north), math.sqrt(up)
 
-        Args:
-            undulation_m: height of the geoid above the ellipsoid; None leaves sea level out.
-        """
+    @property
+    def fix(self) -> Fix | None:
+        """Return the answer at its time, which is taken to be UTC; None if one is unknown."""
+        pose, centre = self.estimate.cam_from_world, self.centre
+        if not self.found or pose is None or centre is None or self.place is None:
+            return None
+        if self.time is None or (time := self.time.replace(tzinfo=UTC)) < _EPOCH:
+            return None
+        since = (time - _EPOCH) // timedelta(microseconds=1)
+        rotation = pose.rotation.numpy().T
+        return Fix(since, self.place, centre, rotation, self.covariance, self.sigmas)
+
+    def values(self, geography: Geography) -> dict[str, str | float]:
+        """Return what is known of time, heights, coordinates, attitude, uncertainty and camera."""
         known: dict[str, str | float] = {}
         if self.time is not None:
             known["time"] = _stamp(self.time)
-        if self.place is not None and undulation_m is not None:
-            known["sea_level_m"] = round(self.place.altitude - undulation_m, 3)
-        pose, covariance = self.estimate.cam_from_world, self.covariance
+        if self.place is not None:
+            known |= geography.values(self.place)
+        pose = self.estimate.cam_from_world
         if pose is not None:
             angles = gimbal_angles(pose)
             known |= dict(zip(_LATER[2:5], (round(angle, 4) for angle in angles), strict=True))
-        if covariance is not None:
-            east, north, up = covariance.diagonal()[:3].tolist()
-            known["eph_m"] = round(math.sqrt(east + north), 4)
-            known["epv_m"] = round(math.sqrt(up), 4)
+        if self.sigmas is not None:
+            known |= {"eph_m": round(self.sigmas[0], 4), "epv_m": round(self.sigmas[1], 4)}
         if self.camera is not None and self.source is not None:
             known["camera"] = self.source.value
             if self.found or self.source is not CameraSource.ESTIMATED:
@@ -116,7 +164,7 @@ def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
 
     Raises:
         InputError: the name of the poses is that of a table, or a further file has an ending that
-            is not one of ``FURTHER``.
+            is not one of ``FURTHER``, or needs a package that is not installed.
     """
     if not poses.name or poses.suffix.lower() == _TABLE:
         raise InputError(
@@ -125,6 +173,7 @@ def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
     for path in also:
         if path.suffix.lower() not in FURTHER:
             raise InputError(f"{path} must end in {' or '.join(FURTHER)}")
+        _PACKAGES.get(path.suffix.lower(), lambda: None)()
     table = poses.with_suffix(_TABLE)
     return [
         OutputFile(poses, _HEADER.encode()),
@@ -134,14 +183,14 @@ def outputs(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
 
 
 def contents(
-    located: Sequence[Located], files: Sequence[OutputFile], undulation_m: float | None
-) -> Iterator[tuple[Path, str]]:
+    located: Sequence[Located], files: Sequence[OutputFile], geography: Geography
+) -> Iterator[tuple[Path, bytes]]:
     """Yield the files that ``outputs`` named, with their texts."""
     poses, table, *also = (file.path for file in files)
-    yield poses, _pose_lines(located)
-    yield table, _table(located, undulation_m)
+    yield poses, _pose_lines(located).encode()
+    yield table, _table(located, geography).encode()
     for path in also:
-        yield path, FURTHER[path.suffix.lower()](located, undulation_m)
+        yield path, FURTHER[path.suffix.lower()](located, geography)
 
 
 def _pose_lines(located: Sequence[Located]) -> str:
@@ -153,15 +202,16 @@ def _pose_lines(located: Sequence[Located]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _table(located: Sequence[Located], undulation_m: float | None) -> str:
+def _table(located: Sequence[Located], geography: Geography) -> str:
     text = io.StringIO()
-    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    columns = _COLUMNS if geography.projection is None else (*_COLUMNS, *_COORDINATES)
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(_row(item, undulation_m) for item in located)
+    writer.writerows(_row(item, geography) for item in located)
     return text.getvalue()
 
 
-def _row(item: Located, undulation_m: float | None) -> Mapping[str, Any]:
+def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
     """Return the row of a photograph; columns that are unknown are missing."""
     estimate = item.estimate
     row = {"name": quote_cell(item.name), "status": estimate.status.value}
@@ -176,13 +226,13 @@ def _row(item: Located, undulation_m: float | None) -> Mapping[str, Any]:
             "longitude": f"{item.place.longitude:.8f}",
             "altitude": f"{item.place.altitude:.3f}",
         }
-    row |= {name: str(value) for name, value in item.values(undulation_m).items()}
+    row |= {name: str(value) for name, value in item.values(geography).items()}
     if item.covariance is not None:
         row["covariance"] = " ".join(f"{number:.6g}" for number in item.covariance.ravel())
     return row
 
 
-def _geojson(located: Sequence[Located], undulation_m: float | None) -> str:
+def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
     """Return GeoJSON (RFC 7946): a point for each photograph, null where it was not found.
 
     Altitudes are above the ellipsoid, as the standard has them.
@@ -195,15 +245,15 @@ def _geojson(located: Sequence[Located], undulation_m: float | None) -> str:
         if item.estimate.reason:
             values["reason"] = for_terminal(item.estimate.reason)
         if place is not None:
-            values |= item.values(undulation_m)
+            values |= item.values(geography)
         at = None if place is None else [place.longitude, place.latitude, place.altitude]
         geometry = None if at is None else {"type": "Point", "coordinates": at}
         features.append({"type": "Feature", "geometry": geometry, "properties": values})
     whole = {"type": "FeatureCollection", "generator": _MARK, "features": features}
-    return json.dumps(whole, indent=1, allow_nan=False) + "\n"
+    return (json.dumps(whole, indent=1, allow_nan=False) + "\n").encode()
 
 
-def _kml(located: Sequence[Located], undulation_m: float | None) -> str:
+def _kml(located: Sequence[Located], geography: Geography) -> bytes:
     """Return KML 2.2: a placemark for each photograph that was found, and their path.
 
     Its altitudes are above sea level. Where that is not known, the marks lie on the ground.
@@ -211,6 +261,7 @@ def _kml(located: Sequence[Located], undulation_m: float | None) -> str:
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ElementTree.SubElement(root, "Document")
     ElementTree.SubElement(document, "name").text = _MARK
+    undulation_m = geography.undulation_m
     mode = "clampToGround" if undulation_m is None else "absolute"
     found = [item for item in located if item.found and item.place is not None]
     for item in found:
@@ -226,7 +277,7 @@ def _kml(located: Sequence[Located], undulation_m: float | None) -> str:
         _geometry(mark, "LineString", found, mode, undulation_m)
     ElementTree.indent(root, " ")
     text = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
 
 
 def _stamp(time: datetime) -> str:
@@ -250,8 +301,34 @@ def _geometry(
     )
 
 
-FURTHER: Final[Mapping[str, Callable[[Sequence[Located], float | None], str]]] = {
+def _tlog(located: Sequence[Located], geography: Geography) -> bytes:
+    return telemetry_log(_fixes(located), geography.undulation_m, _MARK)
+
+
+def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
+    return bag(_fixes(located), _MARK)
+
+
+def _fixes(located: Sequence[Located]) -> list[Fix]:
+    """Return what was found, sorted by time."""
+    found = [item for item in located if item.found]
+    fixes = [fix for item in found if (fix := item.fix) is not None]
+    if len(fixes) < len(found):
+        log.warning(
+            "%d of %d photographs have no time: logs and bags lack them",
+            len(found) - len(fixes),
+            len(found),
+        )
+    return sorted(fixes, key=lambda fix: fix.microseconds)
+
+
+FURTHER: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = {
     ".geojson": _geojson,
     ".kml": _kml,
+    ".tlog": _tlog,
+    ".mcap": _mcap,
 }
 """Formats of further files by their ending."""
+
+# What looks, before any work, whether the package of a format is installed.
+_PACKAGES: Final[Mapping[str, Callable[[], object]]] = {".tlog": dialect, ".mcap": library}

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from benchmark.answers import Located, contents, outputs
+from benchmark.answers import Geography, Located, contents, outputs
 from benchmark.datasets.simulated import is_scene
 from benchmark.evaluate import localize_safely, method_of
 from benchmark.journal import Journal, journal_path
@@ -27,6 +27,7 @@ from benchmark.photographs import (
 from benchmark.results import Environment, Named, PoseNumbers
 from scene.bundle.scene import Scene
 from scene.errors import InputError
+from scene.geo.crs import Projection, geoid_undulation
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from scene.geometry.pose import Pose
@@ -34,7 +35,7 @@ from scene.localizer import Estimate, Localizer, Query, Status
 from scene.maps.colmap_files import read_model
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.atomic import write_text
+from scene.storage.atomic import atomic_write
 from scene.storage.digests import digests
 from scene.storage.files import parse_json, read_text, sha256_of
 from scene.storage.listing import PHOTOGRAPHS, list_files
@@ -71,6 +72,7 @@ def localize(
     cache: Path | None = None,
     also: Sequence[Path] = (),
     undulation_m: float | None = None,
+    projection: Projection | None = None,
 ) -> list[Located]:
     """Localize every photograph of a folder and write the poses as a text file and a CSV file.
 
@@ -93,9 +95,10 @@ def localize(
             position of RTK.
         gimbal_sigma_deg: standard deviation of gimbal attitudes per axis, degrees.
         cache: folder for what the method keeps per map; None for a scratch folder beside ``out``.
-        also: further files to write, GeoJSON or KML by their ending.
-        undulation_m: height of the geoid above the ellipsoid at the place; None where heights above
-            sea level are not asked for.
+        also: further files to write, by their ending: GeoJSON, KML, MAVLink's .tlog, ROS 2's .mcap.
+        undulation_m: height of the geoid above the ellipsoid at the place; None takes it from the
+            grid of PROJ where that is installed, and else leaves heights above sea level out.
+        projection: coordinate reference system in which coordinates are written, too.
 
     Returns:
         One entry for each photograph.
@@ -108,11 +111,7 @@ def localize(
     paths = {path.name: path for path in _photographs(photographs)}
     files = outputs(out, also)
     check_outputs(files, [*paths.values(), *([] if priors is None else [priors])])
-    if also and place.origin is None:
-        raise InputError(
-            f"{also[0]} cannot be written, for the map has no position on earth: give a flight its "
-            "origin.json (lat, lon, alt)"
-        )
+    geography = _geography(place, also, undulation_m, projection)
     reader = PhotographReader(
         place, camera, priors_of(priors, paths), gps_sigma_m, gimbal_sigma_deg
     )
@@ -129,8 +128,9 @@ def localize(
             for name, path in paths.items():
                 located.append(_localize_one(reader, localizer, journal, name, path))
                 advance(len(located))
-        for file, text in contents(located, files, undulation_m):
-            write_text(file, text)
+        for file, content in contents(located, files, geography):
+            with atomic_write(file) as partial_file:
+                partial_file.write_bytes(content)
     warn_of_rolling_shutter(reader.said.values())
     return located
 
@@ -266,6 +266,33 @@ def _key(place: Place, localizer: Localizer) -> str:
     words += digests((place.images / name for name in place.sparse_map.names), "missing")
     words.append(Environment.current().model_dump_json())
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
+
+
+def _geography(
+    place: Place,
+    also: Sequence[Path],
+    undulation_m: float | None,
+    projection: Projection | None,
+) -> Geography:
+    """Return what places are said in beside WGS84.
+
+    Raises:
+        InputError: the map has no position on earth and something was asked that needs one, or the
+            system does not reach there.
+    """
+    if place.origin is None:
+        asked = [*map(str, also), *([] if projection is None else [projection.name])]
+        if asked:
+            raise InputError(
+                f"{asked[0]} cannot be written, for the map has no position on earth: give a "
+                "flight its origin.json (lat, lon, alt)"
+            )
+        return Geography(undulation_m)
+    if projection is not None and not np.isfinite(projection.from_geodetic(place.origin)).all():
+        raise InputError(f"the map lies outside {projection.name}: give the system of its zone")
+    if undulation_m is None:
+        undulation_m = geoid_undulation(place.origin)
+    return Geography(undulation_m, projection)
 
 
 def _geodetic(estimate: Estimate, place: Place) -> Geodetic | None:

@@ -51,8 +51,10 @@ ADAPTERS = {
     "mathutils": "simulate.render.blender",
     "pycolmap": "scene.colmap",
     "ray": "scene.runtime.cluster",
+    "pymavlink": "benchmark.mavlink",
     "pyproj": "scene.geo.crs",
     "rerun": "scene.exports.rerun",
+    "rosbags": "benchmark.ros",
 }
 
 

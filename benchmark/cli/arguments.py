@@ -12,6 +12,7 @@ from scene.errors import InputError
 
 if TYPE_CHECKING:
     from benchmark.datasets.dataset import Dataset
+    from scene.geo.crs import Projection
     from scene.geometry.camera import Camera
 
 
@@ -50,6 +51,21 @@ def parse_camera(words: str | None) -> Camera | None:
         return None if words is None else Camera.parse(words.split())
     except InputError as error:
         raise InputError(f"--camera: {error}") from None
+
+
+def parse_crs(words: str | None) -> Projection | None:
+    """Read the value of ``--crs``, the code of a coordinate reference system.
+
+    Raises:
+        InputError: there is no such system, it has no eastings and northings, or pyproj is not
+            installed.
+    """
+    from scene.geo.crs import Projection
+
+    try:
+        return None if words is None else Projection(words)
+    except InputError as error:
+        raise InputError(f"--crs: {error}") from None
 
 
 def open_distinct_datasets(paths: Iterable[Path]) -> list[Dataset]:

@@ -11,6 +11,7 @@ from benchmark.cli.arguments import (
     claim_folders,
     open_distinct_datasets,
     parse_camera,
+    parse_crs,
     parse_settings,
 )
 from benchmark.cli.options import (
@@ -32,7 +33,8 @@ Further = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="FILE",
-        help="Further file to write: GeoJSON (.geojson) for a GIS, KML (.kml) for a globe; repeat "
+        help="Further file to write: GeoJSON (.geojson) for a GIS, KML (.kml) for a globe, a "
+        "telemetry log of MAVLink (.tlog) for an autopilot's filter, a ROS 2 bag (.mcap); repeat "
         "the option for several.",
     ),
 ]
@@ -40,10 +42,20 @@ Undulation = Annotated[
     float | None,
     typer.Option(
         help="Height of the geoid above the ellipsoid at the place, metres, for heights above sea "
-        "level. Without it, marks of KML lie on the ground.",
+        "level. Without it, it is that of the grid us_nga_egm96_15.tif of PROJ, where this is "
+        "installed; else marks of KML lie on the ground.",
         min=-200,
         max=200,
         show_default="unknown",
+    ),
+]
+Crs = Annotated[
+    str | None,
+    typer.Option(
+        metavar="EPSG:N",
+        help="Coordinate reference system of additional columns x (east), y (north) and h, such "
+        "as EPSG:32632; with heights of its own as EPSG:7415.",
+        show_default="none",
     ),
 ]
 
@@ -87,6 +99,7 @@ def localize(
     ] = 5.0,
     also: Further = None,
     undulation: Undulation = None,
+    crs: Crs = None,
     overrides: Settings = None,
     cache: Cache = None,
     as_json: Json = False,
@@ -104,7 +117,7 @@ def localize(
     from benchmark.localize import open_place
     from benchmark.registry import create
 
-    calibration = parse_camera(camera)
+    calibration, projection = parse_camera(camera), parse_crs(crs)
     claim_folders([place, images], cache)
     located = run(
         open_place(place),
@@ -118,6 +131,7 @@ def localize(
         cache=cache,
         also=also or (),
         undulation_m=undulation,
+        projection=projection,
     )
     localized = sum(item.found for item in located)
     text = f"{out}: {localized} of {len(located)} photographs found"

@@ -5,6 +5,7 @@ This is the one module that imports pyproj, which the extra ``[geo]`` installs.
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from scene.geometry.geodesy import Geodetic
 from scene.runtime.escaping import for_terminal
 from scene.runtime.extras import import_extra
 
+# Heights above the geoid EGM96, which autopilots and GPS receivers call sea level.
+_SEA_LEVEL = "EPSG:4326+5773"
 # WGS84 with ellipsoidal heights: what a Geodetic is.
 _WGS84 = "EPSG:4979"
 
@@ -34,11 +37,22 @@ class Projection:
             crs: ``EPSG:n``, or another description that PROJ reads, such as WKT.
 
         Raises:
-            InputError: pyproj is not installed, or it knows no such system.
+            InputError: pyproj is not installed, it knows no such system, the system has no
+                horizontal coordinates, or the grid of its heights is not installed.
         """
         pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
         try:
             self._crs: Any = pyproj.CRS.from_user_input(crs)
+            if not (self._crs.is_projected or self._crs.is_geographic):
+                raise InputError(
+                    f"{for_terminal(crs)} ({self.name}) has no eastings and northings: give a "
+                    "projected or geographic system, such as EPSG:32632"
+                )
+            if self._crs.is_compound and (grid := _missing_grid(pyproj, self._crs)):
+                raise InputError(
+                    f"heights in {self.name} need the grid {grid}, which is not installed: run "
+                    f"'projsync --file {grid}', or give the horizontal system alone"
+                )
             turned = {"always_xy": True}
             self._from = pyproj.Transformer.from_crs(_WGS84, self._crs, **turned)
             self._to = pyproj.Transformer.from_crs(self._crs, _WGS84, **turned)
@@ -58,6 +72,17 @@ class Projection:
         """The system as WKT, for files of other programs."""
         return str(self._crs.to_wkt())
 
+    @property
+    def heights(self) -> str:
+        """Name of what heights are above: the vertical part of the system, else the ellipsoid."""
+        vertical = self._crs.sub_crs_list[1:]
+        return str(vertical[0].name) if vertical else "ellipsoid"
+
+    @property
+    def is_geographic(self) -> bool:
+        """Whether coordinates are longitude and latitude in degrees."""
+        return bool(self._crs.is_geographic)
+
     def from_geodetic(self, place: Geodetic) -> NDArray[np.float64]:
         """Return east, north and height of a place, (3,) in the system's units."""
         return np.array(self._from.transform(place.longitude, place.latitude, place.altitude))
@@ -73,3 +98,27 @@ class Projection:
             at = ", ".join(f"{value:g}" for value in coordinates)
             raise InputError(f"{at} is no position in {self.name}")
         return Geodetic(latitude, longitude, altitude)
+
+
+def geoid_undulation(place: Geodetic) -> float | None:
+    """Return the height of the geoid (EGM96) above the ellipsoid at a place, metres.
+
+    It is None where pyproj or its grid ``us_nga_egm96_15.tif`` is not installed.
+    """
+    try:
+        above_sea = Projection(_SEA_LEVEL).from_geodetic(place)[2]
+    except InputError:
+        return None
+    undulation = place.altitude - float(above_sea)
+    return undulation if np.isfinite(undulation) else None
+
+
+def _missing_grid(pyproj: Any, crs: Any) -> str | None:
+    """Return the grid that the best conversion to a system lacks; without, heights are wrong."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it says the same in many lines
+        group = pyproj.transformer.TransformerGroup(_WGS84, crs, always_xy=True)
+    if group.best_available or not group.unavailable_operations:
+        return None
+    lacking = [grid for grid in group.unavailable_operations[0].grids if not grid.available]
+    return str(lacking[0].short_name) if lacking else None

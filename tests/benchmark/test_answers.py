@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import benchmark.registry
-from benchmark.answers import Located, contents, outputs
+from benchmark.answers import Geography, Located, contents, outputs
 from ingest.attitude import gimbal_angles, gimbal_pose
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
@@ -42,8 +42,8 @@ def looking(yaw: float, pitch: float, roll: float, covariance: bool = True) -> E
 
 def written(located: list[Located], out: Path, undulation: float | None = None) -> None:
     files = outputs(out / "poses.txt", [out / "poses.geojson", out / "poses.kml"])
-    for path, text in contents(located, files, undulation):
-        path.write_text(text)
+    for path, content in contents(located, files, Geography(undulation)):
+        path.write_bytes(content)
     check_outputs(files)  # all of them are recognized as files of ours
 
 
@@ -125,7 +125,9 @@ def test_without_the_geoid_marks_lie_on_the_ground(tmp_path: Path) -> None:
 
 
 def test_other_endings_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"poses.gpx must end in .geojson or .kml"):
+    with pytest.raises(
+        InputError, match=r"poses.gpx must end in .geojson or .kml or .tlog or .mcap"
+    ):
         outputs(tmp_path / "poses.txt", [tmp_path / "poses.gpx"])
 
 

@@ -150,6 +150,9 @@ LOCALIZE = Row(
         "gimbal_sigma": real("5"),
         "also": out_file("out.geojson"),
         "undulation": real("48", "0", "-1"),
+        "crs": values(
+            "EPSG:32632", "", "EPSG:", "EPSG:99999", "EPSG:4978", "magic", "32632 1", LONG
+        ),
         "overrides": SETTINGS,
         "cache": cache(),
         "as_json": FLAG,
