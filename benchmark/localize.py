@@ -108,17 +108,17 @@ def localize(
             of the photographs, an output cannot be written or would replace a file of another
             program, or the map of further files has no position on earth.
     """
-    paths = {path.name: path for path in _photographs(photographs)}
+    paths = {path.name: path for path in photographs_in(photographs)}
     files = outputs(out, also)
     check_outputs(files, [*paths.values(), *([] if priors is None else [priors])])
-    geography = _geography(place, also, undulation_m, projection)
+    geography = geography_of(place, also, undulation_m, projection)
     reader = PhotographReader(
         place, camera, priors_of(priors, paths), gps_sigma_m, gimbal_sigma_deg
     )
     _require_one(reader, paths, photographs)
     located: list[Located] = []
     with (
-        Journal(journal_path(out), _key(place, localizer), Answer) as journal,
+        Journal(journal_path(out), journal_key(place, localizer), Answer) as journal,
         # The disk of the output has room for what the method keeps per map.
         cache_or_scratch(cache, out.parent) as kept,
     ):
@@ -187,7 +187,12 @@ class Answer(Named):
         )
 
 
-def _photographs(folder: Path) -> list[Path]:
+def photographs_in(folder: Path) -> list[Path]:
+    """Return the photographs of a folder, by name.
+
+    Raises:
+        InputError: the folder does not exist or holds no photograph.
+    """
     if not folder.is_dir():
         raise InputError(f"folder of photographs {folder} does not exist")
     paths = list_files(folder, PHOTOGRAPHS)
@@ -222,7 +227,7 @@ def _localize_one(
     photograph that cannot be read is a failure with the reason.
     """
     try:
-        photograph = reader(name, path)
+        photograph = reader.read(name, path)
         asked = _digest(photograph, path)
     except InputError as error:
         return Located(name, Estimate(Status.FAILED, reason=str(error)), None)
@@ -235,7 +240,7 @@ def _localize_one(
         answer = Answer.of(name, asked, estimate)
         journal.add(answer)
     estimate = answer.estimate()
-    place, time = _geodetic(estimate, reader.place), photograph.exif.time
+    place, time = on_earth(estimate, reader.place), photograph.exif.time
     camera, source = photograph.query.camera, photograph.calibration.source
     return Located(name, estimate, place, time, camera, source)
 
@@ -260,7 +265,7 @@ def _digest(photograph: QueryPhotograph, path: Path) -> str:
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
-def _key(place: Place, localizer: Localizer) -> str:
+def journal_key(place: Place, localizer: Localizer) -> str:
     """Return the digest of everything but the photographs that decides the answers."""
     words = [method_of(localizer).model_dump_json(), place.sparse_map.sha256]
     words += digests((place.images / name for name in place.sparse_map.names), "missing")
@@ -268,7 +273,24 @@ def _key(place: Place, localizer: Localizer) -> str:
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
-def _geography(
+def require_origin(place: Place, asked: Sequence[Path | str]) -> None:
+    """Refuse what needs positions on earth where the map has none.
+
+    Args:
+        place: the map.
+        asked: files or coordinate reference systems.
+
+    Raises:
+        InputError: the map has no origin.
+    """
+    if asked and place.origin is None:
+        raise InputError(
+            f"{asked[0]} cannot be written, for the map has no position on earth: give a flight "
+            "its origin.json (lat, lon, alt)"
+        )
+
+
+def geography_of(
     place: Place,
     also: Sequence[Path],
     undulation_m: float | None,
@@ -280,13 +302,8 @@ def _geography(
         InputError: the map has no position on earth and something was asked that needs one, or the
             system does not reach there.
     """
+    require_origin(place, [*also, *([] if projection is None else [projection.name])])
     if place.origin is None:
-        asked = [*map(str, also), *([] if projection is None else [projection.name])]
-        if asked:
-            raise InputError(
-                f"{asked[0]} cannot be written, for the map has no position on earth: give a "
-                "flight its origin.json (lat, lon, alt)"
-            )
         return Geography(undulation_m)
     if projection is not None and not np.isfinite(projection.from_geodetic(place.origin)).all():
         raise InputError(f"the map lies outside {projection.name}: give the system of its zone")
@@ -295,7 +312,7 @@ def _geography(
     return Geography(undulation_m, projection)
 
 
-def _geodetic(estimate: Estimate, place: Place) -> Geodetic | None:
+def on_earth(estimate: Estimate, place: Place) -> Geodetic | None:
     """Return the camera's position on earth; None without a pose or an origin."""
     if estimate.cam_from_world is None or place.origin is None:
         return None

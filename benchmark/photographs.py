@@ -86,7 +86,11 @@ class PhotographReader:
     estimated: Mapping[Lens, Camera] = field(default_factory=dict)
     said: dict[Path, Exif] = field(default_factory=dict)
 
-    def __call__(self, name: str, path: Path) -> QueryPhotograph:
+    def __call__(self, name: str, path: Path) -> Query:
+        """Read a photograph as a query; see ``read``."""
+        return self.read(name, path).query
+
+    def read(self, name: str, path: Path) -> QueryPhotograph:
         """Read a photograph.
 
         Raises:
@@ -196,7 +200,7 @@ def _read(
     for done, (name, path) in enumerate(paths.items()):
         advance(done)
         with suppress(InputError, OSError):
-            yield reader(name, path).query
+            yield reader(name, path)
 
 
 def warn_of_rolling_shutter(photographs: Collection[Exif]) -> None:
