@@ -1,0 +1,91 @@
+"""Subtitle files (SRT): texts with the times at which a video shows them.
+
+This is the one module that imports srt, which the extra ``[video]`` installs.
+"""
+
+from __future__ import annotations
+
+import codecs
+import logging
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+from scene.errors import InputError
+from scene.runtime.extras import import_extra
+from scene.storage.files import require_readable
+
+# An hour of one subtitle for each of 60 frames a second has 100 MB; what is larger is none.
+_LARGEST = 1 << 29
+_BYTE_ORDER_MARKS = {
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+
+
+@dataclass(frozen=True)
+class Subtitle:
+    """A text and when it is shown.
+
+    Attributes:
+        start_s: seconds from the start of the video.
+        end_s: seconds from the start of the video.
+        text: lines of the subtitle.
+    """
+
+    start_s: float
+    end_s: float
+    text: str
+
+
+def read_subtitles(path: Path) -> list[Subtitle]:
+    """Read an SRT file in the order of its times.
+
+    The text is UTF-8 or, with a byte order mark, UTF-16. Bytes that are neither are degree signs
+    and names of old encodings; they are replaced, because no number is among them.
+
+    Raises:
+        InputError: the file cannot be read, is larger than 512 MiB, or holds no subtitle.
+    """
+    srt = import_extra("srt", "video", "a subtitle file")
+    # It warns of every text that it skips.
+    logging.getLogger("srt").setLevel(logging.ERROR)
+    require_readable(path, "subtitles")
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{path} is larger than {_LARGEST >> 20} MiB: it is no subtitle file")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read subtitles {path}: {error.strerror}") from None
+    text = data.decode(_BYTE_ORDER_MARKS.get(data[:2], "utf-8-sig"), errors="replace")
+    try:
+        items = [
+            Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)
+            # What lies between subtitles and fits none is left out, as players do.
+            for item in srt.parse(_one_line_end(text), ignore_errors=True)
+        ]
+    except (ValueError, OverflowError):
+        raise InputError(f"{path} holds a time that is no time: it is damaged") from None
+    if not items:
+        raise InputError(f"{path} holds no subtitle: give the SRT file of the video")
+    return sorted(items, key=lambda item: item.start_s)
+
+
+def compose_subtitles(subtitles: Iterable[Subtitle]) -> str:
+    """Return the text of an SRT file."""
+    srt = import_extra("srt", "video", "a subtitle file")
+    items = [
+        srt.Subtitle(
+            index=index,
+            start=timedelta(seconds=subtitle.start_s),
+            end=timedelta(seconds=subtitle.end_s),
+            content=subtitle.text,
+        )
+        for index, subtitle in enumerate(subtitles, 1)
+    ]
+    return str(srt.compose(items, reindex=False))
+
+
+def _one_line_end(text: str) -> str:
+    return text.replace("\r\n", "\n").replace("\r", "\n")
