@@ -55,6 +55,8 @@ ADAPTERS = {
     "pyproj": "scene.geo.crs",
     "rerun": "scene.exports.rerun",
     "rosbags": "benchmark.ros",
+    "av": "scene.storage.video",
+    "srt": "scene.storage.subtitles",
 }
 
 
