@@ -55,5 +55,9 @@ FORMATS: Final[Registry[Writer]] = Registry(
             "the tree of Extended CMU Seasons, with the photographs; a slice each for the urban, "
             "suburban and park part of --preset street",
         ),
+        "video": Lazy(
+            "scene.exports.video:write",
+            "an MP4 with DJI's telemetry as SRT for each session, and its poses as text",
+        ),
     },
 )
