@@ -37,7 +37,7 @@ _HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
 _WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
 _FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
 _LATER: Final = ("time", "sea_level_m", "yaw_deg", "pitch_deg", "roll_deg", "eph_m", "epv_m")
-_LAST: Final = ("camera", "focal_px")
+_LAST: Final = ("camera", "focal_px", "seconds")
 _COORDINATES: Final = ("x", "y", "h", "crs", "h_above")
 _COLUMNS: Final = (*_FIRST, *_LATER, "covariance", *_LAST)
 _MARK: Final = "poses by objconnect localize"
@@ -83,6 +83,7 @@ class Located:
         time: when it was taken; None if the photograph does not say.
         camera: its camera; None if it cannot be read.
         source: where the camera comes from.
+        seconds: time from the start of its sequence; None outside one.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Located:
     time: datetime | None = None
     camera: Camera | None = None
     source: CameraSource | None = None
+    seconds: float | None = None
 
     @property
     def found(self) -> bool:
@@ -144,6 +146,8 @@ class Located:
         known: dict[str, str | float] = {}
         if self.time is not None:
             known["time"] = _stamp(self.time)
+        if self.seconds is not None:
+            known["seconds"] = round(self.seconds, 6)
         if self.place is not None:
             known |= geography.values(self.place)
         pose = self.estimate.cam_from_world

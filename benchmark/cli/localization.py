@@ -26,9 +26,62 @@ from benchmark.cli.options import (
     Start,
 )
 from benchmark.cli.output import Summary, emit
+from scene.errors import InputError
 
 app = typer.Typer(rich_markup_mode=None)
 
+Images = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of new photographs.")]
+VideoFile = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Video of a flight, instead of photographs."),
+]
+Subtitles = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Subtitles of the video with the drone's telemetry. By default those of the same "
+        "name beside the video.",
+    ),
+]
+Sequenced = Annotated[
+    bool,
+    typer.Option(
+        "--sequence",
+        help="The photographs are of one flight: each is looked for where those before it lead.",
+    ),
+]
+Rate = Annotated[
+    float | None,
+    typer.Option(
+        help="Frames of the video to localize a second. With --sequence, photographs a second, "
+        "in the order of their names, instead of the times in EXIF.",
+        min=0.01,
+        max=240,
+        show_default="2 of a video",
+    ),
+]
+Priors = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="CSV",
+        help="Table of positions and attitudes. Without it, they are read from EXIF and XMP.",
+    ),
+]
+GpsSigma = Annotated[
+    float,
+    typer.Option(
+        help="Standard deviation of EXIF positions, metres. Fixed positions of RTK have the "
+        "standard deviations of their XMP instead.",
+        min=0.01,
+        max=1e6,
+    ),
+]
+GimbalSigma = Annotated[
+    float,
+    typer.Option(
+        help="Standard deviation of the gimbal attitudes in XMP, degrees.", min=0.01, max=180
+    ),
+]
 Further = Annotated[
     list[Path] | None,
     typer.Option(
@@ -66,37 +119,22 @@ def localize(
     place: Annotated[
         Path, typer.Option("--map", metavar="PLACE", help="Scene with its map, or a flight.")
     ],
-    images: Annotated[Path, typer.Option(metavar="DIR", help="Folder of new photographs.")],
     out: Annotated[
         Path,
         typer.Option(
             metavar="POSES", help="Text file of the poses; a CSV file is written beside it."
         ),
     ],
+    images: Images = None,
+    video: VideoFile = None,
+    srt: Subtitles = None,
+    sequence: Sequenced = False,
+    rate: Rate = None,
     method: Method = "objconnect",
     camera: CameraWords = None,
-    priors: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CSV",
-            help="Table of positions and attitudes. Without it, they are read from EXIF and XMP.",
-        ),
-    ] = None,
-    gps_sigma: Annotated[
-        float,
-        typer.Option(
-            help="Standard deviation of EXIF positions, metres. Fixed positions of RTK have the "
-            "standard deviations of their XMP instead.",
-            min=0.01,
-            max=1e6,
-        ),
-    ] = 10.0,
-    gimbal_sigma: Annotated[
-        float,
-        typer.Option(
-            help="Standard deviation of the gimbal attitudes in XMP, degrees.", min=0.01, max=180
-        ),
-    ] = 5.0,
+    priors: Priors = None,
+    gps_sigma: GpsSigma = 10.0,
+    gimbal_sigma: GimbalSigma = 5.0,
     also: Further = None,
     undulation: Undulation = None,
     crs: Crs = None,
@@ -104,40 +142,77 @@ def localize(
     cache: Cache = None,
     as_json: Json = False,
 ) -> None:
-    """Find the poses of new photographs in a map.
+    """Find the poses of new photographs, or of the frames of a video, in a map.
 
     Writes POSES (name qw qx qy qz tx ty tz, world to camera) and beside it a CSV file with
     latitude, longitude, altitude above the ellipsoid, sigmas, time, yaw, pitch, roll, covariance,
     the camera that was used and, for photographs that were not found or cannot be read, the reason.
     Without --camera, a photograph has the map's camera of its size, else its calibration in XMP,
-    the map's camera scaled, the focal length in EXIF, or an estimate. An interrupted run goes on
-    where it stopped.
+    the map's camera scaled, the focal length in EXIF, or an estimate. A video and --sequence take
+    each pose as the prior of the next; a JSON file beside POSES records how. An interrupted run
+    goes on where it stopped.
     """
     from benchmark.localize import localize as run
     from benchmark.localize import open_place
     from benchmark.registry import create
+    from benchmark.sequence import Output, Told, localize_sequence, localize_video, sequence_config
 
+    flown = _flown(images, video, srt, priors, sequence, rate)
+    settings = parse_settings(overrides)
+    config = sequence_config(settings) if video is not None or sequence else None
     calibration, projection = parse_camera(camera), parse_crs(crs)
-    claim_folders([place, images], cache)
-    located = run(
-        open_place(place),
-        images,
-        create(method, parse_settings(overrides)),
-        out,
-        camera=calibration,
-        priors=priors,
-        gps_sigma_m=gps_sigma,
-        gimbal_sigma_deg=gimbal_sigma,
-        cache=cache,
-        also=also or (),
-        undulation_m=undulation,
-        projection=projection,
-    )
+    claim_folders([place, flown], cache)
+    localizer = create(method, settings)
+    if config is None:
+        located = run(
+            open_place(place),
+            flown,
+            localizer,
+            out,
+            camera=calibration,
+            priors=priors,
+            gps_sigma_m=gps_sigma,
+            gimbal_sigma_deg=gimbal_sigma,
+            cache=cache,
+            also=also or (),
+            undulation_m=undulation,
+            projection=projection,
+        )
+    else:
+        told = Told(calibration, gps_sigma, gimbal_sigma, rate, srt, priors, config)
+        output = Output(out, also or (), undulation, cache, projection)
+        track = localize_sequence if video is None else localize_video
+        located = track(open_place(place), flown, localizer, output, told)
     localized = sum(item.found for item in located)
-    text = f"{out}: {localized} of {len(located)} photographs found"
-    emit(
-        Summary(text, {"poses": str(out), "photographs": len(located), "found": localized}), as_json
-    )
+    what = "photographs" if video is None else "frames"
+    text = f"{out}: {localized} of {len(located)} {what} found"
+    emit(Summary(text, {"poses": str(out), what: len(located), "found": localized}), as_json)
+
+
+def _flown(
+    images: Path | None,
+    video: Path | None,
+    srt: Path | None,
+    priors: Path | None,
+    sequence: bool,
+    rate: float | None,
+) -> Path:
+    """Return the photographs or the video that are asked for.
+
+    Raises:
+        InputError: there is neither or both, or an option is of the other.
+    """
+    if video is not None and images is None:
+        if priors is not None or sequence:
+            raise InputError("a video is a sequence: leave out --priors and --sequence")
+        return video
+    if images is None or video is not None:
+        raise InputError("give photographs with --images, or a video with --video")
+    if srt is not None:
+        raise InputError("--srt is the telemetry of a video: give --video instead of --images")
+    if rate is not None and not sequence:
+        raise InputError("--rate is that of a sequence: give --sequence too")
+    return images
 
 
 @app.command()

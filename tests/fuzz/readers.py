@@ -39,6 +39,7 @@ from dense.workspace import read_array, write_array
 from ingest.control_points import read_control_points
 from ingest.photographs import Flight, FlightImage, _look_at
 from ingest.positions import _read as read_positions
+from ingest.telemetry import read_telemetry
 from objconnect import network as objconnect
 from objconnect.config import ObjConnectNetConfig
 from objconnect.masks import read_coco, read_label_png
@@ -52,6 +53,8 @@ from scene.imports.formats import read_foreign
 from scene.maps.colmap_files import read_model
 from scene.maps.features import Features, read_features, write_features
 from scene.storage.images import Exif, read_rgb
+from scene.storage.subtitles import Subtitle, compose_subtitles
+from scene.storage.video import decode_frames, write_video
 from simulate.camera.lens import CameraConfig
 from simulate.config import SimulateConfig
 from simulate.flight.qgroundcontrol import read_plan
@@ -228,6 +231,21 @@ def _photographs(folder: Path) -> None:
     )
     for name in ("a.jpg", "b.jpg"):
         small.save(folder / "photos" / name, exif=exif, xmp=xmp)
+
+
+def _videos(folder: Path) -> None:
+    folder.mkdir(exist_ok=True)
+    noise = np.random.default_rng(6).integers(0, 256, (4, CAMERA.height, CAMERA.width, 3))
+    write_video(folder / "flight.mp4", list(noise.astype(np.uint8)), 2.0)
+    fields = "[latitude: 47.0001] [longitude: 8.0001] [rel_alt: 40.0 abs_alt: 440.0]"
+    texts = (
+        f"2024-03-08 10:12:34.123\n{fields} [gb_yaw: 9.0 gb_pitch: -90.0 gb_roll: 0.0]",
+        "HOME(8.5410,47.3770) 2017.8.5 14:11:51\nGPS(8.5411,47.3771,16) BAROMETER:60.1",
+        "GPS(W: 97.621475, S: 30.214199, 174.21m)",
+        "F/6.3, RTK (8.5, 47.3, 28), H 76.19m, G.PRY (-40.0°, 0.5°, 28.2°)",
+    )
+    said = [Subtitle(k / 2, (k + 1) / 2, text) for k, text in enumerate(texts)]
+    (folder / "telemetry.srt").write_text(compose_subtitles(said), "utf-8")
 
 
 def _masks(folder: Path) -> None:
@@ -449,6 +467,14 @@ READERS: dict[str, Reader] = {
             "photos/b.jpg": ("jpeg", lambda f: _look_at(f, "photos/b.jpg", "")),
         },
         6,
+    ),
+    "videos": Reader(
+        _videos,
+        {
+            "telemetry.srt": ("text", lambda f: read_telemetry(f / "telemetry.srt")),
+            "flight.mp4": ("bytes", lambda f: list(decode_frames(f / "flight.mp4", 1.0))),
+        },
+        2,
     ),
     "masks": Reader(
         _masks,

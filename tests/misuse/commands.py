@@ -13,6 +13,7 @@ from tests.misuse.arguments import (
     HUGE,
     METHOD,
     NO_FILES,
+    OPTION,
     SEED,
     SETTINGS,
     Argument,
@@ -142,6 +143,10 @@ LOCALIZE = Row(
         ),
         # One of several photographs that cannot be read is a row of the answer.
         "images": folder("photos", part("photos/p1.jpg", "photograph")).fine("p1.jpg:*"),
+        "video": FLAG,
+        "srt": FLAG,
+        "sequence": FLAG,
+        "rate": real(None).also(without_a_sequence=Fault(("2",), says=(OPTION,))),
         "out": out_file("out.txt", "out.csv"),
         "method": METHOD,
         "camera": CAMERA,
@@ -221,6 +226,17 @@ COMMANDS: dict[str, Row] = {
     ),
     "localize": LOCALIZE,
     "localize:scene": LOCALIZE.instead(place=folder("hamlet", MANIFEST, MODEL, MAP_PHOTOGRAPH)),
+    "localize:video": LOCALIZE.instead(
+        place=folder("hamlet").sound(),
+        images=FLAG,
+        priors=FLAG,
+        video=file("film/flight.mp4", "bytes"),
+        # Subtitles up to where a file is cut short are of use.
+        srt=file("film/telemetry.srt", "bytes").fine("truncated"),
+        rate=real("1"),
+        out=out_file("out.txt", "out.csv", "out.json"),
+        overrides=values(None, "sequence.colour=red", "sequence.gate=0", "sequence.motion=fast"),
+    ),
     "train": Row(
         {
             "method": values("objconnect", "", "magic", "sift", "../x", LONG),

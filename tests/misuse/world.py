@@ -53,6 +53,7 @@ def make(root: Path) -> None:
     _grove(root / "hamlet", root / "grove")
     _meadow(root / "meadow")
     _photographs(root / "photos")
+    READERS["videos"].make(root / "film")
     _cmu(root)
     _tables(root / "tables")
     _configs(root / "configs")

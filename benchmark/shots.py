@@ -1,0 +1,267 @@
+"""The images of a sequence in the order of their times: frames of a video, or photographs."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.cameras import Calibration, CameraSource, calibration_of
+from benchmark.photographs import PhotographReader, Place
+from ingest.telemetry import Telemetry, at_time, read_telemetry
+from scene.errors import InputError
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic, enu_from_geodetic
+from scene.geometry.gimbal import gimbal_pose
+from scene.localizer import Prior, Query
+from scene.storage.images import Exif
+from scene.storage.video import Video, decode_frames, frame_name, read_video
+
+log = logging.getLogger(__name__)
+
+# A position further from the map (m) is not that of this flight.
+_FARTHEST_M: Final = 50_000.0
+_SIDECARS: Final = (".SRT", ".srt", ".Srt")
+
+
+@dataclass(frozen=True)
+class Shot:
+    """An image of a sequence.
+
+    Attributes:
+        name: name among the poses.
+        seconds: from the start of the sequence; None where that is not known.
+        time: clock of the drone; None where that is not known.
+        query: the image with what the aircraft knows; None where it cannot be read.
+        source: where the camera of the query comes from; None without a query.
+        reason: why it cannot be read.
+    """
+
+    name: str
+    seconds: float | None
+    time: datetime | None
+    query: Query | None
+    source: CameraSource | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Footage:
+    """A video with its telemetry, to be localized.
+
+    Attributes:
+        path: file of the video.
+        video: what the file says of itself.
+        srt: subtitles with telemetry; None without.
+        flight: what they say; empty without.
+        rate_hz: frames a second to localize.
+    """
+
+    path: Path
+    video: Video
+    srt: Path | None
+    flight: Sequence[Telemetry]
+    rate_hz: float
+
+    @staticmethod
+    def open(path: Path, srt: Path | None, rate_hz: float) -> Footage:
+        """Read what a video and its subtitles say.
+
+        Args:
+            path: file of the video.
+            srt: its subtitles; None takes those of the same name beside it, if there are any.
+            rate_hz: frames a second to localize.
+
+        Raises:
+            InputError: the video or the subtitles cannot be read.
+        """
+        video = read_video(path)
+        if srt is None:
+            beside = (path.with_suffix(ending) for ending in _SIDECARS)
+            srt = next((file for file in beside if file.is_file()), None)
+        flight = [] if srt is None else read_telemetry(srt)
+        return Footage(path, video, srt, flight, rate_hz)
+
+    @property
+    def count(self) -> int:
+        """Return about how many frames are localized."""
+        rate_hz = min(self.rate_hz, self.video.rate_hz)
+        return max(1, round((self.video.duration_s or 0.0) * rate_hz))
+
+
+@dataclass(frozen=True)
+class TelemetryReader:
+    """Turns telemetry into priors of a map.
+
+    Attributes:
+        place: the map.
+        gps_sigma_m: standard deviation of positions per axis, metres.
+        gimbal_sigma_deg: standard deviation of the gimbal's attitudes per axis, degrees.
+        undulation_m: height of the geoid above the ellipsoid; None leaves altitudes unknown.
+    """
+
+    place: Place
+    gps_sigma_m: float
+    gimbal_sigma_deg: float
+    undulation_m: float | None
+
+    def __call__(self, said: Telemetry | None) -> Prior | None:
+        """Return what telemetry says in the map's frame; None where it says neither position nor
+        attitude, or the position is not near the map."""
+        if said is None:
+            return None
+        prior = self._position(said)
+        if said.gimbal is None:
+            return prior
+        if prior is None:
+            prior = Prior(self._middle(), np.full(3, np.inf))
+        return replace(
+            prior,
+            cam_from_world_rotation=gimbal_pose(*said.gimbal).rotation.numpy(),
+            attitude_sigma_deg=self.gimbal_sigma_deg,
+        )
+
+    def _position(self, said: Telemetry) -> Prior | None:
+        origin = self.place.origin
+        if said.place is None or origin is None:
+            return None
+        sigma = np.full(3, self.gps_sigma_m)
+        if said.abs_alt is not None and self.undulation_m is not None:
+            altitude = said.abs_alt + self.undulation_m
+            position = enu_from_geodetic(Geodetic(*said.place, altitude), origin)
+        else:
+            # The height of the map's cameras stands where the altitude is unknown.
+            position = enu_from_geodetic(Geodetic(*said.place, origin.altitude), origin)
+            position[2], sigma[2] = self._middle()[2], np.inf
+        if np.hypot(*position[:2]) > _FARTHEST_M:
+            return None
+        return Prior(position, sigma)
+
+    def _middle(self) -> NDArray[np.float64]:
+        """Return the middle of the map's cameras, (3,) metres."""
+        images = self.place.sparse_map.images.values()
+        return np.asarray(np.median([image.pose.centre().numpy() for image in images], axis=0))
+
+
+def calibration_of_frames(footage: Footage, camera: Camera | None, place: Place) -> Calibration:
+    """Return the camera of a video's frames.
+
+    Without a given one it is the map's camera of their size, else one of the focal length in the
+    telemetry, scaled from the map's where that has such a lens.
+
+    Raises:
+        InputError: the given camera has another size, or nothing tells the focal length.
+    """
+    size = (footage.video.width, footage.video.height)
+    shape = f"{footage.path} is {size[0]} x {size[1]} pixels and "
+    hint = ": give its calibration with --camera 'MODEL width height params...'"
+    if camera is not None:
+        if (camera.width, camera.height) != size:
+            raise InputError(f"{shape}its camera {camera.width} x {camera.height}{hint}")
+        return Calibration(camera, CameraSource.GIVEN)
+    of_map = calibration_of(size, Exif(None, None), place.cameras)
+    if of_map.source is CameraSource.MAP:
+        return of_map
+    focal = next((said.focal_mm for said in footage.flight if said.focal_mm is not None), None)
+    if focal is None:
+        raise InputError(f"{shape}nothing tells the focal length of its frames{hint}")
+    return calibration_of(size, Exif(None, None, focal_35mm=focal), place.cameras)
+
+
+def frames_of(
+    footage: Footage, calibration: Calibration, telemetry: TelemetryReader
+) -> Iterator[Shot]:
+    """Yield the frames of a video at its rate, with the priors of its telemetry."""
+    clock = _clock(footage)
+    for frame in decode_frames(footage.path, footage.rate_hz):
+        said = at_time(footage.flight, frame.seconds)
+        name = frame_name(footage.path.stem, frame.index)
+        time = None if clock is None else clock + timedelta(seconds=frame.seconds)
+        query = Query(name, frame.image, calibration.camera, telemetry(said))
+        yield Shot(name, frame.seconds, time, query, calibration.source)
+
+
+def warn_of_far_telemetry(footage: Footage, telemetry: TelemetryReader) -> None:
+    """Warn where no position of the telemetry lies near the map."""
+    fixes = [said for said in footage.flight if said.place is not None]
+    if fixes and telemetry.place.origin is not None and telemetry(fixes[0]) is None:
+        places = [replace(said, gimbal=None) for said in fixes]
+        if all(telemetry(said) is None for said in places):
+            log.warning(
+                "%s has positions, and none within %.0f km of the map: they are not used",
+                footage.srt,
+                _FARTHEST_M / 1000,
+            )
+
+
+def photographs_of(
+    paths: Mapping[str, Path], reader: PhotographReader, rate_hz: float | None
+) -> Iterator[Shot]:
+    """Yield photographs in the order of their times, which are those of EXIF, or of a rate.
+
+    Args:
+        paths: photographs by name.
+        reader: makes them queries.
+        rate_hz: photographs a second; they are then in the order of their names.
+
+    Raises:
+        InputError: there is no rate, and a photograph does not tell when it was taken, or two tell
+            the same time.
+    """
+    times: dict[str, datetime | None] = {}
+    for name, path in paths.items():
+        with suppress(InputError, OSError):
+            times[name] = reader.exif(path).time
+    if rate_hz is not None:
+        seconds = {name: index / rate_hz for index, name in enumerate(paths)}
+    else:
+        seconds = _seconds(times)
+    # Those that cannot be read have no time: they come last.
+    for name in sorted(paths, key=lambda name: seconds.get(name, math.inf)):
+        query, source, reason = None, None, ""
+        try:
+            photograph = reader.read(name, paths[name])
+            query, source = photograph.query, photograph.calibration.source
+            if photograph.calibration.others:
+                query = None
+                reason = f"nothing tells the focal length of {paths[name]}: give --camera"
+        except InputError as error:
+            reason = str(error)
+        except OSError as error:
+            reason = f"cannot read {paths[name]}: {error.strerror}"
+        yield Shot(name, seconds.get(name), times.get(name), query, source, reason)
+
+
+def _seconds(times: Mapping[str, datetime | None]) -> dict[str, float]:
+    """Return seconds from the first photograph.
+
+    Raises:
+        InputError: a photograph has no time, or two have the same.
+    """
+    known = {name: time.replace(tzinfo=None) for name, time in times.items() if time is not None}
+    hint = "give --rate, photographs a second, and they are taken in the order of their names"
+    for name in times:
+        if name not in known:
+            raise InputError(f"photograph {name} does not tell when it was taken: {hint}")
+    ordered = sorted(known, key=lambda name: known[name])
+    for before, name in pairwise(ordered):
+        if known[before] == known[name]:
+            raise InputError(f"photographs {before} and {name} tell the same time: {hint}")
+    return {name: (known[name] - known[ordered[0]]).total_seconds() for name in ordered}
+
+
+def _clock(footage: Footage) -> datetime | None:
+    """Return the drone's clock at the start of a video, from its subtitles, else from the file."""
+    for said in footage.flight:
+        if said.time is not None:
+            return said.time - timedelta(seconds=said.start_s)
+    return footage.video.created
