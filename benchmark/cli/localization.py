@@ -30,6 +30,10 @@ from scene.errors import InputError
 
 app = typer.Typer(rich_markup_mode=None)
 
+Poses = Annotated[
+    Path,
+    typer.Option(metavar="POSES", help="Text file of the poses; a CSV file is written beside it."),
+]
 Images = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of new photographs.")]
 VideoFile = Annotated[
     Path | None,
@@ -119,12 +123,7 @@ def localize(
     place: Annotated[
         Path, typer.Option("--map", metavar="PLACE", help="Scene with its map, or a flight.")
     ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            metavar="POSES", help="Text file of the poses; a CSV file is written beside it."
-        ),
-    ],
+    out: Poses,
     images: Images = None,
     video: VideoFile = None,
     srt: Subtitles = None,

@@ -18,6 +18,7 @@ from benchmark.datasets.textfiles import read_poses
 from benchmark.localize import open_place
 from benchmark.shots import TelemetryReader
 from ingest.telemetry import Telemetry
+from scene.bundle.scene import Scene
 from scene.exports.export import export
 from scene.geometry.geodesy import geodetic_from_enu
 from scene.geometry.gimbal import gimbal_pose
@@ -303,3 +304,18 @@ def test_priors_of_telemetry(scene: Path) -> None:
     assert reader(Telemetry(0, 1, rel_alt=60.0)) is None
     # Latitude and longitude exchanged: another country, not a prior.
     assert reader(Telemetry(0, 1, (fix.longitude, fix.latitude))) is None
+
+
+def test_a_rendered_flight_is_found(rendered: Scene, tmp_path: Path) -> None:
+    """From rendering through H.264 and subtitles to poses, with a method that really looks."""
+    session = "summer-noon-nadir-query"
+    export(rendered.path, "video", tmp_path / "flown", [session])
+    video, out = tmp_path / "flown" / f"{session}.MP4", tmp_path / "track.txt"
+    words = ("--map", rendered.path, "--video", video, "--method", "sift", "--undulation", 0)
+    answer = run(*words, "--rate", 1, "--out", out)
+    assert answer.exit_code == 0, answer.stderr
+    truth, found = read_poses(video.with_name(f"{session}-poses.txt")), read_poses(out)
+    assert list(found) == list(truth)
+    for name, pose in found.items():
+        metres, degrees = pose.error_to(truth[name])
+        assert float(metres) < 0.5 and float(degrees) < 1
