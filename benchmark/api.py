@@ -29,7 +29,12 @@ if TYPE_CHECKING:
     from benchmark.report.view import view as view
     from benchmark.results import Results as Results
     from benchmark.results import load as read_results  # noqa: F401
+    from benchmark.sequence import SequenceInputs as SequenceInputs
+    from benchmark.sequence import SequenceOutput as SequenceOutput
+    from benchmark.sequence import localize_sequence as localize_sequence
+    from benchmark.sequence import localize_video as localize_video
     from benchmark.starts import parse_start as parse_start
+    from benchmark.tracking import SequenceConfig as SequenceConfig
     from benchmark.validate import validate as validate
     from dense.command import dense as dense
     from ingest.command import ingest as ingest
@@ -72,6 +77,11 @@ _MODULES = {
     # Localize.
     "create_localizer": "benchmark.registry:create",
     "localize": "benchmark.localize",
+    "localize_video": "benchmark.sequence",
+    "localize_sequence": "benchmark.sequence",
+    "SequenceInputs": "benchmark.sequence",
+    "SequenceOutput": "benchmark.sequence",
+    "SequenceConfig": "benchmark.tracking",
     "train": "baselines.training.command",
     "trainable": "benchmark.registry",
     "TrainConfig": "baselines.training.config",

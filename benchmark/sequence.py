@@ -67,7 +67,7 @@ def sequence_config(settings: dict[str, Any]) -> SequenceConfig:
 
 
 @dataclass(frozen=True)
-class Output:
+class SequenceOutput:
     """What a sequence writes.
 
     Attributes:
@@ -103,7 +103,7 @@ class Output:
 
 
 @dataclass(frozen=True)
-class Told:
+class SequenceInputs:
     """What is told of a sequence beside its images.
 
     Attributes:
@@ -127,7 +127,7 @@ class Told:
 
 
 def localize_video(
-    place: Place, video: Path, localizer: Localizer, output: Output, told: Told
+    place: Place, video: Path, localizer: Localizer, output: SequenceOutput, told: SequenceInputs
 ) -> list[Located]:
     """Localize frames of a video, each from where the ones before it lead (``Tracker``).
 
@@ -161,7 +161,11 @@ def localize_video(
 
 
 def localize_sequence(
-    place: Place, photographs: Path, localizer: Localizer, output: Output, told: Told
+    place: Place,
+    photographs: Path,
+    localizer: Localizer,
+    output: SequenceOutput,
+    told: SequenceInputs,
 ) -> list[Located]:
     """Localize the photographs of a folder as a sequence, as ``localize_video`` does a video.
 
@@ -201,7 +205,7 @@ def localize_sequence(
 class _Job:
     """How a sequence is localized, and where its answers go."""
 
-    output: Output
+    output: SequenceOutput
     files: list[OutputFile]
     geography: Geography
     config: SequenceConfig

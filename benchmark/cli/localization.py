@@ -151,14 +151,14 @@ def localize(
     each pose as the prior of the next; a JSON file beside POSES records how. An interrupted run
     goes on where it stopped.
     """
+    from benchmark import sequence as sequences
     from benchmark.localize import localize as run
     from benchmark.localize import open_place
     from benchmark.registry import create
-    from benchmark.sequence import Output, Told, localize_sequence, localize_video, sequence_config
 
     flown = _flown(images, video, srt, priors, sequence, rate)
     settings = parse_settings(overrides)
-    config = sequence_config(settings) if video is not None or sequence else None
+    config = sequences.sequence_config(settings) if video is not None or sequence else None
     calibration, projection = parse_camera(camera), parse_crs(crs)
     claim_folders([place, flown], cache)
     localizer = create(method, settings)
@@ -178,9 +178,11 @@ def localize(
             projection=projection,
         )
     else:
-        told = Told(calibration, gps_sigma, gimbal_sigma, rate, srt, priors, config)
-        output = Output(out, also or (), undulation, cache, projection)
-        track = localize_sequence if video is None else localize_video
+        told = sequences.SequenceInputs(
+            calibration, gps_sigma, gimbal_sigma, rate, srt, priors, config
+        )
+        output = sequences.SequenceOutput(out, also or (), undulation, cache, projection)
+        track = sequences.localize_sequence if video is None else sequences.localize_video
         located = track(open_place(place), flown, localizer, output, told)
     localized = sum(item.found for item in located)
     what = "photographs" if video is None else "frames"

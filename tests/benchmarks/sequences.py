@@ -25,7 +25,7 @@ from benchmark.answers import Located
 from benchmark.datasets.textfiles import read_poses
 from benchmark.localize import open_place
 from benchmark.registry import create
-from benchmark.sequence import Output, Told, localize_video
+from benchmark.sequence import SequenceInputs, SequenceOutput, localize_video
 from benchmark.tracking import SequenceConfig
 from scene.exports.export import export
 from scene.geometry.pose import Pose
@@ -138,8 +138,8 @@ def main() -> None:
     configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
     for name in given.runs:
         localizer = Timed(create(given.method, {}))
-        output = Output(given.out / f"{name}.txt", undulation_m=0.0, cache=given.cache)
-        told = Told(config=configs[name], gps_sigma_m=3.0)
+        output = SequenceOutput(given.out / f"{name}.txt", undulation_m=0.0, cache=given.cache)
+        told = SequenceInputs(config=configs[name], gps_sigma_m=3.0)
         video = flown / f"{given.session}.MP4"
         located = localize_video(place, video, localizer, output, told)
         figures = report(name, located, truth, localizer)
