@@ -1,11 +1,12 @@
 """A flight as a video with subtitles, as a sequence and frame by frame, of which GPS is lost.
 
-    python -m tests.benchmarks.sequences SCENE SESSION --map PLACE --out DIR [--lost-after 10]
+    python -m tests.benchmarks.sequences SCENE SESSION --map PLACE --out DIR [--black 50 60]
 
 SCENE is a simulated scene over the place of PLACE, which has the map. The session is exported as a
 video with subtitles, and from ``--lost-after`` seconds on these have no position; with
 ``--no-gimbal`` they have no attitude either. ``localize --video`` then runs twice: as a sequence,
 and with ``sequence.lost_sigma_m`` so small that each frame is searched from its subtitles alone.
+``--black`` blanks the frames of a span of seconds, as fog does, after which the camera is lost.
 Interrupted runs go on, but their seconds are those of the last run: delete DIR to measure again.
 """
 
@@ -31,6 +32,7 @@ from scene.exports.export import export
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Localizer, Query
 from scene.maps.sparse_map import SparseMap
+from scene.storage.video import decode_frames, read_video, write_video
 
 LEVELS = ((0.25, 2.0), (0.5, 5.0), (5.0, 10.0))
 QUARTERS = 4
@@ -75,6 +77,16 @@ def without_gps(srt: Path, lost_after_s: float, gimbal: bool) -> None:
                 block = block if gimbal else re.sub(r"\[gb_yaw: [^\]]*\] ?", "", block)
         kept.append(block)
     srt.write_text("\n\n".join(kept), "utf-8")
+
+
+def blank(video: Path, begin_s: float, end_s: float) -> None:
+    """Make the frames of a video black from one time to another."""
+    rate_hz = read_video(video).rate_hz
+    frames = [
+        np.zeros_like(frame.image) if begin_s <= frame.seconds < end_s else frame.image
+        for frame in decode_frames(video)
+    ]
+    write_video(video, frames, rate_hz)
 
 
 def report(
@@ -126,6 +138,7 @@ def main() -> None:
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--lost-after", type=float, default=10.0)
     parser.add_argument("--no-gimbal", action="store_true")
+    parser.add_argument("--black", type=float, nargs=2)
     parser.add_argument("--runs", nargs="+", default=["sequence", "frames"])
     given = parser.parse_args()
     torch.set_num_threads(1)
@@ -133,6 +146,8 @@ def main() -> None:
     if not flown.exists():
         export(given.scene, "video", flown, [given.session])
         without_gps(flown / f"{given.session}.SRT", given.lost_after, not given.no_gimbal)
+        if given.black is not None:
+            blank(flown / f"{given.session}.MP4", *given.black)
     truth = read_poses(flown / f"{given.session}-poses.txt")
     place = open_place(given.map)
     configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
