@@ -57,6 +57,7 @@ ADAPTERS = {
     "rosbags": "benchmark.ros",
     "av": "scene.storage.video",
     "srt": "scene.storage.subtitles",
+    "rasterio": "scene.geo.rasters",
 }
 
 

@@ -41,8 +41,11 @@ class Stereo(StrEnum):
 
 
 @app.command(name="map")
+# More than six parameters: each is an option or argument of the command.
 def build_map(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to map.")],
+    scene: Annotated[
+        Path | None, typer.Argument(metavar="SCENE", help="Scene to map.", show_default=False)
+    ] = None,
     method: Annotated[
         MapMethod,
         typer.Option(
@@ -50,17 +53,98 @@ def build_map(
             "it to them."
         ),
     ] = MapMethod.TRIANGULATE,
+    ortho: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="GEOTIFF",
+            help="Orthophoto of 8 bits to make a scene of, in place of SCENE. Its coordinate "
+            "reference system is in metres. Needs --dsm and --out.",
+        ),
+    ] = None,
+    dsm: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="GEOTIFF",
+            help="Surface model of the orthophoto: heights in metres, with buildings and trees.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="SCENE", help="Folder of the orthophoto's scene.")
+    ] = None,
+    undulation: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Height of the geoid above the ellipsoid at the place, for a surface model with "
+            "heights above sea level. Without it, heights are above the ellipsoid.",
+            min=-200,
+            max=200,
+        ),
+    ] = None,
+    altitude: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Height of the virtual cameras above the ground; as high as your flights is best.",
+            show_default="a pixel of a view is one of the orthophoto",
+            min=1,
+            max=10_000,
+        ),
+    ] = None,
+    overlap: Annotated[
+        float | None,
+        typer.Option(
+            help="Share of a virtual view that the next one shows too.",
+            show_default="0.7",
+            min=0,
+            max=0.95,
+        ),
+    ] = None,
+    tilt: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGREES",
+            help="Angle of further virtual views to the north, east, south and west against the "
+            "vertical; 0 takes none.",
+            show_default="0",
+            min=0,
+            max=60,
+        ),
+    ] = None,
     cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:
-    """Build the sparse map of a scene and measure it against the true poses.
+    """Build the sparse map of a scene, or of an orthophoto with a surface model.
 
-    The map is built from the sessions of role map. Localization needs it; run this command after
-    simulate.
+    The map of a scene is built from its sessions of role map and measured against the true poses.
+    Localization needs it; run this command after simulate. With --ortho, virtual photographs of the
+    orthophoto become a new scene with its map, in which photographs are localized as in any other.
     """
     from mapping.build import build_map as run
 
-    emit(run(scene, method.value, cluster), as_json)
+    views = {"altitude": altitude, "overlap": overlap, "tilt": tilt}
+    given = {name: value for name, value in views.items() if value is not None}
+    if ortho is None:
+        others = {"--dsm": dsm, "--out": out, "--undulation": undulation}
+        others |= {f"--{name}": value for name, value in given.items()}
+        for name in (name for name, value in others.items() if value is not None):
+            raise InputError(f"{name} describes the map of an orthophoto: give --ortho too")
+        if scene is None:
+            raise InputError("give the SCENE to map, or --ortho, --dsm and --out")
+        emit(run(scene, method.value, cluster), as_json)
+        return
+    if scene is not None or dsm is None or out is None:
+        raise InputError("--ortho needs --dsm and --out, and no SCENE")
+    from ingest.virtual.command import photograph_orthophoto
+    from ingest.virtual.options import ViewOptions
+
+    options = ViewOptions.model_validate(given)
+    photographed = photograph_orthophoto(
+        ortho, dsm, out, undulation=undulation or 0.0, options=options
+    )
+    report = run(out, method.value, cluster)
+    text = f"{photographed.text()}\n{report.text()}"
+    emit(Summary(text, {"virtual": photographed.as_dict(), **report.as_dict()}), as_json)
 
 
 @app.command()

@@ -131,6 +131,7 @@ def ingest(
 
 
 @app.command()
+# More than six parameters: each is an option or argument of the command.
 def export(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene to export.")],
     file_format: Annotated[
@@ -150,16 +151,34 @@ def export(
             help="Session to export; repeat the option for several. By default all are exported.",
         ),
     ] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(
+            help="Pixel of --format ortho, metres.",
+            min=0.001,
+            max=1000,
+            show_default="that of the photographs on the ground",
+        ),
+    ] = None,
+    crs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EPSG:N",
+            help="Coordinate reference system of --format ortho, in metres.",
+            show_default="the UTM zone",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write the poses and cameras of a scene in the format of another program.
 
     Photographs stay in the scene, except with --format cmu and rerun-images. Image names in the
     files are relative to SCENE/sessions; in transforms.json they are relative to the file itself.
+    An orthophoto is fused from the map's photographs.
     """
     from scene.exports.export import export as run
 
-    summary = run(scene, file_format, out, session or ())
+    summary = run(scene, file_format, out, session or (), resolution=resolution, crs=crs)
     text = "{out}: {frames} frames for {format}".format_map(summary)
     emit(Summary(text, summary), as_json)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,13 @@ from scene.storage.atomic import atomic_folder
 from scene.storage.outputs import check_output_folder
 
 
-def export(path: Path, file_format: str, out: Path, sessions: Sequence[str] = ()) -> dict[str, Any]:
+def export(
+    path: Path,
+    file_format: str,
+    out: Path,
+    sessions: Sequence[str] = (),
+    **settings: float | str | None,
+) -> dict[str, Any]:
     """Write the frames of a scene in another program's format, all of it or nothing.
 
     The module ``scene.exports.<format>`` describes the files of a built-in format.
@@ -23,16 +31,22 @@ def export(path: Path, file_format: str, out: Path, sessions: Sequence[str] = ()
         file_format: a name of ``scene.exports.formats.FORMATS``.
         out: folder, new or empty.
         sessions: names of the sessions to write; none means all.
+        settings: options of the format: parameters of its writer after the first four. None means
+            the default.
 
     Returns:
         The folder ("out"), the format ("format"), the number of frames written ("frames") and the
         names of their sessions ("sessions").
 
     Raises:
-        InputError: the format is unknown or cannot hold these frames, the scene is not finished or
-            has no such session, or ``out`` is not empty, lies in the scene or cannot be written.
+        InputError: the format is unknown, lacks an option or cannot hold these frames, the scene is
+            not finished or has no such session, or ``out`` is not empty, lies in the scene or
+            cannot be written.
     """
     write = FORMATS.load(file_format)
+    given = {name: value for name, value in settings.items() if value is not None}
+    for name in given.keys() - inspect.signature(write).parameters.keys():
+        raise InputError(f"--{name} is no option of the format {file_format}")
     scene = Scene.open(path)
     if out.resolve().is_relative_to(path.resolve()):
         raise InputError(f"{out} lies in the scene itself: choose a folder outside it")
@@ -40,7 +54,7 @@ def export(path: Path, file_format: str, out: Path, sessions: Sequence[str] = ()
     require_empty(out)
     check_output_folder(out, [path])
     with atomic_folder(out) as folder, FORMATS.blame(file_format, "cannot be written"):
-        write(scene, chosen, folder, out)
+        partial(write, **given)(scene, chosen, folder, out)
     frames = sum(len(frames) for frames in chosen.values())
     return {"out": str(out), "format": file_format, "frames": frames, "sessions": list(chosen)}
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     The arguments are the scene, the frames of the chosen sessions by name, the folder to write to,
     and the path that this folder gets when everything is written (relative paths inside the files
-    start there). It raises InputError for what the format cannot hold.
+    start there). A writer may take options of its format after these. It raises InputError for what
+    the format cannot hold.
     """
 
 FORMATS: Final[Registry[Writer]] = Registry(
@@ -58,6 +59,10 @@ FORMATS: Final[Registry[Writer]] = Registry(
         "video": Lazy(
             "scene.exports.video:write",
             "an MP4 with DJI's telemetry as SRT for each session, and its poses as text",
+        ),
+        "ortho": Lazy(
+            "scene.exports.ortho:write",
+            "an orthophoto and a surface model as GeoTIFFs, of depth that is exact or from dense",
         ),
     },
 )

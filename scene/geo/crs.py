@@ -83,6 +83,13 @@ class Projection:
         """Whether coordinates are longitude and latitude in degrees."""
         return bool(self._crs.is_geographic)
 
+    @property
+    def is_metric(self) -> bool:
+        """Return whether all coordinates are metres: whether it is a map's grid, not degrees."""
+        return bool(self._crs.is_projected) and all(
+            axis.unit_name == "metre" for axis in self._crs.axis_info
+        )
+
     def from_geodetic(self, place: Geodetic) -> NDArray[np.float64]:
         """Return east, north and height of a place, (3,) in the system's units."""
         return np.array(self._from.transform(place.longitude, place.latitude, place.altitude))

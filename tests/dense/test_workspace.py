@@ -6,8 +6,9 @@ import numpy as np
 import pycolmap
 import pytest
 
-from dense.workspace import Workspace, read_array, write_array
+from dense.workspace import Workspace
 from scene.errors import InputError
+from scene.maps.depth_files import read_array, write_array
 
 ARRAY = np.arange(24, dtype=np.float32).reshape(3, 2, 4)
 

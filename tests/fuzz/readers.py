@@ -35,7 +35,6 @@ from benchmark.localize import _origin
 from benchmark.report.album import Album, Entry, Neighbour, read_album, write_album
 from benchmark.results import QueryResult, Results, load
 from benchmark.starts import parse_start
-from dense.workspace import read_array, write_array
 from ingest.control_points import read_control_points
 from ingest.photographs import Flight, FlightImage, _look_at
 from ingest.positions import _read as read_positions
@@ -51,6 +50,7 @@ from scene.config import load_config
 from scene.geometry.geodesy import Geodetic
 from scene.imports.formats import read_foreign
 from scene.maps.colmap_files import read_model
+from scene.maps.depth_files import read_array, write_array
 from scene.maps.features import Features, read_features, write_features
 from scene.storage.images import Exif, read_rgb
 from scene.storage.subtitles import Subtitle, compose_subtitles

@@ -1,0 +1,1 @@
+"""Virtual photographs of an orthophoto and its surface model, which become a scene."""

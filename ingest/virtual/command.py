@@ -1,0 +1,287 @@
+"""The scene of an orthophoto: virtual photographs with exact poses and depth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.virtual.flight import camera_of, directions, looking, places
+from ingest.virtual.options import ViewOptions
+from ingest.virtual.surface import Surface
+from scene.bundle.covisibility import (
+    Covisibility,
+    surface_points,
+    visible_share,
+    write_covisibility,
+)
+from scene.bundle.frames import Frames, Layer, write_frames
+from scene.bundle.manifest import Manifest, Objects, Session, Splits, write_json
+from scene.bundle.scene import COVISIBILITY, finish_scene
+from scene.errors import InputError
+from scene.geo.local import world_from
+from scene.geo.rasters import Grid, Patch, Raster
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from scene.runtime.progress import progress_bar
+from scene.storage.atomic import atomic_folder
+from scene.storage.files import sha256_of
+from scene.storage.images import Exif, write_jpeg
+from scene.storage.outputs import check_output_folder
+
+Array = NDArray[np.float64]
+
+SESSION: Final = "virtual"
+_DEFAULTS: Final = ViewOptions()
+# Rows of the surface model that are read at a time to learn its heights.
+_ROWS = 1024
+# Views are planned by renders of this many pixels on a side.
+_SMALL = 32
+# The ground below a view is the mean of this many cells on each side, of a quarter altitude each.
+_GROUND_CELLS = 2
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class VirtualReport:
+    """What was made of an orthophoto.
+
+    Attributes:
+        views: number of virtual photographs.
+        altitude_m: their height above the ground, metres.
+        ground_pixel_m: side of a pixel of a view from above on the ground, metres.
+        left_out: number of views that would show too little surface.
+    """
+
+    views: int
+    altitude_m: float
+    ground_pixel_m: float
+    left_out: int
+
+    def text(self) -> str:
+        """Return the figures in one line."""
+        return (
+            f"{self.views} virtual views from {self.altitude_m:.0f} m above the ground, "
+            f"{100 * self.ground_pixel_m:.1f} cm a pixel; {self.left_out} left out at the edges"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures."""
+        return asdict(self)
+
+
+# More than six parameters: they are options of the command ``map``.
+def photograph_orthophoto(
+    orthophoto: Path,
+    dsm: Path,
+    out: Path,
+    *,
+    undulation: float = 0.0,
+    options: ViewOptions = _DEFAULTS,
+    origin: Geodetic | None = None,
+) -> VirtualReport:
+    """Make a scene of an orthophoto and a surface model: virtual photographs with exact depth.
+
+    Its only session, ``virtual``, builds the map; the scene has no map yet.
+
+    Args:
+        orthophoto: GeoTIFF of 8 bits in any reference system in metres.
+        dsm: GeoTIFF of heights in metres; it may have another reference system and resolution.
+        out: new or empty folder.
+        undulation: height of the geoid above the ellipsoid at the place, metres, for a surface
+            model with heights above sea level.
+        options: where views are taken from.
+        origin: origin of the world; by default in the middle of the orthophoto, on the ground.
+
+    Raises:
+        InputError: a raster cannot be used, they do not overlap, there is nothing to see, or
+            ``out`` is not empty or cannot be written.
+    """
+    rasters = Raster.open(orthophoto, "orthophoto"), Raster.open(dsm, "surface model")
+    _require_empty(out)
+    check_output_folder(out, [orthophoto, dsm])
+    survey = _survey(*rasters, undulation, options, origin)
+    camera = camera_of(options)
+    planned = _planned(survey, camera, options)
+    if len(planned.poses) < _FEWEST:
+        raise InputError(
+            f"{len(planned.poses)} views of {orthophoto} on {dsm} show enough surface, {_FEWEST} "
+            "are the fewest that make a map: choose a smaller --altitude"
+        )
+    config = {
+        "orthophoto": {"file": orthophoto.name, "sha256": sha256_of(orthophoto)},
+        "dsm": {"file": dsm.name, "sha256": sha256_of(dsm)},
+        "undulation": undulation,
+        "views": options.model_dump(mode="json"),
+    }
+    with atomic_folder(out) as folder:
+        _write(folder, survey, camera, planned.poses, options.farthest * survey.altitude)
+        finish_scene(folder, _manifest(survey.surface.origin, config))
+    return VirtualReport(
+        len(planned.poses), survey.altitude, survey.altitude / camera.focal[0], planned.left_out
+    )
+
+
+def _require_empty(out: Path) -> None:
+    try:
+        occupied = out.exists() and any(out.iterdir())
+    except OSError as error:
+        raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
+    if occupied:
+        raise InputError(f"{out} is not empty: choose another folder or remove it")
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """What is known of the ground before views are taken.
+
+    Attributes:
+        surface: the rasters and their heights.
+        ground: surface model with pixels of a quarter of the altitude; heights above the ellipsoid.
+        low: (2,) west and south ends of what both rasters cover, world metres.
+        high: (2,) its other ends.
+        altitude: height of the views above the ground, metres.
+    """
+
+    surface: Surface
+    ground: Patch
+    low: Array
+    high: Array
+    altitude: float
+
+    def above_ground(self, place: Array) -> Array:
+        """Return the point (3,) at the altitude of the views above a place (2,)."""
+        origin = self.surface.origin
+        point = np.array([*place, 0.0])
+        at = geodetic_from_enu(point, origin)
+        coordinates = self.ground.grid.projection.from_geodetic(at)
+        x, y = self.ground.grid.columns_rows(coordinates[:1], coordinates[1:2])
+        rows, columns = (
+            slice(max(0, int(c) - _GROUND_CELLS), max(0, int(c) + _GROUND_CELLS + 1))
+            for c in (y[0], x[0])
+        )
+        around = self.ground.values[0, rows, columns]
+        around = around[np.isfinite(around)]
+        heights = around if around.size else self.ground.values[np.isfinite(self.ground.values)]
+        point[2] = float(heights.mean()) + self.altitude - at.altitude
+        return point
+
+
+def _survey(
+    colours: Raster,
+    heights: Raster,
+    undulation: float,
+    options: ViewOptions,
+    origin: Geodetic | None,
+) -> _Survey:
+    """Read the heights of the whole surface model, and find what both rasters cover."""
+    low, high = np.inf, -np.inf
+    with progress_bar("read surface model", heights.grid.height) as advance:
+        done = 0
+        for strip in heights.strips(_ROWS):
+            known = strip.values[np.isfinite(strip.values)]
+            if known.size:
+                low, high = min(low, float(known.min())), max(high, float(known.max()))
+            done += strip.grid.height
+            advance(done)
+    if not np.isfinite(low):
+        raise InputError(f"surface model {heights.path} has no height")
+    altitude = options.altitude or max(colours.grid.pixel) * camera_of(options).focal[0]
+    ground = heights.patch(heights.grid.box, altitude / 4)
+    ground = replace(ground, values=ground.values + np.float32(undulation))
+    if origin is None:
+        box = colours.grid.box
+        middle = np.array([(box.left + box.right) / 2, (box.bottom + box.top) / 2, 0.0])
+        middle[2] = float(np.nanmean(ground.values))
+        origin = colours.grid.projection.to_geodetic(middle)
+    ends = [
+        _ends(raster.grid, origin, (low + high) / 2 + undulation) for raster in (colours, heights)
+    ]
+    first = np.max([low_end for low_end, _ in ends], axis=0)
+    last = np.min([high_end for _, high_end in ends], axis=0)
+    if (first >= last).any():
+        raise InputError(f"{colours.path} and {heights.path} do not overlap")
+    surface = Surface(colours, heights, undulation, origin, low + undulation, high + undulation)
+    return _Survey(surface, ground, first, last, altitude)
+
+
+def _ends(grid: Grid, origin: Geodetic, height: float) -> tuple[Array, Array]:
+    """Return the ends of the rectangle in the world that holds a grid, (2,) and (2,)."""
+    left, bottom, right, top = grid.box
+    corners = [(e, n, height) for e in (left, right) for n in (bottom, top)]
+    world = world_from(grid.projection, origin, np.array(corners))[:, :2]
+    return world.min(0), world.max(0)
+
+
+class _Planned(NamedTuple):
+    poses: Array
+    left_out: int
+
+
+def _planned(survey: _Survey, camera: Camera, options: ViewOptions) -> _Planned:
+    """Choose the poses (N, 4, 4) of views that show enough surface, by small renders."""
+    small = camera.resized(_SMALL, _SMALL)
+    farthest = options.farthest * survey.altitude
+    aims = directions(options)
+    spots = places(survey.low, survey.high, survey.altitude, options)
+    poses = []
+    with progress_bar("plan views", len(spots) * len(aims)) as advance:
+        for k, place in enumerate(spots):
+            centre = survey.above_ground(place)
+            for heading, tilt in aims:
+                pose = looking(centre, heading, tilt)
+                if survey.surface.render(small, pose, farthest).seen >= options.least_seen:
+                    poses.append(pose)
+            advance((k + 1) * len(aims))
+    return _Planned(np.array(poses).reshape(-1, 4, 4), len(spots) * len(aims) - len(poses))
+
+
+def _write(folder: Path, survey: _Survey, camera: Camera, poses: Array, farthest: float) -> None:
+    """Render the views, and write everything of the scene but its manifest."""
+    names = tuple(f"{SESSION}/images/{k:06d}.jpg" for k in range(len(poses)))
+    points = []
+
+    def views() -> Iterator[dict[Layer, NDArray[Any]]]:
+        with progress_bar("virtual views", len(poses)) as advance:
+            for k, (name, pose) in enumerate(zip(names, poses, strict=True), 1):
+                view = survey.surface.render(camera, pose, farthest)
+                centre = -pose[:3, :3].T @ pose[:3, 3]
+                exif = Exif(geodetic_from_enu(centre, survey.surface.origin), None)
+                write_jpeg(folder / "sessions" / name, view.rgb, exif)
+                points.append(surface_points(camera, pose, view.depth))
+                advance(k)
+                yield {"depth": view.depth}
+
+    unknown = np.full((len(poses), 4), np.nan)
+    frames = Frames(
+        names=names,
+        cameras=(camera,) * len(poses),
+        cam_from_world=poses,
+        time=unknown[:, 0],
+        gps_prior=unknown[:, :3],
+        gps_sigma=unknown[:, :3],
+        attitude_prior=unknown,
+        attitude_sigma_deg=unknown[:, 0],
+    )
+    write_frames(folder / "sessions" / SESSION / "frames.h5", frames, ["depth"], views())
+    write_json(folder / "splits.json", Splits(map=names, queries={}))
+    write_json(folder / "objects.json", Objects(classes={}, objects=()))
+    shares = visible_share(frames.cameras, poses, np.stack(points))
+    write_covisibility(folder / COVISIBILITY, Covisibility(names, shares))
+
+
+def _manifest(origin: Geodetic, config: dict[str, Any]) -> Manifest:
+    return Manifest(
+        versions={n: version(n) for n in ("objconnect", "rasterio", "numpy", "pillow", "h5py")},
+        preset=None,
+        seed=None,
+        config=config,
+        origin=origin,
+        sessions={SESSION: Session(condition="orthophoto", flight="virtual", role="map")},
+        sha256={},
+    )
