@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from benchmark.validate import validate as validate
     from dense.command import dense as dense
     from ingest.command import ingest as ingest
+    from ingest.virtual.command import photograph_orthophoto as photograph_orthophoto
     from mapping.build import build_map as build_map
     from mapping.diagnosis.command import diagnose as diagnose
     from mapping.supplement.command import supplement as supplement
@@ -62,6 +63,7 @@ _MODULES = {
     "simulate": "simulate.command",
     "SimulateConfig": "simulate.config",
     "ingest": "ingest.command",
+    "photograph_orthophoto": "ingest.virtual.command",
     "build_map": "mapping.build",
     "diagnose": "mapping.diagnosis.command",
     "supplement": "mapping.supplement.command",

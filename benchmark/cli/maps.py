@@ -26,6 +26,68 @@ Masks = Annotated[
 ]
 
 
+Orthophoto = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="GEOTIFF",
+        help="Orthophoto of 8 bits to make a scene of, in place of SCENE. Its coordinate reference "
+        "system is in metres. Needs --dsm and --out.",
+    ),
+]
+
+SurfaceModel = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="GEOTIFF",
+        help="Surface model of the orthophoto: heights in metres, with buildings and trees.",
+    ),
+]
+
+Undulation = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Height of the geoid above the ellipsoid at the place, for a surface model with "
+        "heights above sea level. Without it, heights are above the ellipsoid.",
+        min=-200,
+        max=200,
+    ),
+]
+
+Altitude = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Height of the virtual cameras above the ground; as high as your flights is best.",
+        show_default="a pixel of a view is one of the orthophoto",
+        min=1,
+        max=10_000,
+    ),
+]
+
+Overlap = Annotated[
+    float | None,
+    typer.Option(
+        help="Share of a virtual view that the next one shows too.",
+        show_default="0.7",
+        min=0,
+        max=0.95,
+    ),
+]
+
+Tilt = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEGREES",
+        help="Angle against the vertical of further virtual views to the north, east, south and "
+        "west; 0 takes none.",
+        show_default="0",
+        min=0,
+        max=60,
+    ),
+]
+
+
 class MapMethod(StrEnum):
     """The ways to build a map."""
 
@@ -53,64 +115,15 @@ def build_map(
             "it to them."
         ),
     ] = MapMethod.TRIANGULATE,
-    ortho: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="GEOTIFF",
-            help="Orthophoto of 8 bits to make a scene of, in place of SCENE. Its coordinate "
-            "reference system is in metres. Needs --dsm and --out.",
-        ),
-    ] = None,
-    dsm: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="GEOTIFF",
-            help="Surface model of the orthophoto: heights in metres, with buildings and trees.",
-        ),
-    ] = None,
+    ortho: Orthophoto = None,
+    dsm: SurfaceModel = None,
     out: Annotated[
         Path | None, typer.Option(metavar="SCENE", help="Folder of the orthophoto's scene.")
     ] = None,
-    undulation: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Height of the geoid above the ellipsoid at the place, for a surface model with "
-            "heights above sea level. Without it, heights are above the ellipsoid.",
-            min=-200,
-            max=200,
-        ),
-    ] = None,
-    altitude: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Height of the virtual cameras above the ground; as high as your flights is best.",
-            show_default="a pixel of a view is one of the orthophoto",
-            min=1,
-            max=10_000,
-        ),
-    ] = None,
-    overlap: Annotated[
-        float | None,
-        typer.Option(
-            help="Share of a virtual view that the next one shows too.",
-            show_default="0.7",
-            min=0,
-            max=0.95,
-        ),
-    ] = None,
-    tilt: Annotated[
-        float | None,
-        typer.Option(
-            metavar="DEGREES",
-            help="Angle of further virtual views to the north, east, south and west against the "
-            "vertical; 0 takes none.",
-            show_default="0",
-            min=0,
-            max=60,
-        ),
-    ] = None,
+    undulation: Undulation = None,
+    altitude: Altitude = None,
+    overlap: Overlap = None,
+    tilt: Tilt = None,
     cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:
@@ -123,12 +136,10 @@ def build_map(
     from mapping.build import build_map as run
 
     views = {"altitude": altitude, "overlap": overlap, "tilt": tilt}
-    given = {name: value for name, value in views.items() if value is not None}
     if ortho is None:
-        others = {"--dsm": dsm, "--out": out, "--undulation": undulation}
-        others |= {f"--{name}": value for name, value in given.items()}
-        for name in (name for name, value in others.items() if value is not None):
-            raise InputError(f"{name} describes the map of an orthophoto: give --ortho too")
+        for name, value in {"dsm": dsm, "out": out, "undulation": undulation, **views}.items():
+            if value is not None:
+                raise InputError(f"--{name} describes the map of an orthophoto: give --ortho too")
         if scene is None:
             raise InputError("give the SCENE to map, or --ortho, --dsm and --out")
         emit(run(scene, method.value, cluster), as_json)
@@ -138,13 +149,12 @@ def build_map(
     from ingest.virtual.command import photograph_orthophoto
     from ingest.virtual.options import ViewOptions
 
+    given = {name: value for name, value in views.items() if value is not None}
     options = ViewOptions.model_validate(given)
-    photographed = photograph_orthophoto(
-        ortho, dsm, out, undulation=undulation or 0.0, options=options
-    )
+    made = photograph_orthophoto(ortho, dsm, out, undulation=undulation or 0.0, options=options)
     report = run(out, method.value, cluster)
-    text = f"{photographed.text()}\n{report.text()}"
-    emit(Summary(text, {"virtual": photographed.as_dict(), **report.as_dict()}), as_json)
+    summary = {"virtual": made.as_dict(), **report.as_dict()}
+    emit(Summary(f"{made.text()}\n{report.text()}", summary), as_json)
 
 
 @app.command()

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 SESSION: Final = "virtual"
 _DEFAULTS: Final = ViewOptions()
-# Rows of the surface model that are read at a time to learn its heights.
+# Rows of a raster that are read at a time.
 _ROWS = 1024
 # Views are planned by renders of this many pixels on a side.
 _SMALL = 32
@@ -179,16 +179,12 @@ def _survey(
     options: ViewOptions,
     origin: Geodetic | None,
 ) -> _Survey:
-    """Read the heights of the whole surface model, and find what both rasters cover."""
+    """Read both rasters whole, and find what they cover."""
+    for _ in _known(colours):
+        pass  # damage is found before the views are rendered
     low, high = np.inf, -np.inf
-    with progress_bar("read surface model", heights.grid.height) as advance:
-        done = 0
-        for strip in heights.strips(_ROWS):
-            known = strip.values[np.isfinite(strip.values)]
-            if known.size:
-                low, high = min(low, float(known.min())), max(high, float(known.max()))
-            done += strip.grid.height
-            advance(done)
+    for known in _known(heights):
+        low, high = min(low, float(known.min())), max(high, float(known.max()))
     if not np.isfinite(low):
         raise InputError(f"surface model {heights.path} has no height")
     altitude = options.altitude or max(colours.grid.pixel) * camera_of(options).focal[0]
@@ -208,6 +204,18 @@ def _survey(
         raise InputError(f"{colours.path} and {heights.path} do not overlap")
     surface = Surface(colours, heights, undulation, origin, low + undulation, high + undulation)
     return _Survey(surface, ground, first, last, altitude)
+
+
+def _known(raster: Raster) -> Iterator[NDArray[np.float32]]:
+    """Read a whole raster; yield the values of some rows that have data, (N,), N > 0."""
+    with progress_bar(f"read {raster.kind}", raster.grid.height) as advance:
+        done = 0
+        for strip in raster.strips(_ROWS):
+            known = strip.values[np.isfinite(strip.values)]
+            if known.size:
+                yield known
+            done += strip.grid.height
+            advance(done)
 
 
 def _ends(grid: Grid, origin: Geodetic, height: float) -> tuple[Array, Array]:

@@ -47,6 +47,8 @@ from scene.bundle.frames import LAYERS, dense_layers, read_frames, write_frames
 from scene.bundle.manifest import Objects, SceneObject, Surroundings, write_json
 from scene.bundle.scene import Scene
 from scene.config import load_config
+from scene.geo.crs import Projection
+from scene.geo.rasters import Box, Grid, Kind, Patch, Raster, raster_writer
 from scene.geometry.geodesy import Geodetic
 from scene.imports.formats import read_foreign
 from scene.maps.colmap_files import read_model
@@ -364,6 +366,24 @@ def _album(path: Path) -> None:
     write_album(path, Album("x", {"b.jpg": entry}, {"a.jpg": Neighbour(4, 3, photograph)}))
 
 
+def _rasters(folder: Path) -> None:
+    """An orthophoto with an alpha band and a surface model, of a few metres."""
+    grid = Grid(Projection("EPSG:32632"), 424_000.0, 5_205_650.0, (0.5, 0.5), 40, 30)
+    rng = np.random.default_rng(0)
+    kinds: tuple[Kind, Kind] = ("orthophoto", "surface model")
+    for kind, name, bands in zip(kinds, ("ortho.tif", "dsm.tif"), (3, 1), strict=True):
+        with raster_writer(folder / name, kind, grid) as put:
+            values = (400 if bands == 1 else 0) + rng.uniform(0, 99, (bands, 30, 40))
+            put(Patch(grid, np.broadcast_to(values, (bands, 30, 40)).astype("f4")))
+
+
+def _read_raster(path: Path, kind: Kind) -> None:
+    raster = Raster.open(path, kind)
+    raster.patch(Box(424_001, 5_205_640, 424_009, 5_205_648), 1.0)
+    for _ in raster.strips():
+        pass
+
+
 _NETWORKS = {"d2net": d2net, "pixloc": pixloc, "objconnect": objconnect}
 
 READERS: dict[str, Reader] = {
@@ -542,6 +562,14 @@ READERS: dict[str, Reader] = {
         {
             "a.bin": ("bytes", lambda f: read_array(f / "a.bin", 3)),
             "album.h5": ("hdf5", lambda f: read_album(f / "album.h5", "x")),
+        },
+        1,
+    ),
+    "rasters": Reader(
+        _rasters,
+        {
+            "ortho.tif": ("bytes", lambda f: _read_raster(f / "ortho.tif", "orthophoto")),
+            "dsm.tif": ("bytes", lambda f: _read_raster(f / "dsm.tif", "surface model")),
         },
         1,
     ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import Affine
+from typer.testing import CliRunner
 
 from baselines.sift import SiftConfig, SiftLocalizer
+from benchmark.cli import app
 from ingest.virtual.command import photograph_orthophoto
 from ingest.virtual.options import ViewOptions
 from ingest.virtual.surface import Surface
@@ -195,3 +198,32 @@ def _moved(path: Path, out: Path) -> Path:
     with rasterio.open(out, "w", **profile) as file:
         file.write(values)
     return out
+
+
+def test_command(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
+    ortho, dsm = files[SYSTEMS[0]]
+    words = ["map", "--ortho", ortho, "--dsm", dsm, "--out", tmp_path / "out", "--json"]
+    words += ["--altitude", "34", "--overlap", "0.4"]
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    scene = Scene.open(tmp_path / "out")
+    assert summary["virtual"]["views"] == len(scene.frames("virtual")) == summary["registered"]
+    assert summary["virtual"]["altitude_m"] == 34.0
+    assert summary["points"] == len(scene.sparse_map().xyz) > 100
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ([], "give the SCENE to map, or --ortho, --dsm and --out"),
+        (["SCENE", "--dsm", "d.tif"], "--dsm describes the map of an orthophoto: give --ortho"),
+        (["SCENE", "--tilt", "0"], "--tilt describes the map of an orthophoto"),
+        (["--ortho", "o.tif", "--out", "x"], "--ortho needs --dsm and --out, and no SCENE"),
+        (["SCENE", "--ortho", "o.tif", "--dsm", "d.tif", "--out", "x"], "and no SCENE"),
+    ],
+)
+def test_what_the_command_refuses(words: list[str], says: str) -> None:
+    result = CliRunner().invoke(app, ["map", *words])
+    assert result.exit_code == 2
+    assert says in result.stderr and len(result.stderr.splitlines()) == 1

@@ -83,6 +83,16 @@ CMU = (
 QUERIED = (MANIFEST, SPLITS, QUERY_FRAMES, MODEL, MAP_PHOTOGRAPH, QUERY_PHOTOGRAPH)
 
 
+ORTHOPHOTO: dict[str, Argument] = {
+    "ortho": file("rasters/ortho.tif", "bytes"),
+    "dsm": file("rasters/dsm.tif", "bytes"),
+    "out": out_folder("out", "*"),
+    "undulation": real("48", "0", "-1"),
+    "altitude": real("30"),
+    "overlap": real("0.5", "0"),
+    "tilt": real("20", "0"),
+}
+
 # What results say of themselves that no figure follows from.
 RETOLD = ("sift.json:no_schema", "sift.json:name_is_path")
 
@@ -391,11 +401,22 @@ COMMANDS: dict[str, Row] = {
         {
             "scene": folder("hamlet", MANIFEST, SPLITS, MAP_FRAMES, COVISIBILITY, MAP_PHOTOGRAPH),
             "method": choice("triangulate"),
+            **dict.fromkeys(ORTHOPHOTO, FLAG),
             "cluster": CLUSTER,
             "as_json": FLAG,
         },
         work=("scene.colmap.triangulation._triangulate",),
         writes=("hamlet/.objconnect-mapping*",),
+    ),
+    "map:ortho": Row(
+        {
+            "scene": FLAG,
+            "method": FLAG,
+            **ORTHOPHOTO,
+            "cluster": FLAG,
+            "as_json": FLAG,
+        },
+        work=("ingest.virtual.command._planned",),
     ),
     "diagnose": Row(
         {
@@ -448,6 +469,8 @@ COMMANDS: dict[str, Row] = {
             "file_format": choice("hloc", "HLOC"),
             "out": out_folder("out", "*"),
             "session": values("winter-grid", "", "magic", "../x", LONG),
+            "resolution": real(None),
+            "crs": values(None, "", "EPSG:1", "EPSG:32632", "magic", LONG),
             "as_json": FLAG,
         }
     ),
@@ -485,6 +508,7 @@ READ: dict[str, str] = {
     "networks": "weights/net.safetensors",
     "photographs": "photos/p1.jpg",
     "plans": "configs/survey.plan",
+    "rasters": "rasters/dsm.tif",
     "results": "results/meadow/sift.json",
     "scene": "hamlet/splits.json",
     "tables": "tables/gps.csv",

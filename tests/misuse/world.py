@@ -55,6 +55,8 @@ def make(root: Path) -> None:
     _photographs(root / "photos")
     READERS["videos"].make(root / "film")
     _cmu(root)
+    (root / "rasters").mkdir()
+    READERS["rasters"].make(root / "rasters")
     _tables(root / "tables")
     _configs(root / "configs")
     _masks(root / "masks", Scene.open(root / "hamlet").sparse_map().names)
