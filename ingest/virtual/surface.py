@@ -69,10 +69,10 @@ class _Rays(NamedTuple):
         """Return the same rays between two heights; the camera stands at height ``above``."""
         fall = -self.directions[:, 2]
         down = np.maximum(fall, _LEAST_FALL)
-        first = (above - highest) * (1 - _MARGIN) - _MARGIN_M
-        last = (above - lowest) * (1 + _MARGIN) + _MARGIN_M
-        last = np.where(fall > _LEAST_FALL, np.minimum(last / down, farthest), 0.0)
-        return self._replace(first=np.maximum(first / down, 0.0), last=last)
+        begins = (above - highest) * (1 - _MARGIN) - _MARGIN_M
+        ends = (above - lowest) * (1 + _MARGIN) + _MARGIN_M
+        last = np.where(fall > _LEAST_FALL, np.minimum(ends / down, farthest), 0.0)
+        return self._replace(first=np.maximum(begins / down, 0.0), last=last)
 
     @property
     def meet(self) -> NDArray[np.bool_]:
@@ -155,7 +155,7 @@ class Surface:
         known = np.isfinite(colours).all(1)
         depth[~known] = 0
         colours[~known] = colours[known].mean(0) if known.any() else 0
-        return np.rint(np.clip(colours, 0, 255)).astype(np.uint8)
+        return np.asarray(np.rint(np.clip(colours, 0, 255)), np.uint8)
 
     def _around(self, raster: Raster, points: Array) -> tuple[LocalProjection, Box]:
         """Return the way to a raster's coordinates around points (N, 3), and their rectangle."""
@@ -199,7 +199,7 @@ class _Image:
 
 def _sampled(values: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
     at = torch.stack([x, y], -1)[None, None]
-    found = torch.nn.functional.grid_sample(
+    found: Tensor = torch.nn.functional.grid_sample(
         values, at, mode=mode, padding_mode="border", align_corners=False
     )
     return found[0, :, 0]
@@ -262,8 +262,8 @@ def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float)
 
 def _clearance(lines: _Parabolas, image: _Image, depth: Tensor) -> Tensor:
     """Return how far rays are above the surface at a depth, (N,) metres."""
-    x, y, height = lines.at(depth)
-    return height - image.sample(x, y)[0]
+    at = lines.at(depth)
+    return at[2] - image.sample(at[0], at[1])[0]
 
 
 def _before_surface(

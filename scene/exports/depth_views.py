@@ -103,7 +103,7 @@ def _estimated(scene: Scene, names: set[str]) -> list[DepthView]:
 
 
 def _estimate(file: Path, camera: Camera) -> NDArray[np.float32]:
-    depth = read_array(file, 1)[0]
+    depth: NDArray[np.float32] = read_array(file, 1)[0]
     if depth.shape != (camera.height, camera.width):
         raise InputError(f"{file} has another size than its camera: run dense again")
     return depth

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -147,15 +148,14 @@ def _write(
         colours = stack.enter_context(raster_writer(folder / ORTHOPHOTO, "orthophoto", grid))
         total = sum(2 * len(near) for _, near in tiles)
         advance = stack.enter_context(progress_bar("orthophoto", total))
-        done = 0
+        steps = count(1)
         for tile, near in tiles:
             # Pixels at the edge of a tile are filled from neighbours in the next one.
             wide = tile.part(-_FILLS, -_FILLS, tile.height + 2 * _FILLS, tile.width + 2 * _FILLS)
-            fused = _fuse(_Tile(wide, local), near, lambda k, done=done: advance(done + k))
+            fused = _fuse(_Tile(wide, local), near, lambda: advance(next(steps)))
             inner = fused[:, _FILLS:-_FILLS, _FILLS:-_FILLS]
             surface(Patch(tile, inner[:1]))
             colours(Patch(tile, inner[1:]))
-            done += 2 * len(near)
 
 
 def _tiles(grid: Grid) -> Iterator[Grid]:
@@ -200,7 +200,7 @@ class _Tile:
 
 
 def _fuse(
-    tile: _Tile, views: Sequence[DepthView], advance: Callable[[int], None]
+    tile: _Tile, views: Sequence[DepthView], advance: Callable[[], None]
 ) -> NDArray[np.float32]:
     """Return height and colours of a tile, (4, h, w), NaN where nothing was seen.
 
@@ -208,22 +208,22 @@ def _fuse(
     """
     shape = (tile.grid.height, tile.grid.width)
     top = np.full(shape[0] * shape[1], -np.inf)
-    for done, view in enumerate(views, 1):
+    for view in views:
         cell, height, _, _ = tile.cells(view)
         np.maximum.at(top, cell, height)
-        advance(done)
+        advance()
     floor = top - max(_SAME_SURFACE_M, tile.grid.pixel[0])
     sums = np.zeros((5, len(top)))
-    for done, view in enumerate(views, len(views) + 1):
+    for view in views:
         cell, height, weight, seen = tile.cells(view)
         upper = height >= floor[cell]
         cell, weight = cell[upper], weight[upper]
         rgb = view.rgb()[seen][upper]
         for total, values in zip(sums, (1, height[upper], *rgb.T), strict=True):
             total += np.bincount(cell, weight * values, len(top))
-        advance(done)
+        advance()
     with np.errstate(invalid="ignore", divide="ignore"):
-        means = (sums[1:] / sums[0]).astype(np.float32).reshape(4, *shape)
+        means = np.asarray(sums[1:] / sums[0], np.float32).reshape(4, *shape)
     for _ in range(_FILLS):
         means = _filled(means)
     return means
