@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 SESSION: Final = "virtual"
 _DEFAULTS: Final = ViewOptions()
 # Rows of a raster that are read at a time.
-_ROWS = 1024
+_ROWS = 256
 # Views are planned by renders of this many pixels on a side.
 _SMALL = 32
 # The ground below a view is the mean of this many cells on each side, of a quarter altitude each.

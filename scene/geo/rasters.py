@@ -33,7 +33,7 @@ _LOWEST, _HIGHEST = -1_000.0, 10_000.0
 _MOST_BLOCK_BYTES = 1 << 29
 _MOST_PATCH_PIXELS = 1 << 28
 # Pixels that are read at once to form means.
-_READ_PIXELS = 1 << 24
+_READ_PIXELS = 1 << 22
 # Rows and columns of the tiles of the files that we write.
 _TILE = 256
 
