@@ -58,7 +58,7 @@ Altitude = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
-        help="Height of the virtual cameras above the ground; as high as your flights is best.",
+        help="Height of the virtual cameras above the ground, such as that of your flights.",
         show_default="a pixel of a view is one of the orthophoto",
         min=1,
         max=10_000,

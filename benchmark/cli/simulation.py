@@ -71,7 +71,7 @@ def simulate(
     """
     from mapping.build import build_map as build
     from scene.exports.export import export as write
-    from scene.exports.export import require_empty
+    from scene.storage.outputs import require_empty
     from simulate.command import simulate as run
 
     wanted = SimulateConfig.load(config, settings | {"sessions": session})

@@ -32,7 +32,7 @@ from scene.runtime.progress import progress_bar
 from scene.storage.atomic import atomic_folder
 from scene.storage.files import sha256_of
 from scene.storage.images import Exif, write_jpeg
-from scene.storage.outputs import check_output_folder
+from scene.storage.outputs import check_output_folder, require_empty
 
 Array = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ def photograph_orthophoto(
             ``out`` is not empty or cannot be written.
     """
     rasters = Raster.open(orthophoto, "orthophoto"), Raster.open(dsm, "surface model")
-    _require_empty(out)
+    require_empty(out)
     check_output_folder(out, [orthophoto, dsm])
     survey = _survey(*rasters, undulation, options, origin)
     camera = camera_of(options)
@@ -125,15 +125,6 @@ def photograph_orthophoto(
     return VirtualReport(
         len(planned.poses), survey.altitude, survey.altitude / camera.focal[0], planned.left_out
     )
-
-
-def _require_empty(out: Path) -> None:
-    try:
-        occupied = out.exists() and any(out.iterdir())
-    except OSError as error:
-        raise InputError(f"cannot use {out} for a scene: {error.strerror}") from None
-    if occupied:
-        raise InputError(f"{out} is not empty: choose another folder or remove it")
 
 
 @dataclass(frozen=True)

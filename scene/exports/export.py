@@ -12,7 +12,7 @@ from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.exports.formats import FORMATS
 from scene.storage.atomic import atomic_folder
-from scene.storage.outputs import check_output_folder
+from scene.storage.outputs import check_output_folder, require_empty
 
 
 def export(
@@ -57,17 +57,3 @@ def export(
         partial(write, **given)(scene, chosen, folder, out)
     frames = sum(len(frames) for frames in chosen.values())
     return {"out": str(out), "format": file_format, "frames": frames, "sessions": list(chosen)}
-
-
-def require_empty(out: Path) -> None:
-    """Make sure that an export can be written to a folder: that it is new or empty.
-
-    Raises:
-        InputError: the folder holds something, or cannot be read.
-    """
-    try:
-        occupied = out.exists() and any(out.iterdir())
-    except OSError as error:
-        raise InputError(f"cannot use {out} for an export: {error.strerror}") from None
-    if occupied:
-        raise InputError(f"{out} is not empty: choose another folder or remove it")

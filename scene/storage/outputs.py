@@ -76,6 +76,20 @@ def check_output_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
     require_writable(folder)
 
 
+def require_empty(folder: Path) -> None:
+    """Make sure that a folder is new or empty.
+
+    Raises:
+        InputError: the folder holds something, or cannot be read.
+    """
+    try:
+        occupied = folder.exists() and any(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"cannot use the folder {folder}: {error.strerror}") from None
+    if occupied:
+        raise InputError(f"{folder} is not empty: choose another folder or remove it")
+
+
 def require_writable(folder: Path) -> None:
     """Refuse a folder that cannot be written or made; the trial leaves nothing behind.
 
