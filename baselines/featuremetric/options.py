@@ -145,7 +145,7 @@ class FeaturemetricConfig(Config):
     )
     precision: Precision = Field("float32", description="Precision of the convolutions.")
     memory_mb: int = Field(
-        1300,
+        1150,
         ge=1,
         description="Memory of the whole process; features of the map stay in memory as far as "
         "there is room below it beside a pass of the network.",
