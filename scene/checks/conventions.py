@@ -94,3 +94,66 @@ PIXEL_READINGS = (
 )
 
 READINGS = (*POSE_READINGS, *DEPTH_READINGS, *PIXEL_READINGS)
+
+
+def _reordered(matrices: Array, roll: int) -> Array:
+    """Return the poses whose quaternions have their four numbers rolled by so many places."""
+    from scene.geometry.pose import Pose
+
+    poses = Pose.from_matrix(matrices)
+    return np.asarray(
+        Pose.from_quaternion(np.roll(poses.quaternion().numpy(), roll, -1), poses.translation)
+        .matrix()
+        .numpy()
+    )
+
+
+def _reordered_from_camera(matrices: Array, roll: int) -> Array:
+    """Return the same for files that keep world_from_cam: the camera centres stay."""
+    return _inverted(_reordered(_inverted(matrices), roll))
+
+
+@dataclass(frozen=True)
+class PoseReading:
+    """One convention in which the poses of another program may have been written.
+
+    Attributes:
+        name: short name for programs.
+        fault: what is wrong with poses that agree with their photographs only in this reading.
+        poses: function from the stated poses to cam_from_world, (N, 4, 4).
+    """
+
+    name: str
+    fault: str
+    poses: Callable[[Array], Array]
+
+
+_TURNED_AXES = "camera axes are turned: y up, z backward (OpenGL) is mistaken for y down, z forward"
+_XYZW = "quaternions are x y z w where w x y z is expected"
+_WXYZ = "quaternions are w x y z where x y z w is expected"
+
+FOREIGN_READINGS = (
+    PoseReading("poses-inverted", POSE_READINGS[0].fault, _inverted),
+    PoseReading("rotations-transposed", POSE_READINGS[1].fault, _transposed),
+    PoseReading("translations-are-centres", POSE_READINGS[2].fault, _centred),
+    PoseReading("axes-flipped", _TURNED_AXES, _opengl),
+    # A matrix inverted on disk meets the flip of a reader that expects OpenGL's axes.
+    PoseReading(
+        "poses-inverted", POSE_READINGS[0].fault, lambda m: _opengl(_inverted(_opengl(m)))
+    ),
+    PoseReading(
+        "poses-inverted-axes-flipped",
+        f"poses are inverted, and {_TURNED_AXES}",
+        lambda m: _opengl(_inverted(m)),
+    ),
+    PoseReading(
+        "poses-inverted-axes-flipped",
+        f"poses are inverted, and {_TURNED_AXES}",
+        lambda m: _inverted(_opengl(m)),
+    ),
+    PoseReading("quaternion-order", _XYZW, lambda m: _reordered(m, 1)),
+    PoseReading("quaternion-order", _WXYZ, lambda m: _reordered(m, -1)),
+    PoseReading("quaternion-order", _XYZW, lambda m: _reordered_from_camera(m, 1)),
+    PoseReading("quaternion-order", _WXYZ, lambda m: _reordered_from_camera(m, -1)),
+)
+"""Conventions of poses in the files of other programs, and combinations that readers make."""

@@ -1,0 +1,117 @@
+"""The verdicts of an audit, for a person and for a program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+
+class Verdict(StrEnum):
+    """What an audit says of one property of a data set."""
+
+    RIGHT = "right"
+    WRONG = "wrong"
+    UNKNOWN = "cannot be told"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The verdict of one check.
+
+    Attributes:
+        check: what was checked.
+        verdict: what came out.
+        detail: one line: what was measured and, if wrong, what it looks like; if it cannot be
+            told, why.
+        fault: short name of the fault for programs, such as ``poses-inverted``; empty unless the
+            verdict is wrong.
+        figures: the numbers behind it.
+    """
+
+    check: str
+    verdict: Verdict
+    detail: str
+    fault: str = ""
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+def right(check: str, detail: str, **figures: float) -> Finding:
+    """Return the finding that a property is right."""
+    return Finding(check, Verdict.RIGHT, detail, figures=figures)
+
+
+def wrong(check: str, fault: str, detail: str, **figures: float) -> Finding:
+    """Return the finding that a property is wrong, with the short name of its fault."""
+    return Finding(check, Verdict.WRONG, detail, fault, figures)
+
+
+def unknown(check: str, why: str, **figures: float) -> Finding:
+    """Return the finding that a property cannot be told."""
+    return Finding(check, Verdict.UNKNOWN, why, figures=figures)
+
+
+@dataclass(frozen=True)
+class Audit:
+    """The verdicts on one data set.
+
+    Attributes:
+        subject: the data set.
+        kind: its format.
+        photographs: number of photographs that it lists.
+        findings: one for each check.
+    """
+
+    subject: str
+    kind: str
+    photographs: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Return whether nothing is wrong; what cannot be told is not wrong."""
+        return not self.faults
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Return the short names of all faults."""
+        return tuple(f.fault for f in self.findings if f.verdict is Verdict.WRONG)
+
+    def text(self) -> str:
+        """Return one line for each check, then the verdict."""
+        width = max((len(finding.check) for finding in self.findings), default=0)
+        lines = [
+            f"{_MARKS[finding.verdict]} {finding.check:<{width}}  {finding.detail}"
+            for finding in self.findings
+        ]
+        return "\n".join([*lines, f"{self.subject} ({self.kind}): {self.verdict()}"])
+
+    def verdict(self) -> str:
+        """Return the number of checks with each verdict, in words."""
+        count = {v: sum(f.verdict is v for f in self.findings) for v in Verdict}
+        parts = [f"{count[Verdict.WRONG]} wrong", f"{count[Verdict.RIGHT]} right"]
+        return ", ".join([*parts, f"{count[Verdict.UNKNOWN]} cannot be told"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the audit as plain data for a program."""
+        findings = [
+            {
+                "check": f.check,
+                "verdict": f.verdict.value,
+                "fault": f.fault,
+                "detail": f.detail,
+                "figures": dict(f.figures),
+            }
+            for f in self.findings
+        ]
+        return {
+            "subject": self.subject,
+            "kind": self.kind,
+            "photographs": self.photographs,
+            "ok": self.ok,
+            "findings": findings,
+        }
+
+
+_MARKS = {Verdict.RIGHT: "ok   ", Verdict.WRONG: "WRONG", Verdict.UNKNOWN: "?    "}

@@ -1,0 +1,75 @@
+"""What a data set states of its photographs, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.geometry.camera import Camera
+from scene.geometry.geodesy import Geodetic
+from scene.maps.sparse_map import SparseMap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stated:
+    """N photographs, in the order of their names, and what is stated of them.
+
+    Attributes:
+        kind: format of the data set, for people.
+        names: names of the photographs.
+        files: where the photographs should lie; None where no folder of photographs is known.
+        cameras: camera of each photograph, or None.
+        cam_from_world: poses (N, 4, 4) in the world of the data set, or None for a table of
+            positions.
+        places: stated latitude, longitude (degrees) and height (m), unchecked, (N, 3); None where
+            the data set has no place on earth. For a data set with poses they are the camera
+            centres, placed by its origin.
+        measured: positions (N, 3) east, north, up in metres that the data set itself keeps as
+            measured, in its own world, NaN where there is none; None without any.
+        sparse_map: points with their observations, or None.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    files: tuple[Path, ...] | None
+    cameras: tuple[Camera | None, ...]
+    cam_from_world: Array | None
+    places: Array | None = None
+    measured: Array | None = None
+    sparse_map: SparseMap | None = None
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def centres(cam_from_world: Array) -> Array:
+    """Return the camera centres (N, 3) of poses (N, 4, 4)."""
+    rotation, translation = cam_from_world[:, :3, :3], cam_from_world[:, :3, 3]
+    return np.asarray(-np.einsum("nij,ni->nj", rotation, translation))
+
+
+def sample(count: int, most: int, run: int) -> Sequence[int]:
+    """Return rows of a sequence to look at: all, or several runs of neighbours spread over it.
+
+    Neighbours in the order of names were mostly taken one after the other, so that they overlap.
+
+    Args:
+        count: length of the sequence.
+        most: number of rows to return at most.
+        run: length of a run.
+    """
+    if count <= most:
+        return range(count)
+    starts = np.linspace(0, count - run, most // run).astype(int)
+    return sorted({int(start) + k for start in starts for k in range(run)})
+
+
+def geodetic(row: Array) -> Geodetic:
+    """Return a row of ``Stated.places`` as a place."""
+    return Geodetic(*(float(value) for value in row))
