@@ -8,7 +8,7 @@ either of them; its standard errors then say so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,12 +17,25 @@ from numpy.typing import NDArray
 
 from baselines.sampson import Matches
 from benchmark.audit.agreement import Rays, errors, rays_of
+from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.matches import Pair
 from scene.geometry.camera import MODELS, Camera
 from scene.geometry.pose import Pose
+from scene.storage.images import Exif
 
 Array = NDArray[np.float64]
 
+FOCAL = "focal lengths fit the photographs"
+PRINCIPAL = "principal points fit the photographs"
+
+# A focal length nearer than this (relative) fits, and one this far from EXIF's does not.
+_FOCAL_FITS = 0.01
+_EXIF_FITS = 0.15
+# Half a pixel is told where its error is below the first, and met within the second (px).
+_HALF_SIGMA, _HALF_MET = 0.1, 0.15
+# Principal points nearer than this (px) fit, and in pictures wider than 1000 px than this share.
+_PRINCIPAL_FITS, _PRINCIPAL_SHARE = 1.0, 1e-3
+_SIGMAS = 5.0
 # Iterations of Gauss-Newton, and the steps of its differences (log focal length, px, px).
 _ITERATIONS = 8
 _STEPS = (1e-4, 1e-2, 1e-2)
@@ -32,6 +45,9 @@ _SIGMA_OF_MEDIAN = 1.4826
 _LEAST_SIGMA = 0.02
 # Matches whose error is larger than this many thresholds at the beginning take no part.
 _FAR = 12.0
+# Matches of a pair that take part, and the fewest pairs.
+_PER_PAIR = 150
+_LEAST_PAIRS = 4
 # A ridge that keeps the step finite where the matches do not tell a parameter.
 _RIDGE = 1e-9
 
@@ -75,17 +91,11 @@ def correction(
     """
     near = []
     for rays in rays_of(pairs, cameras):
-        kept = errors(rays, poses) < _FAR * rays.threshold
-        if kept.sum() > 0 and len(kept) == len(rays.pair):
-            near.append(
-                Pair(
-                    rays.pair.first,
-                    rays.pair.second,
-                    rays.pair.xy_first[kept],
-                    rays.pair.xy_second[kept],
-                )
-            )
-    if len(near) < 4:
+        pair, kept = rays.pair, np.flatnonzero(errors(rays, poses) < _FAR * rays.threshold)
+        if len(kept):
+            few = kept[:: 1 + len(kept) // _PER_PAIR]
+            near.append(Pair(pair.first, pair.second, pair.xy_first[few], pair.xy_second[few]))
+    if len(near) < _LEAST_PAIRS:
         return None
     values = np.zeros(3)
     for _ in range(_ITERATIONS):
@@ -146,3 +156,70 @@ def _normal(residuals: Sequence[Array], jacobians: Sequence[Array]) -> tuple[Arr
         hessian = hessian + (w[:, None] * j).T @ j
         gradients[row] = (w[:, None] * j).T @ r
     return hessian, gradients
+
+
+def check_calibration(
+    found: Correction | None, cameras: Sequence[Camera | None], exif: Sequence[Exif | None]
+) -> Iterator[Finding]:
+    """Judge the stated cameras.
+
+    Args:
+        found: what the matches say of them; None where they say nothing.
+        cameras: stated cameras.
+        exif: metadata of the photographs.
+    """
+    stated = [camera for camera in cameras if camera is not None]
+    if not stated:
+        yield unknown(FOCAL, "the data set states no camera")
+        return
+    yield _focal(found, cameras, exif)
+    yield _principal(found, max(max(camera.width, camera.height) for camera in stated))
+
+
+def _focal(
+    found: Correction | None, cameras: Sequence[Camera | None], exif: Sequence[Exif | None]
+) -> Finding:
+    if found is not None:
+        off, sigma = found.focal - 1, found.focal_sigma
+        figures = {"factor": found.focal, "sigma": sigma}
+        if abs(off) > max(_FOCAL_FITS, _SIGMAS * sigma) and sigma < _EXIF_FITS / _SIGMAS:
+            detail = f"{1 / found.focal:.4f} times what the matches say (±{sigma:.2g})"
+            return wrong(FOCAL, "focal-length", detail, **figures)
+        if 2 * sigma < 2 * _FOCAL_FITS:
+            return right(FOCAL, f"within {abs(off):.2%} of the best (±{sigma:.2%})", **figures)
+    ratios = [
+        max(camera.focal) / (told.focal_35mm / 36 * max(camera.width, camera.height))
+        for camera, told in zip(cameras, exif, strict=False)
+        if camera is not None and told is not None and told.focal_35mm is not None
+    ]
+    if not ratios:
+        return unknown(FOCAL, "neither matches nor EXIF tell them")
+    ratio = float(np.median(ratios))
+    if abs(ratio - 1) > _EXIF_FITS:
+        return wrong(FOCAL, "focal-length", f"{ratio:.3f} times EXIF's", exif_ratio=ratio)
+    return right(FOCAL, f"{ratio:.3f} times EXIF's, which is nominal", exif_ratio=ratio)
+
+
+def _principal(found: Correction | None, side: int) -> Finding:
+    why = "the flight does not tell them: it needs views in several directions"
+    if found is None:
+        return unknown(PRINCIPAL, why)
+    shift, sigma = found.shift, found.shift_sigma
+    said = f"best at {shift[0]:+.2f}, {shift[1]:+.2f} px (±{sigma[0]:.2f}, {sigma[1]:.2f})"
+    figures = {"x_px": float(shift[0]), "y_px": float(shift[1]), "sigma_px": float(sigma.max())}
+    half = np.round(shift * 2) / 2
+    is_half = bool((np.abs(half) <= 0.5).all() and half.any())
+    met = bool((np.abs(shift - half) < _HALF_MET).all() and (sigma < _HALF_SIGMA).all())
+    if is_half and met and float((np.abs(shift) / sigma).max()) > _SIGMAS:
+        where = "low" if half.sum() > 0 else "high"
+        detail = (
+            f"half a pixel {where}: pixels are counted from the centre of the first pixel on one "
+            f"side and from its corner (COLMAP) on the other; {said}"
+        )
+        return wrong(PRINCIPAL, "half-pixel", detail, **figures)
+    far = max(_PRINCIPAL_FITS, _PRINCIPAL_SHARE * side)
+    if bool((np.abs(shift) > np.maximum(far, _SIGMAS * sigma)).any()):
+        return wrong(PRINCIPAL, "principal-point", said, **figures)
+    if bool((sigma < far / 2).all()):
+        return right(PRINCIPAL, said, **figures)
+    return unknown(PRINCIPAL, f"{why}; {said}", **figures)

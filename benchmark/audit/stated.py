@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic
+from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from scene.maps.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
@@ -21,10 +21,11 @@ class Stated:
     """N photographs, in the order of their names, and what is stated of them.
 
     Attributes:
-        kind: format of the data set, for people.
-        names: names of the photographs.
+        subject: the data set, for people.
+        kind: its format, for people.
+        names: names of the photographs, sorted.
         files: where the photographs should lie; None where no folder of photographs is known.
-        cameras: camera of each photograph, or None.
+        cameras: camera of each photograph, or None where the data set states none.
         cam_from_world: poses (N, 4, 4) in the world of the data set, or None for a table of
             positions.
         places: stated latitude, longitude (degrees) and height (m), unchecked, (N, 3); None where
@@ -35,6 +36,7 @@ class Stated:
         sparse_map: points with their observations, or None.
     """
 
+    subject: str
     kind: str
     names: tuple[str, ...]
     files: tuple[Path, ...] | None
@@ -46,6 +48,11 @@ class Stated:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def positions(self) -> Array | None:
+        """Return the stated camera centres (N, 3) in the world of the data set."""
+        return None if self.cam_from_world is None else centres(self.cam_from_world)
 
 
 def centres(cam_from_world: Array) -> Array:
@@ -70,6 +77,6 @@ def sample(count: int, most: int, run: int) -> Sequence[int]:
     return sorted({int(start) + k for start in starts for k in range(run)})
 
 
-def geodetic(row: Array) -> Geodetic:
-    """Return a row of ``Stated.places`` as a place."""
-    return Geodetic(*(float(value) for value in row))
+def places_of(positions: Array, origin: Geodetic) -> Array:
+    """Return latitude, longitude (degrees) and height (m) of positions in metres, (N, 3)."""
+    return np.array([geodetic_from_enu(position, origin) for position in positions]).reshape(-1, 3)

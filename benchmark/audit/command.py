@@ -1,0 +1,119 @@
+"""The command ``audit``: which statements of a data set its photographs contradict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.audit.agreement import (
+    CHECK,
+    RIGHT_SHARE,
+    Rays,
+    check_poses,
+    rays_of,
+    share,
+)
+from benchmark.audit.calibration import (
+    Correction,
+    check_calibration,
+    corrected,
+    correction,
+)
+from benchmark.audit.files import Photographs, check_files, fitted_cameras, look_at
+from benchmark.audit.findings import Audit, Finding, Verdict, unknown
+from benchmark.audit.map_points import check_points
+from benchmark.audit.matches import match_photographs
+from benchmark.audit.opening import open_stated
+from benchmark.audit.order import find_order
+from benchmark.audit.positions import check_positions
+from benchmark.audit.stated import Stated, centres, sample
+from scene.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+# Photographs that are matched with each other, in runs of neighbours.
+_MATCHED, _RUN = 32, 8
+
+
+def audit(path: Path, images: Path | None = None, camera: Camera | None = None) -> list[Audit]:
+    """Audit a data set, or each data set of a folder that holds several.
+
+    Args:
+        path: a scene, a flight, or poses of another program; see ``opening.open_stated``.
+        images: folder of the photographs; None looks where the format has them.
+        camera: camera of the photographs where the data set states none.
+
+    Raises:
+        InputError: no reader knows the path, or a file is damaged.
+    """
+    return [
+        Audit(stated.subject, stated.kind, len(stated), tuple(_findings(stated)))
+        for stated in open_stated(path, images, camera)
+    ]
+
+
+def _findings(stated: Stated) -> Iterator[Finding]:
+    photographs = look_at(stated)
+    yield from check_files(stated, photographs)
+    positions, named = stated.positions, False
+    if stated.cam_from_world is not None:
+        findings, positions = _geometry(stated, photographs)
+        named = any(f.check == CHECK and f.verdict is Verdict.RIGHT for f in findings)
+        yield from findings
+    exif = photographs.exif if stated.files is not None else (None,) * len(stated)
+    yield from check_positions(stated, positions, exif, named)
+
+
+def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], Array]:
+    """Judge poses, cameras and points; return the camera centres as they must be read."""
+    assert stated.cam_from_world is not None
+    poses = stated.cam_from_world
+    cameras = fitted_cameras(stated, photographs)
+    if stated.files is None:
+        findings = [unknown(CHECK, "there are no photographs to compare with")]
+        found = None
+    elif all(one is None for one in cameras):
+        why = "the data set states no camera, and EXIF tells no focal length: give --camera"
+        findings, found = [unknown(CHECK, why)], None
+    else:
+        rows = sample(len(stated), _MATCHED, _RUN)
+        pairs = match_photographs(stated.files, cameras, rows)
+        rays = rays_of(pairs, cameras)
+        finding, poses, found = _poses(rays, cameras, poses, stated)
+        findings = [finding, *check_calibration(found, stated.cameras, photographs.exif)]
+        if found is not None:
+            cameras = _better(cameras, found)
+    if stated.sparse_map is not None:
+        findings.append(check_points(stated, poses, cameras, found is not None))
+    return findings, centres(poses)
+
+
+def _poses(
+    rays: list[Rays], cameras: list[Camera | None], poses: Array, stated: Stated
+) -> tuple[Finding, Array, Correction | None]:
+    """Judge poses, where necessary with corrected cameras or in another order."""
+    finding, read = check_poses(rays, poses)
+    if finding.verdict is Verdict.UNKNOWN:
+        return finding, poses, None
+    pairs = [r.pair for r in rays]
+    if finding.fault != "poses-inexact":
+        found = correction(pairs, cameras, read)
+        ordered = find_order(rays, read, stated.names)
+        if finding.verdict is Verdict.RIGHT and ordered is not None:
+            return ordered, read, found
+        return finding, read, found
+    found = correction(pairs, cameras, poses)
+    if found is not None:
+        straight = rays_of(pairs, _better(cameras, found))
+        if share(straight, poses) >= RIGHT_SHARE:
+            return check_poses(straight, poses)[0], poses, found
+    ordered = find_order(rays, poses, stated.names)
+    return ordered or finding, poses, None
+
+
+def _better(cameras: list[Camera | None], found: Correction) -> list[Camera | None]:
+    shift = found.shift.tolist()
+    return [c and corrected(c, found.focal, shift) for c in cameras]

@@ -1,0 +1,143 @@
+"""The photographs as files: missing, damaged, of another size than their camera, or the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from benchmark.audit.findings import Finding, right, unknown, wrong
+from benchmark.audit.stated import Stated
+from scene.errors import InputError
+from scene.geometry.camera import Camera
+from scene.runtime.progress import progress_bar
+from scene.storage.files import sha256_of
+from scene.storage.images import Exif, image_size, read_exif
+
+THERE = "photographs are there and readable"
+SIZES = "photographs have the size of their cameras"
+ONCE = "every photograph is there once"
+
+# Most photographs that a line names.
+_NAMED = 3
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """What is read of the N photographs of a data set without decoding them.
+
+    Attributes:
+        sizes: width and height of each, None where it cannot be read.
+        exif: its metadata, likewise.
+        digests: digest of its bytes, likewise.
+        faults: what is wrong with those that cannot be read, by name.
+    """
+
+    sizes: tuple[tuple[int, int] | None, ...]
+    exif: tuple[Exif | None, ...]
+    digests: tuple[str | None, ...]
+    faults: dict[str, str]
+
+
+def look_at(stated: Stated) -> Photographs:
+    """Read size, metadata and digest of every photograph."""
+    sizes: list[tuple[int, int] | None] = []
+    exif: list[Exif | None] = []
+    digests: list[str | None] = []
+    faults: dict[str, str] = {}
+    files = stated.files or ()
+    with progress_bar("photographs", len(files)) as advance:
+        for done, (name, file) in enumerate(zip(stated.names, files, strict=True), 1):
+            try:
+                size, found, digest = image_size(file), read_exif(file), sha256_of(file)
+            except (InputError, OSError) as error:
+                faults[name] = str(error)
+                sizes, exif, digests = [*sizes, None], [*exif, None], [*digests, None]
+            else:
+                sizes, exif, digests = [*sizes, size], [*exif, found], [*digests, digest]
+            advance(done)
+    return Photographs(tuple(sizes), tuple(exif), tuple(digests), faults)
+
+
+def check_files(stated: Stated, photographs: Photographs) -> Iterator[Finding]:
+    """Yield what is wrong with the photographs as files."""
+    if stated.files is None:
+        why = "no photograph of the data set was found: give their folder with --images"
+        yield unknown(THERE, why)
+        return
+    if photographs.faults:
+        first = next(iter(photographs.faults.values()))
+        detail = f"{len(photographs.faults)} of {len(stated)} cannot be read: {first}"
+        count = float(len(photographs.faults))
+        yield wrong(THERE, "photographs-missing", detail, photographs=count)
+    else:
+        yield right(THERE, f"{len(stated)} photographs")
+    yield _sizes(stated, photographs)
+    yield _duplicates(stated, photographs)
+
+
+def _sizes(stated: Stated, photographs: Photographs) -> Finding:
+    known = [
+        (name, size, (camera.width, camera.height))
+        for name, size, camera in zip(
+            stated.names, photographs.sizes, stated.cameras, strict=True
+        )
+        if size is not None and camera is not None
+    ]
+    if not known:
+        return unknown(SIZES, "the data set states no camera")
+    off = [(name, size, own) for name, size, own in known if size != own]
+    if not off:
+        return right(SIZES, f"{len(known)} photographs")
+    name, size, own = off[0]
+    detail = (
+        f"{len(off)} of {len(known)}, such as {name}, which is {size[0]} x {size[1]} pixels; its "
+        f"camera is {own[0]} x {own[1]}"
+    )
+    return wrong(SIZES, "sizes", detail, photographs=float(len(off)))
+
+
+def _duplicates(stated: Stated, photographs: Photographs) -> Finding:
+    owners: dict[str, str] = {}
+    twice = []
+    for name, digest in zip(stated.names, photographs.digests, strict=True):
+        if digest is not None and owners.setdefault(digest, name) != name:
+            twice.append(f"{owners[digest]} and {name}")
+    if not twice:
+        return right(ONCE, f"{len(owners)} different files")
+    more = f" and {len(twice) - _NAMED} more" if len(twice) > _NAMED else ""
+    detail = f"the same file has two names: {', '.join(twice[:_NAMED])}{more}"
+    return wrong(ONCE, "duplicates", detail, photographs=float(len(twice)))
+
+
+def fitted_cameras(stated: Stated, photographs: Photographs) -> list[Camera | None]:
+    """Return the cameras at the size of their photographs, and guesses where none is stated.
+
+    The size is a finding of its own, so that the checks after it go on with a camera that fits. A
+    guess takes the focal length of EXIF.
+    """
+    sizes = photographs.sizes if stated.files is not None else (None,) * len(stated)
+    exif: Sequence[Exif | None] = (
+        photographs.exif if stated.files is not None else (None,) * len(stated)
+    )
+    return [
+        _fitted(camera, size, told)
+        for camera, size, told in zip(stated.cameras, sizes, exif, strict=True)
+    ]
+
+
+def _fitted(
+    camera: Camera | None, size: tuple[int, int] | None, exif: Exif | None
+) -> Camera | None:
+    if size is None:
+        return camera
+    if camera is None:
+        if exif is None or exif.focal_35mm is None:
+            return None
+        focal = exif.focal_35mm / 36 * max(size)
+        return Camera("SIMPLE_PINHOLE", *size, (focal, size[0] / 2, size[1] / 2))
+    if size == (camera.width, camera.height):
+        return camera
+    try:
+        return camera.resized(*size)
+    except InputError:  # another shape
+        return None
