@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from baselines.training.command import train as train
     from baselines.training.config import TrainConfig as TrainConfig
+    from benchmark.audit.command import audit as audit
     from benchmark.datasets.dataset import Dataset as Dataset
     from benchmark.datasets.open import open_datasets as open_datasets
     from benchmark.evaluate import evaluate as evaluate
@@ -70,6 +71,7 @@ _MODULES = {
     "dense": "dense.command",
     "export": "scene.exports.export",
     "validate": "benchmark.validate",
+    "audit": "benchmark.audit.command",
     # Read what is on disk.
     "open_scene": "scene.bundle.scene:Scene.open",
     "open_datasets": "benchmark.datasets.open",

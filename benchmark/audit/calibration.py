@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.sampson import Matches
-from benchmark.audit.agreement import Rays, errors, rays_of
+from benchmark.audit.agreement import errors, rays_of
 from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.matches import Pair
 from scene.geometry.camera import MODELS, Camera
@@ -39,6 +39,8 @@ _SIGMAS = 5.0
 # Iterations of Gauss-Newton, and the steps of its differences (log focal length, px, px).
 _ITERATIONS = 8
 _STEPS = (1e-4, 1e-2, 1e-2)
+_LARGEST_STEP = (-0.1, -20, -20), (0.1, 20, 20)
+_CONVERGED = (1e-4, 1e-2, 1e-2)
 # Scale of the Cauchy weights in standard deviations of the errors.
 _CAUCHY = 2.385
 _SIGMA_OF_MEDIAN = 1.4826
@@ -102,8 +104,9 @@ def correction(
         residuals, jacobians = _linearised(near, cameras, poses, values)
         hessian, gradients = _normal(residuals, jacobians)
         step = -np.linalg.solve(hessian, gradients.sum(0))
-        values += np.clip(step, [-0.1, -20, -20], [0.1, 20, 20])
-    residuals, jacobians = _linearised(near, cameras, poses, values)
+        values += np.clip(step, *_LARGEST_STEP)
+        if (np.abs(step) < _CONVERGED).all():
+            break
     hessian, gradients = _normal(residuals, jacobians)
     inverse = np.linalg.inv(hessian)
     sigma = np.sqrt(np.diag(inverse @ (gradients.T @ gradients) @ inverse))
@@ -135,14 +138,12 @@ def _linearised(
     pairs: Sequence[Pair], cameras: Sequence[Camera | None], poses: Array, values: Array
 ) -> tuple[list[Array], list[Array]]:
     """Return the errors (K,) of each pair and their derivatives (K, 3), by differences."""
+    here = _residuals(pairs, cameras, poses, values)
     columns = []
     for k, step in enumerate(_STEPS):
-        move = np.eye(3)[k] * step
-        ahead = _residuals(pairs, cameras, poses, values + move)
-        behind = _residuals(pairs, cameras, poses, values - move)
-        columns.append([(p - m) / (2 * step) for p, m in zip(ahead, behind, strict=True)])
-    jacobians = [np.stack(parts, -1) for parts in zip(*columns, strict=True)]
-    return _residuals(pairs, cameras, poses, values), jacobians
+        ahead = _residuals(pairs, cameras, poses, values + np.eye(3)[k] * step)
+        columns.append([(there - now) / step for there, now in zip(ahead, here, strict=True)])
+    return here, [np.stack(parts, -1) for parts in zip(*columns, strict=True)]
 
 
 def _normal(residuals: Sequence[Array], jacobians: Sequence[Array]) -> tuple[Array, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,8 @@ from benchmark.audit.map_points import check_points
 from benchmark.audit.matches import match_photographs
 from benchmark.audit.opening import open_stated
 from benchmark.audit.order import find_order
-from benchmark.audit.positions import check_positions
+from benchmark.audit.page import check_page, write_page
+from benchmark.audit.positions import FOLLOW, check_positions
 from benchmark.audit.stated import Stated, centres, sample
 from scene.geometry.camera import Camera
 
@@ -38,37 +38,54 @@ Array = NDArray[np.float64]
 _MATCHED, _RUN = 32, 8
 
 
-def audit(path: Path, images: Path | None = None, camera: Camera | None = None) -> list[Audit]:
+def audit(
+    path: Path,
+    images: Path | None = None,
+    camera: Camera | None = None,
+    out: Path | None = None,
+) -> list[Audit]:
     """Audit a data set, or each data set of a folder that holds several.
 
     Args:
         path: a scene, a flight, or poses of another program; see ``opening.open_stated``.
         images: folder of the photographs; None looks where the format has them.
         camera: camera of the photographs where the data set states none.
+        out: HTML file for the verdicts; None writes none.
 
     Raises:
-        InputError: no reader knows the path, or a file is damaged.
+        InputError: no reader knows the path, a file is damaged, or the page cannot be written.
     """
-    return [
-        Audit(stated.subject, stated.kind, len(stated), tuple(_findings(stated)))
-        for stated in open_stated(path, images, camera)
-    ]
+    if out is not None:
+        check_page(out, [path, *([images] if images is not None else [])])
+    audits = [_audited(stated) for stated in open_stated(path, images, camera)]
+    if out is not None:
+        write_page(audits, out)
+    return audits
 
 
-def _findings(stated: Stated) -> Iterator[Finding]:
+def _audited(stated: Stated) -> Audit:
     photographs = look_at(stated)
-    yield from check_files(stated, photographs)
-    positions, named = stated.positions, False
+    findings = list(check_files(stated, photographs))
+    positions, named, plan = stated.positions, False, np.zeros((0, 4))
     if stated.cam_from_world is not None:
-        findings, positions = _geometry(stated, photographs)
-        named = any(f.check == CHECK and f.verdict is Verdict.RIGHT for f in findings)
-        yield from findings
-    exif = photographs.exif if stated.files is not None else (None,) * len(stated)
-    yield from check_positions(stated, positions, exif, named)
+        geometry, positions = _geometry(stated, photographs)
+        named = any(f.check == CHECK and f.verdict is Verdict.RIGHT for f in geometry)
+        findings += geometry
+    if positions is None and stated.cam_from_world is not None:
+        why = "not compared: which position is of which photograph is not known"
+        findings.append(unknown(FOLLOW, why))
+    else:
+        followed, plan = check_positions(stated, positions, photographs.exif, named)
+        findings += followed
+    drawn = tuple(tuple(row) for row in plan.tolist())
+    return Audit(stated.subject, stated.kind, len(stated), tuple(findings), drawn)
 
 
-def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], Array]:
-    """Judge poses, cameras and points; return the camera centres as they must be read."""
+def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], Array | None]:
+    """Judge poses, cameras and points; return the camera centres as they must be read.
+
+    They are None where it is not known which photograph they are of.
+    """
     assert stated.cam_from_world is not None
     poses = stated.cam_from_world
     cameras = fitted_cameras(stated, photographs)
@@ -82,7 +99,10 @@ def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], 
         rows = sample(len(stated), _MATCHED, _RUN)
         pairs = match_photographs(stated.files, cameras, rows)
         rays = rays_of(pairs, cameras)
-        finding, poses, found = _poses(rays, cameras, poses, stated)
+        finding, read, found = _poses(rays, cameras, poses, stated)
+        if read is None:
+            return [finding], None
+        poses = read
         findings = [finding, *check_calibration(found, stated.cameras, photographs.exif)]
         if found is not None:
             cameras = _better(cameras, found)
@@ -93,7 +113,7 @@ def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], 
 
 def _poses(
     rays: list[Rays], cameras: list[Camera | None], poses: Array, stated: Stated
-) -> tuple[Finding, Array, Correction | None]:
+) -> tuple[Finding, Array | None, Correction | None]:
     """Judge poses, where necessary with corrected cameras or in another order."""
     finding, read = check_poses(rays, poses)
     if finding.verdict is Verdict.UNKNOWN:
@@ -103,7 +123,7 @@ def _poses(
         found = correction(pairs, cameras, read)
         ordered = find_order(rays, read, stated.names)
         if finding.verdict is Verdict.RIGHT and ordered is not None:
-            return ordered, read, found
+            return *ordered, found
         return finding, read, found
     found = correction(pairs, cameras, poses)
     if found is not None:
@@ -111,7 +131,7 @@ def _poses(
         if share(straight, poses) >= RIGHT_SHARE:
             return check_poses(straight, poses)[0], poses, found
     ordered = find_order(rays, poses, stated.names)
-    return ordered or finding, poses, None
+    return (finding, poses, None) if ordered is None else (*ordered, None)
 
 
 def _better(cameras: list[Camera | None], found: Correction) -> list[Camera | None]:

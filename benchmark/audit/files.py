@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from benchmark.audit.findings import Finding, right, unknown, wrong
@@ -44,7 +44,10 @@ def look_at(stated: Stated) -> Photographs:
     exif: list[Exif | None] = []
     digests: list[str | None] = []
     faults: dict[str, str] = {}
-    files = stated.files or ()
+    files = stated.files
+    if files is None:
+        nothing = (None,) * len(stated)
+        return Photographs(nothing, nothing, nothing, {})
     with progress_bar("photographs", len(files)) as advance:
         for done, (name, file) in enumerate(zip(stated.names, files, strict=True), 1):
             try:
@@ -78,9 +81,7 @@ def check_files(stated: Stated, photographs: Photographs) -> Iterator[Finding]:
 def _sizes(stated: Stated, photographs: Photographs) -> Finding:
     known = [
         (name, size, (camera.width, camera.height))
-        for name, size, camera in zip(
-            stated.names, photographs.sizes, stated.cameras, strict=True
-        )
+        for name, size, camera in zip(stated.names, photographs.sizes, stated.cameras, strict=True)
         if size is not None and camera is not None
     ]
     if not known:
@@ -115,14 +116,8 @@ def fitted_cameras(stated: Stated, photographs: Photographs) -> list[Camera | No
     The size is a finding of its own, so that the checks after it go on with a camera that fits. A
     guess takes the focal length of EXIF.
     """
-    sizes = photographs.sizes if stated.files is not None else (None,) * len(stated)
-    exif: Sequence[Exif | None] = (
-        photographs.exif if stated.files is not None else (None,) * len(stated)
-    )
-    return [
-        _fitted(camera, size, told)
-        for camera, size, told in zip(stated.cameras, sizes, exif, strict=True)
-    ]
+    read = zip(stated.cameras, photographs.sizes, photographs.exif, strict=True)
+    return [_fitted(camera, size, told) for camera, size, told in read]
 
 
 def _fitted(

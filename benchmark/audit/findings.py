@@ -61,12 +61,15 @@ class Audit:
         kind: its format.
         photographs: number of photographs that it lists.
         findings: one for each check.
+        plan: east and north (m) of photographs as stated and as GPS measured them, four numbers
+            each; empty where there is no GPS.
     """
 
     subject: str
     kind: str
     photographs: int
     findings: tuple[Finding, ...]
+    plan: tuple[tuple[float, ...], ...] = ()
 
     @property
     def ok(self) -> bool:

@@ -247,7 +247,9 @@ def _named(folder: Path, names: Sequence[str], path: Path) -> dict[str, Path]:
         return exact
     listed = list_files(folder, _ENDINGS, depth=None if folder.name != ".." else 1)
     relative = {file.relative_to(folder).as_posix(): file for file in listed}
-    found = {name: relative[file] for file, name in match_files(list(relative), names, path).items()}
+    found = {
+        name: relative[file] for file, name in match_files(list(relative), names, path).items()
+    }
     if not found and _are_times(names):
         return _by_time(list(relative.values()), names)
     return found

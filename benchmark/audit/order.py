@@ -30,8 +30,12 @@ _NEAR = 0.7
 _NAMED = 4
 
 
-def find_order(rays: Sequence[Rays], poses: Array, names: Sequence[str]) -> Finding | None:
+def find_order(
+    rays: Sequence[Rays], poses: Array, names: Sequence[str]
+) -> tuple[Finding, Array | None] | None:
     """Return the finding where poses belong to other photographs; None where nothing shows it.
+
+    The poses in their right order come with it, or None where that is not known.
 
     Args:
         rays: matches of the photographs.
@@ -49,7 +53,8 @@ def find_order(rays: Sequence[Rays], poses: Array, names: Sequence[str]) -> Find
                 f"poses are those of photographs {_count(abs(best))} {when}: so read, "
                 f"{moved[best]:.0%} of the matches agree, as stated {ours:.0%}"
             )
-            return wrong(CHECK, "poses-shifted", detail, agreeing=ours, photographs=-best)
+            found = wrong(CHECK, "poses-shifted", detail, agreeing=ours, photographs=-best)
+            return found, np.roll(poses, -best, axis=0)
     return _single(rays, poses, names, ours)
 
 
@@ -59,7 +64,7 @@ def _count(k: int) -> str:
 
 def _single(
     rays: Sequence[Rays], poses: Array, names: Sequence[str], ours: float
-) -> Finding | None:
+) -> tuple[Finding, Array | None] | None:
     """Find single photographs that contradict the others, and whether two are swapped."""
     each = by_photograph(rays, poses)
     bad = [row for row, value in each.items() if value < _CONTRADICTS]
@@ -68,26 +73,24 @@ def _single(
     swapped = _swaps(rays, poses, bad)
     if swapped:
         pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in swapped[:_NAMED])
-        return wrong(
-            CHECK,
-            "names-swapped",
-            f"photographs have each other's poses: {pairs}",
-            agreeing=ours,
-            swapped=float(2 * len(swapped)),
-        )
+        read = poses.copy()
+        for a, b in swapped:
+            read[[a, b]] = read[[b, a]]
+        detail = f"photographs have each other's poses: {pairs}"
+        return wrong(CHECK, "names-swapped", detail, agreeing=ours, pairs=len(swapped)), read
     ratio = _overlap_distance(rays, poses)
     if len(bad) > len(each) / 2 and ratio > _NEAR:
         detail = (
             f"{ours:.0%} of the matches agree, and photographs that overlap stand {ratio:.1f} "
             "times as far apart as any two: names are shuffled, or positions are of another flight"
         )
-        return wrong(CHECK, "names-shuffled", detail, agreeing=ours, distance_ratio=ratio)
+        return wrong(CHECK, "names-shuffled", detail, agreeing=ours, ratio=ratio), None
     if len(bad) > len(each) / 2:
         return None
     listed = ", ".join(names[row] for row in bad[:_NAMED])
     more = f" and {len(bad) - _NAMED} more" if len(bad) > _NAMED else ""
     detail = f"the poses of {listed}{more} contradict those of the other photographs"
-    return wrong(CHECK, "poses-off", detail, agreeing=ours, photographs=float(len(bad)))
+    return wrong(CHECK, "poses-off", detail, agreeing=ours, photographs=len(bad)), poses
 
 
 def by_photograph(rays: Sequence[Rays], poses: Array) -> dict[int, float]:

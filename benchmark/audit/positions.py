@@ -88,8 +88,10 @@ class _Compared:
 
 def check_positions(
     stated: Stated, positions: Array | None, exif: Sequence[Exif | None], named: bool
-) -> Iterator[Finding]:
-    """Yield what the photographs' GPS says of positions.
+) -> tuple[list[Finding], Array]:
+    """Return what the photographs' GPS says of positions.
+
+    East and north (m) of the photographs come with it, as stated and as measured, (n, 4).
 
     Args:
         stated: the data set.
@@ -99,6 +101,7 @@ def check_positions(
         named: whether the photographs themselves already showed that names and poses belong
             together; a GPS that lags behind is then no fault of the names.
     """
+    findings: list[Finding] = []
     places = [None if e is None else e.position for e in exif]
     there = np.array([place is not None for place in places])
     if there.sum() >= FEWEST:
@@ -106,7 +109,7 @@ def check_positions(
         read = stated.places
         if read is not None:
             finding, read = _check_latlon(read[there], known)
-            yield finding
+            findings.append(finding)
         compared = _on_earth(known, read, None if positions is None else positions[there])
     elif positions is not None and stated.measured is not None:
         there = np.isfinite(stated.measured).all(1)
@@ -114,9 +117,18 @@ def check_positions(
     else:
         compared = None
     if compared is None or len(compared.measured) < FEWEST:
-        yield _no_gps(stated, int(there.sum()))
-        return
-    yield from _compare(compared, named, positions is not None)
+        return [*findings, _no_gps(stated, int(there.sum()))], np.zeros((0, 4))
+    findings += _compare(compared, named, positions is not None)
+    return findings, _plan(compared)
+
+
+def _plan(compared: _Compared) -> Array:
+    """Return what is drawn: a world of its own is first laid over the measured positions."""
+    stated = compared.stated
+    if not compared.absolute:
+        fitted, _ = _fit(stated, compared.measured)
+        stated = stated @ fitted[:, :3].T + fitted[:, 3]
+    return np.column_stack([stated[:, :2], compared.measured[:, :2]])
 
 
 def _no_gps(stated: Stated, count: int) -> Finding:
@@ -173,7 +185,8 @@ def _compare(compared: _Compared, named: bool, posed: bool) -> Iterator[Finding]
     if extent < 1.0:
         yield unknown(FOLLOW, f"the photographs were taken within {extent:.1f} m")
         return
-    scale, residual = _fit(compared.stated, compared.measured)
+    fitted, residual = _fit(compared.stated, compared.measured)
+    scale = float(np.cbrt(max(np.linalg.det(fitted[:, :3]), 0.0)))
     if residual > _FOLLOWS * extent:
         yield _why_not(compared, residual, named)
         return
@@ -183,12 +196,12 @@ def _compare(compared: _Compared, named: bool, posed: bool) -> Iterator[Finding]
         residual_m=residual,
     )
     vague = 3 * residual / (extent * np.sqrt(len(compared.stated)))
-    if vague > _VAGUE:
-        yield unknown(SCALE, f"GPS tells the scale to {vague:.0%} only", scale=scale)
-    elif abs(scale - 1) > max(_METRIC, vague):
+    if abs(np.log(max(scale, 1e-9))) > max(_METRIC, vague):
         looks = "it is in feet" if abs(scale / _FEET - 1) < _METRIC else "it is not metric"
         detail = f"one unit is {scale:.4g} m: {looks}"
         yield wrong(SCALE, "scale", detail, scale=scale)
+    elif vague > _VAGUE:
+        yield unknown(SCALE, f"GPS tells the scale to {vague:.0%} only", scale=scale)
     else:
         yield right(SCALE, f"one unit is {scale:.3f} m by GPS", scale=scale)
     if compared.absolute:
@@ -197,8 +210,8 @@ def _compare(compared: _Compared, named: bool, posed: bool) -> Iterator[Finding]
         yield unknown(HEIGHTS, "the data set does not say where its world lies on earth")
 
 
-def _fit(stated: Array, measured: Array) -> tuple[float, float]:
-    """Return the scale of the best similarity, and the median residual (m); bad fixes are left."""
+def _fit(stated: Array, measured: Array) -> tuple[Array, float]:
+    """Return the best similarity (3, 4), and the median residual (m); bad fixes are left out."""
     good = np.ones(len(stated), bool)
     for _ in range(4):
         fitted = similarity_of(stated[good], measured[good])
@@ -207,7 +220,7 @@ def _fit(stated: Array, measured: Array) -> tuple[float, float]:
         good = off <= max(limit, 1e-6)
         if good.sum() < FEWEST:
             break
-    return float(np.cbrt(max(np.linalg.det(fitted[:, :3]), 0.0))), float(np.median(off))
+    return fitted, float(np.median(off))
 
 
 def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:

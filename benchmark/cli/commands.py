@@ -21,6 +21,7 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
         "ingest": "Turn a folder of photographs with GPS positions into a scene.",
         "export": "Write the poses and cameras of a scene in the format of another program.",
         "validate": "Check the conventions and the exactness of a scene or a flight.",
+        "audit": "Check the poses of any data set against its photographs, without truth.",
     },
     "maps": {
         "map": "Build the sparse map of a scene and measure it against the true poses.",

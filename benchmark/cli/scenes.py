@@ -201,3 +201,43 @@ def validate(
     emit(report, as_json)
     if not report.ok:
         raise typer.Exit(INPUT_AT_FAULT)
+
+
+@app.command()
+def audit(
+    data: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATA",
+            help="Scene, flight, or poses of another program: a COLMAP model, transforms.json of "
+            "nerfstudio, reconstruction.json of ODM, cameras.xml of Metashape, a TUM trajectory, a "
+            "table name,lat,lon,alt, or the folder of such a project.",
+        ),
+    ],
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the photographs. By default it is looked for where the format has it.",
+        ),
+    ] = None,
+    camera: CameraWords = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="HTML", help="Page of the verdicts to write.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Check the poses of any data set against its photographs, without truth.
+
+    Says for each property whether it is right, wrong and what it looks like, or cannot be told and
+    why: conventions of poses, focal length, principal point, names, times, scale, positions,
+    heights, and the files themselves. Evidence is what photographs share, their EXIF, and the
+    map's points. Exits with 2 if something is wrong.
+    """
+    from benchmark.audit.command import audit as run
+
+    audits = run(data, images, parse_camera(camera), out)
+    text = "\n\n".join(one.text() for one in audits)
+    emit(Summary(text, {"audits": [one.as_dict() for one in audits]}), as_json)
+    if not all(one.ok for one in audits):
+        raise typer.Exit(INPUT_AT_FAULT)

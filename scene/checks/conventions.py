@@ -138,9 +138,7 @@ FOREIGN_READINGS = (
     PoseReading("translations-are-centres", POSE_READINGS[2].fault, _centred),
     PoseReading("axes-flipped", _TURNED_AXES, _opengl),
     # A matrix inverted on disk meets the flip of a reader that expects OpenGL's axes.
-    PoseReading(
-        "poses-inverted", POSE_READINGS[0].fault, lambda m: _opengl(_inverted(_opengl(m)))
-    ),
+    PoseReading("poses-inverted", POSE_READINGS[0].fault, lambda m: _opengl(_inverted(_opengl(m)))),
     PoseReading(
         "poses-inverted-axes-flipped",
         f"poses are inverted, and {_TURNED_AXES}",
