@@ -11,7 +11,7 @@ from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.runtime.progress import progress_bar
 from scene.storage.files import sha256_of
-from scene.storage.images import Exif, image_size, read_exif
+from scene.storage.images import Exif, read_exif, read_rgb
 
 THERE = "photographs are there and readable"
 SIZES = "photographs have the size of their cameras"
@@ -23,7 +23,7 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class Photographs:
-    """What is read of the N photographs of a data set without decoding them.
+    """What is kept of the N photographs of a data set.
 
     Attributes:
         sizes: width and height of each, None where it cannot be read.
@@ -39,7 +39,10 @@ class Photographs:
 
 
 def look_at(stated: Stated) -> Photographs:
-    """Read size, metadata and digest of every photograph."""
+    """Read every photograph whole, and keep its size, metadata and digest.
+
+    A header tells the size of half a file, too.
+    """
     sizes: list[tuple[int, int] | None] = []
     exif: list[Exif | None] = []
     digests: list[str | None] = []
@@ -51,12 +54,14 @@ def look_at(stated: Stated) -> Photographs:
     with progress_bar("photographs", len(files)) as advance:
         for done, (name, file) in enumerate(zip(stated.names, files, strict=True), 1):
             try:
-                size, found, digest = image_size(file), read_exif(file), sha256_of(file)
+                height, width = read_rgb(file).shape[:2]
+                found, digest = read_exif(file), sha256_of(file)
             except (InputError, OSError) as error:
                 faults[name] = str(error)
                 sizes, exif, digests = [*sizes, None], [*exif, None], [*digests, None]
             else:
-                sizes, exif, digests = [*sizes, size], [*exif, found], [*digests, digest]
+                sizes, exif = [*sizes, (width, height)], [*exif, found]
+                digests.append(digest)
             advance(done)
     return Photographs(tuple(sizes), tuple(exif), tuple(digests), faults)
 

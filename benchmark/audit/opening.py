@@ -63,6 +63,8 @@ def open_stated(
     if images is not None and not images.is_dir():
         raise InputError(f"folder of photographs {images} does not exist")
     if is_scene(path):
+        if images is not None:
+            raise InputError(f"{path} is a scene, which holds its photographs: leave out --images")
         return [_of_scene(Scene.open(path))]
     if path.is_dir() and _is_dataset(path):
         return [_of_dataset(dataset, images) for dataset in open_datasets(path)]
@@ -235,17 +237,19 @@ def _files(path: Path, names: Sequence[str], images: Path | None) -> tuple[Path,
             best, chosen = found, folder
         if len(best) == len(names):
             break
+    if not best and images is not None:
+        raise InputError(f"{images} holds none of the photographs of {path}: {names[0]!r}, ...")
     if not best:
         return None
     return tuple(best.get(name, chosen / name) for name in names)
 
 
 def _named(folder: Path, names: Sequence[str], path: Path) -> dict[str, Path]:
-    """Return the files of a folder by the names that mean them."""
+    """Return the files of a folder by the names that mean them: paths in it, or files in it."""
     exact = {name: folder / name for name in names if (folder / name).is_file()}
     if len(exact) == len(names):
         return exact
-    listed = list_files(folder, _ENDINGS, depth=None if folder.name != ".." else 1)
+    listed = list_files(folder, _ENDINGS)
     relative = {file.relative_to(folder).as_posix(): file for file in listed}
     found = {
         name: relative[file] for file, name in match_files(list(relative), names, path).items()

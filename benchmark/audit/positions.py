@@ -275,14 +275,17 @@ def _offsets(compared: _Compared) -> Iterator[Finding]:
         yield right(EAST_NORTH, f"{where} (median)", **figures)
     up, rough = float(middle[2]), float(scatter[2])
     if abs(up) <= max(_OFFSET_M, 3 * rough / np.sqrt(len(off))):
-        yield right(HEIGHTS, f"{up:+.1f} m above theirs (median)", up_m=up, scatter_m=rough)
+        yield right(HEIGHTS, f"{_height(up)} them (median)", up_m=up, scatter_m=rough)
     elif rough > max(_SCATTER_M, abs(up) / 3):
-        why = f"the photographs' altitudes scatter by {rough:.1f} m around {up:+.1f} m"
+        why = f"the photographs' altitudes scatter by {rough:.1f} m, {_height(-up)} the heights"
         yield unknown(HEIGHTS, why, up_m=up, scatter_m=rough)
     else:
         detail = (
-            f"all are {up:+.1f} m above those of the photographs, scattered by {rough:.1f} m: "
-            "another height system, as sea level beside the ellipsoid (-106 to 85 m) or the "
-            "take-off"
+            f"all are {_height(up)} those of the photographs, scattered by {rough:.1f} m: another "
+            "height system, such as sea level beside the ellipsoid (-106 to 85 m) or the take-off"
         )
         yield wrong(HEIGHTS, "height-datum", detail, up_m=up, scatter_m=rough)
+
+
+def _height(up: float) -> str:
+    return f"{abs(up):.1f} m {'above' if up >= 0 else 'below'}"

@@ -143,6 +143,18 @@ VALIDATE = Row(
     },
     reports=True,
 )
+AUDIT = Row(
+    {
+        "data": file("tables/places.csv", "csv"),
+        # A table states no size of photographs.
+        "images": folder("photos", part("photos/p1.jpg", "photograph")).fine("p1.jpg:one_pixel"),
+        "camera": CAMERA.left_out(),
+        "out": out_file("out.html", "out.html"),
+        "as_json": FLAG,
+    },
+    keeps=("out.html",),
+    reports=True,
+)
 LOCALIZE = Row(
     {
         "place": folder(
@@ -476,6 +488,11 @@ COMMANDS: dict[str, Row] = {
     ),
     "validate": VALIDATE,
     "validate:flight": VALIDATE.instead(scene=folder("meadow", *FLIGHT), cache=cache()),
+    "audit": AUDIT,
+    "audit:flight": AUDIT.instead(data=folder("meadow", *FLIGHT), images=FLAG),
+    "audit:scene": AUDIT.instead(
+        data=folder("hamlet", MANIFEST, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH), images=FLAG
+    ),
     "doctor": Row({"as_json": FLAG}, work=("benchmark.doctor.doctor",)),
     "view": Row(
         {

@@ -160,6 +160,9 @@ def _tables(folder: Path) -> None:
     (folder / "priors.csv").write_text("\n".join(rows) + "\n")
     rows = ["name,lat,lon,alt", *(f"p{k}.jpg,47.000{k},8.0,430.0" for k in range(3))]
     (folder / "gps.csv").write_text("\n".join(rows) + "\n")
+    places = [geodetic_from_enu(np.array([4.0 * k, 0, 40]), ORIGIN) for k in range(3)]
+    rows = ["name,lat,lon,alt", *(f"p{k}.jpg,{a},{b},{c}" for k, (a, b, c) in enumerate(places))]
+    (folder / "places.csv").write_text("\n".join(rows) + "\n")
     (folder / "reconstruction.json").write_text(json.dumps([_reconstruction()]))
     rows = ["EPSG:4326", *(f"8.00001 47.0 400 {40 + k} 30 p{k}.jpg A" for k in range(3))]
     rows += [f"8.00002 47.00001 400 {50 + k} 20 p{k}.jpg B" for k in range(3)]
