@@ -96,7 +96,8 @@ def _geometry(stated: Stated, photographs: Photographs) -> tuple[list[Finding], 
         why = "the data set states no camera, and EXIF tells no focal length: give --camera"
         findings, found = [unknown(CHECK, why)], None
     else:
-        rows = sample(len(stated), _MATCHED, _RUN)
+        repeated = photographs.repeated
+        rows = [row for row in sample(len(stated), _MATCHED, _RUN) if row not in repeated]
         pairs = match_photographs(stated.files, cameras, rows)
         rays = rays_of(pairs, cameras)
         finding, read, found = _poses(rays, cameras, poses, stated)

@@ -37,6 +37,13 @@ class Photographs:
     digests: tuple[str | None, ...]
     faults: dict[str, str]
 
+    @property
+    def repeated(self) -> set[int]:
+        """Return the rows of photographs whose bytes an earlier one has."""
+        first: dict[str, int] = {}
+        rows = [(digest, row) for row, digest in enumerate(self.digests) if digest is not None]
+        return {row for digest, row in rows if first.setdefault(digest, row) != row}
+
 
 def look_at(stated: Stated) -> Photographs:
     """Read every photograph whole, and keep its size, metadata and digest.

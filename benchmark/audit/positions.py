@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.order import SHIFTS
 from benchmark.audit.stated import Stated
-from ingest.georegister import similarity_of
+from ingest.georegister import similarity
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
 from scene.storage.images import Exif
 
@@ -214,7 +214,7 @@ def _fit(stated: Array, measured: Array) -> tuple[Array, float]:
     """Return the best similarity (3, 4), and the median residual (m); bad fixes are left out."""
     good = np.ones(len(stated), bool)
     for _ in range(4):
-        fitted = similarity_of(stated[good], measured[good])
+        fitted = similarity(stated[good], measured[good])
         off = np.linalg.norm(stated @ fitted[:, :3].T + fitted[:, 3] - measured, axis=1)
         limit = 3 * _SIGMA_OF_MEDIAN * float(np.median(off))
         good = off <= max(limit, 1e-6)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,29 @@ import pytest
 
 from benchmark.audit.command import audit
 from benchmark.audit.findings import Audit
+from benchmark.audit.matches import Pair, match_photographs
 from scene.bundle.scene import Scene
 from scene.geometry.pose import Pose
+from scene.storage.files import sha256_of
 from tests.benchmark.audit.foreign import colmap, halved, nerfstudio, odm, table, tum
 
 Plant = Callable[[Scene, Path], Path]
+
+
+@pytest.fixture(autouse=True)
+def _matched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The photographs of all projects are the same bytes: they are matched once."""
+
+    def match(files: Sequence[Path], cameras: object, rows: Sequence[int]) -> list[Pair]:
+        key = tuple(sha256_of(file) if file.is_file() else "" for file in files)
+        if key not in MATCHED:
+            MATCHED[key] = match_photographs(files, [None] * len(files), rows)
+        return MATCHED[key]
+
+    monkeypatch.setattr("benchmark.audit.command.match_photographs", match)
+
+
+MATCHED: dict[tuple[str, ...], list[Pair]] = {}
 
 
 def audited(path: Path) -> Audit:
@@ -71,6 +89,7 @@ PLANTED: dict[str, tuple[Plant, str]] = {
     "colmap-quaternion": (lambda s, p: colmap(s, p, poses=xyzw), "quaternion-order"),
     "colmap-keypoints": (lambda s, p: colmap(s, p, keypoints=-0.5), "half-pixel"),
     "colmap-focal": (lambda s, p: colmap(s, p, focal=1.08), "focal-length"),
+    "colmap-duplicate": (duplicate, "duplicates"),
     "colmap-missing": (missing, "photographs-missing"),
     "colmap-resized": (resized, "sizes"),
     "nerfstudio-axes": (lambda s, p: nerfstudio(s, p, opengl=False), "axes-flipped"),
@@ -116,3 +135,9 @@ CLEAN: dict[str, Plant] = {
 def test_clean_originals_have_no_fault(name: str, rendered: Scene, tmp_path: Path) -> None:
     found = audited(CLEAN[name](rendered, tmp_path / "project"))
     assert found.ok, found.text()
+
+
+def test_real_flights_have_no_fault(beach: Path, tmp_path: Path) -> None:
+    for found in audit(beach, out=tmp_path / "page.html"):
+        assert found.ok, found.text()
+    assert "<title>ObjConnect audit</title>" in (tmp_path / "page.html").read_text()
