@@ -241,6 +241,12 @@ def _why_not(compared: _Compared, residual: float, named: bool) -> Finding:
     if mirrored < _EXPLAINS * residual:
         detail = f"the world is mirrored (left-handed): mirrored back it is {mirrored:.1f} m off"
         return wrong(FOLLOW, "world-mirrored", detail, **figures)
+    if named:
+        why = (
+            f"poses agree with the photographs, but GPS is {residual:.1f} m (median) from them "
+            "after the best motion and scale: it lags behind, or is too coarse to compare with"
+        )
+        return unknown(FOLLOW, why, **figures)
     if compared.absolute:
         apart = np.linalg.norm(stated[:, None, :2] - measured[None, :, :2], axis=-1)
         nearest = float(np.median(apart.min(1)))

@@ -137,7 +137,8 @@ def test_clean_originals_have_no_fault(name: str, rendered: Scene, tmp_path: Pat
     assert found.ok, found.text()
 
 
-def test_real_flights_have_no_fault(beach: Path, tmp_path: Path) -> None:
-    for found in audit(beach, out=tmp_path / "page.html"):
+@pytest.mark.parametrize("name", ["brighton_beach", "caliterra"])
+def test_real_flights_have_no_fault(name: str, flights: Path, tmp_path: Path) -> None:
+    for found in audit(flights / name, out=tmp_path / "page.html"):
         assert found.ok, found.text()
     assert "<title>ObjConnect audit</title>" in (tmp_path / "page.html").read_text()
