@@ -24,7 +24,7 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
         "audit": "Check the poses of any data set against its photographs, without truth.",
     },
     "maps": {
-        "map": "Build the sparse map of a scene and measure it against the true poses.",
+        "map": "Build the sparse map of a scene, or of an orthophoto with a surface model.",
         "landmarks": "Find the objects of a map: cars, trees, roofs, lamps and the like.",
         "dense": "Estimate depth maps of a map's photographs and fuse them to a point cloud.",
         "diagnose": "Report which objects in a map's photographs have points in the map.",
@@ -35,7 +35,7 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
         "ablate": "Train and evaluate variants of object-connect, and print one table.",
     },
     "localization": {
-        "localize": "Find the poses of new photographs in a map.",
+        "localize": "Find the poses of new photographs, or of the frames of a video, in a map.",
         "evaluate": "Localize the queries of data sets and score the poses.",
         "basin": "Measure how recall falls with the error of the prior pose.",
         "score": "Score poses that another program found.",

@@ -39,7 +39,8 @@ def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict
         where: the file, for messages.
 
     Raises:
-        InputError: a name may mean two photographs.
+        InputError: a name may mean two photographs, as one without a folder where photographs in
+            two folders are called so and only one of them is meant exactly.
 
     Example:
         >>> match_files(["a/IMG_1.JPG", "IMG_2.JPG"], ["img_1.jpg", "IMG_2"], Path("poses.xml"))
@@ -58,10 +59,17 @@ def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict
                 continue
             other = owners.setdefault(alike[0], file)
             if other != file:
-                raise InputError(
-                    f"{where}: {alike[0]!r} may be {other!r} or {file!r}: give names with their "
-                    "folder"
-                )
+                raise _shared(where, alike[0], other, file)
             found[file] = alike[0]
         free = [name for name in free if name not in owners]
+    bare = {_folded(name): file for file, name in found.items()}
+    for file in files:
+        other = bare.get(PurePosixPath(_folded(file)).name, file)
+        if file not in found and other != file:
+            raise _shared(where, found[other], other, file)
     return {file: found[file] for file in files if file in found}
+
+
+def _shared(where: Path, name: str, one: str, other: str) -> InputError:
+    said = f"{name!r} may be {one!r} or {other!r}: give names with their folder"
+    return InputError(f"{where}: {said}")

@@ -134,7 +134,7 @@ def test_an_export(rendered: Scene, tmp_path: Path) -> None:
     [
         ("faulty", "format 'faulty' (resting_package:fails) cannot be written: RuntimeError: no"),
         ("missing", "format 'missing' (resting_package:nothing) cannot be loaded: AttributeError"),
-        ("other", "'other' is not one of 'colmap', 'nerfstudio', 'tum', 'hloc', 'cmu',"),
+        ("other", "'other' is not one of 'colmap', 'colmap-database', 'nerfstudio',"),
         ("other", ", 'faulty', 'missing', 'names'."),
     ],
 )

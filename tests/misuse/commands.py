@@ -519,6 +519,7 @@ READ: dict[str, str] = {
     "covisibility": "hamlet/covisibility.h5",
     "features": "",  # written for other programs
     "flight": "meadow/reference_poses.txt",
+    "foreign": "tables/places.csv",
     "frames": "hamlet/sessions/winter-grid/frames.h5",
     "manifests": "hamlet/scene.json",
     "masks": "masks/coco.json",
@@ -529,5 +530,6 @@ READ: dict[str, str] = {
     "results": "results/meadow/sift.json",
     "scene": "hamlet/splits.json",
     "tables": "tables/gps.csv",
+    "videos": "film/flight.mp4",
     "weights": "weights/net.safetensors",
 }

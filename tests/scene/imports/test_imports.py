@@ -307,3 +307,11 @@ def test_names_mean_photographs() -> None:
     with pytest.raises(InputError, match=r"'1.JPG' may be 'a/1.JPG' or 'b/1.JPG'"):
         match_files(files, ["1.JPG"], where)
     assert match_files(["x.jpg"], ["y.jpg"], where) == {}
+
+
+def test_a_name_without_a_folder_means_one_photograph() -> None:
+    """It is not taken for the one in the root where another folder has one of that name."""
+    with pytest.raises(InputError, match=r"'a\.jpg' may be 'a\.jpg' or 'b/a\.jpg': give names"):
+        match_files(["a.jpg", "b/a.jpg"], ["a.jpg"], Path("poses.csv"))
+    both = match_files(["a.jpg", "b/a.jpg"], ["a.jpg", "b/a.jpg"], Path("poses.csv"))
+    assert both == {"a.jpg": "a.jpg", "b/a.jpg": "b/a.jpg"}
