@@ -18,12 +18,11 @@ from pydantic import Field
 from baselines.array_store import ArrayStore, written_store
 from baselines.features import Extractor, map_features
 from baselines.lifting import LiftingOptions, interpolated_points, observed_points
+from baselines.pnp import MIN_MATCHES, PnpConfig, solve_pose
 from baselines.resolution import DEFAULT_SAME_RESOLUTION, metres_per_pixel, of_map, scale_to
 from baselines.retrieval import OnDemand, References, RetrievalOptions
 from baselines.starts import StartOptions, starts
 from baselines.views import north_angle
-from scene.colmap.absolute_pose import estimate_absolute_pose
-from scene.config import Config
 from scene.errors import InputError
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
@@ -32,13 +31,11 @@ from scene.maps.sparse_map import SparseMap
 from scene.storage.lru_cache import LruCache, room
 from scene.storage.scratch import scratch
 
-# PnP needs four matches.
-_MIN_MATCHES = 4
 # Version in the key of the cache of a map. Another number rebuilds the cache.
 _FORMAT = 1
 
 
-class StructureConfig(Config):
+class StructureConfig(PnpConfig):
     """Options of a structure-based localizer."""
 
     references: int = Field(
@@ -47,8 +44,6 @@ class StructureConfig(Config):
     ratio: float = Field(
         0.8, gt=0, le=1, description="Ratio of nearest to second nearest descriptor distance."
     )
-    max_error_px: float = Field(4.0, gt=0, description="Inlier threshold of PnP.")
-    min_inliers: int = Field(12, ge=4, description="Fewer inliers count as a failure.")
     max_features: int = Field(8192, ge=100, description="Most features of an image.")
     memory_mb: int = Field(
         2048,
@@ -56,10 +51,6 @@ class StructureConfig(Config):
         description="Memory of the whole process; features of the map stay in memory as far as "
         "there is room below it.",
     )
-    use_gnss: bool = Field(
-        True, description="Let a position prior of known sigma take part in the refinement."
-    )
-    seed: int = Field(0, description="Random seed of RANSAC.")
     max_magnification: float = Field(
         2.0,
         ge=1,
@@ -222,29 +213,7 @@ class StructureLocalizer:
         with clock.stage("matching"):
             unit = self._extractor.unit(features.descriptors)
             keypoints, xyz = self._correspondences(unit, chosen)
-        if len(xyz) < _MIN_MATCHES:
-            reason = f"{len(xyz)} matches to the map, {_MIN_MATCHES} are needed"
-            return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
-        with clock.stage("pose"):
-            result = estimate_absolute_pose(
-                features.xy[keypoints].astype(np.float64),
-                xyz,
-                query.camera,
-                self.config.max_error_px,
-                query.prior if self.config.use_gnss else None,
-                self.config.seed,
-            )
-        inliers = int(result.inliers.sum()) if result else 0
-        if result is None or inliers < self.config.min_inliers:
-            reason = f"{inliers} of {len(xyz)} matches agree, {self.config.min_inliers} are needed"
-            return Estimate(Status.FAILED, inliers=inliers, seconds=clock.seconds, reason=reason)
-        return Estimate(
-            Status.OK,
-            result.cam_from_world,
-            result.covariance,
-            inliers=inliers,
-            seconds=clock.seconds,
-        )
+        return solve_pose(query, features.xy[keypoints].astype(np.float64), xyz, self.config, clock)
 
     def _correspondences(
         self, descriptors: torch.Tensor, references: NDArray[np.int64]
@@ -287,4 +256,4 @@ def _is_observed(sparse_map: SparseMap) -> bool:
     """Return whether the photographs of a map see enough of its points for a pose."""
     seen = [image.point_rows for image in sparse_map.images.values()]
     rows = np.unique(np.concatenate(seen))
-    return int((rows >= 0).sum()) >= _MIN_MATCHES
+    return int((rows >= 0).sum()) >= MIN_MATCHES

@@ -1,0 +1,1 @@
+"""Matchers of others as localizers: their matches, lifted to the map's points, give a pose."""

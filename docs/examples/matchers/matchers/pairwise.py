@@ -1,0 +1,140 @@
+"""A localizer by any matcher of the package vismatch: `--method vismatch --set matcher=roma`."""
+
+import importlib
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from baselines.features import map_features
+from baselines.lifting import LiftingOptions, interpolated_points
+from baselines.pnp import PnpConfig, solve_pose
+from baselines.retrieval import OnDemand, References
+from baselines.sift import Sift
+from baselines.starts import starts
+from baselines.views import WarpedImage, north_angle, warp_image
+from scene.config import load_config
+from scene.errors import InputError
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from scene.maps.sparse_map import SparseMap
+from scene.storage.images import read_rgb
+
+log = logging.getLogger(__name__)
+
+# SIFT features of a photograph, which only choose photographs where there is no prior.
+RETRIEVAL_FEATURES = 2048
+# vismatch counts pixels from the centre of the first one, the project from its corner.
+CORNER = 0.5
+
+
+class VismatchConfig(PnpConfig):
+    """`--set matcher=roma references=3` changes it."""
+
+    matcher: str = Field("superpoint-lightglue", description="A name that vismatch knows.")
+    device: str = Field("cpu", description="Device of torch.")
+    references: int = Field(5, ge=1, description="Photographs of the map that are matched.")
+    max_features: int = Field(2048, ge=1, description="Most keypoints, of matchers that have any.")
+    longest_px: int = Field(1024, ge=64, description="Larger photographs are resized to this.")
+    lifting: LiftingOptions = Field(LiftingOptions(), description="How keypoints become points.")
+
+
+class Vismatch:
+    name = "vismatch"
+    weights_sha256 = None  # vismatch downloads them; the name of the matcher says which
+
+    def __init__(self, config: VismatchConfig) -> None:
+        self.config = config
+
+    def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
+        self._matcher = load_matcher(self.config)
+        self._map, self._images = sparse_map, images
+        self._sift = Sift(RETRIEVAL_FEATURES)
+        features = map_features(sparse_map, images, self._sift, cache)
+
+        def described(row: int) -> NDArray[np.float32]:
+            return self._sift.unit(features[sparse_map.names[row]].descriptors).numpy()
+
+        count = len(sparse_map.names)
+        self._references = References.build(sparse_map, OnDemand(described, count))
+
+    def localize(self, query: Query) -> Estimate:
+        if reason := query_error(query):
+            return Estimate(Status.FAILED, reason=reason)
+        clock, config = Stopwatch(), self.config
+        with clock.stage("retrieval"):
+            chosen = self._references.choose(
+                query,
+                config.references,
+                lambda: self._sift.unit(self._sift(query.image).descriptors).numpy(),
+                tilted=False,
+            )
+        if not len(chosen):
+            return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
+        estimates = []
+        for start in starts(query.prior, self._map, chosen):
+            with clock.stage("matching"):
+                own = self._view(query.image, query.camera, start)
+                names = [self._map.names[int(row)] for row in chosen]
+                xy, xyz = zip(*(self._lifted(own, name) for name in names), strict=True)
+            matches = np.concatenate(xy), np.concatenate(xyz)
+            estimates.append(solve_pose(query, *matches, config, clock))
+        return max(estimates, key=lambda estimate: estimate.inliers)
+
+    def _view(self, rgb: NDArray[np.uint8], camera: Camera, pose: Pose) -> WarpedImage:
+        """Turn a photograph north up, because few networks recognise a turned one."""
+        scale = min(1.0, self.config.longest_px / max(camera.width, camera.height))
+        return warp_image(rgb, camera, north_angle(pose.rotation.numpy()), scale)
+
+    def _lifted(self, own: WarpedImage, name: str) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Match the query to a photograph of the map: (K, 2) its pixels, (K, 3) their points."""
+        image = self._map.images[name]
+        rgb = read_rgb(self._images / name, image.camera)
+        views = own, self._view(rgb, image.camera, image.pose)
+        try:
+            found = self._matcher(*(as_tensor(view.picture) for view in views))
+        except Exception as error:  # of a matcher: some fail where a picture shows nothing
+            log.warning("%s failed on %s: %r", self.config.matcher, name, error)
+            return np.empty((0, 2)), np.empty((0, 3))
+        # Not inlier_kpts: these agree with a homography, and what stands on the ground does not.
+        pixels = [
+            np.asarray(found[key], np.float64).reshape(-1, 2) + CORNER
+            for key in ("matched_kpts0", "matched_kpts1")
+        ]
+        kept = np.all([view.shows(xy) for view, xy in zip(views, pixels, strict=True)], axis=0)
+        xy, there = (view.in_photograph(xy[kept]) for view, xy in zip(views, pixels, strict=True))
+        xyz = interpolated_points(there, image, self._map.xyz, self.config.lifting)
+        seen = np.isfinite(xyz).all(1)
+        return xy[seen], xyz[seen]
+
+
+def as_tensor(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return a picture as vismatch takes it: (3, H, W), from 0 to 1."""
+    return np.ascontiguousarray(rgb.transpose(2, 0, 1), np.float32) / 255
+
+
+def load_matcher(config: VismatchConfig) -> Any:
+    """Load a matcher; its weights are downloaded the first time."""
+    try:
+        library = importlib.import_module("vismatch")
+    except ImportError as error:
+        raise InputError(
+            f"the method vismatch cannot load it ({error}): pip install vismatch"
+        ) from None
+    try:
+        return library.get_matcher(
+            config.matcher, device=config.device, max_num_keypoints=config.max_features
+        )
+    except Exception as error:  # of any of fifty libraries
+        what = f"matcher={config.matcher} on device={config.device}"
+        raise InputError(
+            f"vismatch cannot load {what}: {str(error).partition(chr(10))[0]}"
+        ) from error
+
+
+def make(overrides: dict[str, Any]) -> Vismatch:
+    return Vismatch(load_config(VismatchConfig, None, overrides))
