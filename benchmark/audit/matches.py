@@ -136,14 +136,11 @@ def _matched(
         return None
     xy_a, xy_b = seen[a].xy[matches[:, 0]], seen[b].xy[matches[:, 1]]
     threshold = _INLIER / 1000 * max(seen[a].side, seen[b].side)
-    _, mask = cv2.findFundamentalMat(
-        straight(xy_a, cameras[a]),
-        straight(xy_b, cameras[b]),
-        cv2.USAC_MAGSAC,
-        threshold,
-        0.999,
-        5000,
-    )
+    flat_a, flat_b = straight(xy_a, cameras[a]), straight(xy_b, cameras[b])
+    try:
+        _, mask = cv2.findFundamentalMat(flat_a, flat_b, cv2.USAC_MAGSAC, threshold, 0.999, 5000)
+    except cv2.error:  # of matches to which no geometry fits, it fails an assertion of its own
+        return None
     if mask is None or int(mask.sum()) < LEAST_MATCHES:
         return None
     kept = mask.ravel().astype(bool)
