@@ -39,6 +39,12 @@ demo: libraries
 	$(BIN)/objconnect view $(DEMO)/scene --results $(DEMO)/results --out $(DEMO)/view.html
 	@echo "Look at: $(DEMO)/leaderboard/leaderboard.html, $(DEMO)/view.html, $(DEMO)/scene/pictures"
 
+# The page of all tracks, from the results in leaderboard/; seconds, and no pictures are rendered.
+.PHONY: leaderboard
+leaderboard: install
+	$(BIN)/objconnect leaderboard --board leaderboard --out runs/leaderboard >/dev/null
+	@echo "Look at: runs/leaderboard/leaderboard.html"
+
 # What the tests of the leaderboard's page click in.
 .PHONY: browser
 browser: install
@@ -48,8 +54,13 @@ browser: install
 test: libraries browser lint
 	$(BIN)/python -m pytest -n $(WORKERS)
 
+# Programs of others that read our exports, outside the environment.
+.PHONY: peers
+peers: install
+	@$(BIN)/python -m tests.peers
+
 # What CI runs besides: the site, kills, clusters, wheels, damaged files.
-test-rest: libraries browser docs
+test-rest: libraries browser peers docs
 	$(BIN)/python -m pytest -n $(WORKERS) -m thorough
 	$(BIN)/python -m tests.fuzz --inputs 2000
 
@@ -57,9 +68,9 @@ test-rest: libraries browser docs
 test-all: test test-rest
 	$(BIN)/python -m pytest -n $(WORKERS) -m slow
 
-# The site of the documents, runs/site, in an environment of its own: it needs neither torch nor Blender.
+# The site of the documents, runs/site, in an environment of its own, with the page of all tracks.
 .PHONY: docs
-docs: $(DOCS)/.installed
+docs: $(DOCS)/.installed leaderboard
 	NO_MKDOCS_2_WARNING=1 $(DOCS)/bin/mkdocs build --strict
 
 $(DOCS)/.installed: pyproject.toml

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+import torch
 from torch import Tensor, nn
 
 # Channels of the convolutions of each block. Between blocks there is a pooling by 2.
@@ -60,7 +61,7 @@ def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tenso
         finest: outputs of finer strides are not kept: at stride 1 they take most of the memory.
     """
     mean, std = image.new_tensor([IMAGENET_MEAN, IMAGENET_STD])[..., None, None]
-    maps = (image - mean) / std
+    maps = torch.addcmul(-mean / std, image, 1 / std)  # in one pass
     blocks = []
     for number, block in enumerate(encoder):
         maps = block(maps)

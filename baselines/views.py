@@ -162,7 +162,12 @@ class WarpedImage:
         return _turned(torch.from_numpy(self.view_from_camera.T.copy()), view_from_world)
 
     def photograph_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the covariance (6, 6) of the photograph's pose, given that of the view's."""
+        """Return the covariance (6, 6) of the photograph's pose, given that of the view's.
+
+        One that is infinite, as nothing is known of the pose, stays as it is.
+        """
+        if not np.isfinite(covariance).all():
+            return covariance
         back = np.kron(np.eye(2), self.view_from_camera.T)
         return np.asarray(back @ covariance @ back.T)
 

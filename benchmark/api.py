@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from benchmark.sequence import localize_video as localize_video
     from benchmark.starts import parse_start as parse_start
     from benchmark.tracking import SequenceConfig as SequenceConfig
+    from benchmark.tracks.command import track as track
     from benchmark.validate import validate as validate
     from dense.command import dense as dense
     from ingest.command import ingest as ingest
@@ -63,6 +64,7 @@ _MODULES = {
     # Make scenes and maps.
     "simulate": "simulate.command",
     "SimulateConfig": "simulate.config",
+    "track": "benchmark.tracks.command",
     "ingest": "ingest.command",
     "photograph_orthophoto": "ingest.virtual.command",
     "build_map": "mapping.build",

@@ -8,9 +8,11 @@ whole flights instead (Field and Welsh, J. R. Stat. Soc. B 69, 2007).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 _DRAWS: Final = 4000
 # With k flights, one resample in k^(k-1) repeats a single flight. With fewer than five flights this
@@ -43,6 +45,15 @@ def difference_interval(
         return None
     change = np.array(after, np.float64) - np.array(before, np.float64)
     total, size = np.bincount(row, change, k), np.bincount(row, minlength=k)
-    drawn = np.random.default_rng(seed).multinomial(k, np.full(k, 1 / k), _DRAWS)
+    drawn = _draws(k, seed)
     low, high = np.percentile(100 * (drawn @ total) / (drawn @ size), [2.5, 97.5])
     return float(low), float(high)
+
+
+@lru_cache(maxsize=8)
+def _draws(k: int, seed: int) -> NDArray[np.int64]:
+    """Return how often each of k flights is drawn in each resample.
+
+    A page compares thousands of pairs that have the same number of flights.
+    """
+    return np.random.default_rng(seed).multinomial(k, np.full(k, 1 / k), _DRAWS)

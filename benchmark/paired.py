@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import NamedTuple
 
 from benchmark.score import Z_95
@@ -70,5 +71,10 @@ def mcnemar(lost: int, won: int) -> float:
 
 def _upper_tail(k: int, n: int) -> float:
     """Return P(X >= k) for the number X of heads in n throws of a fair coin."""
-    favourable = sum(math.comb(n, i) for i in range(k, n + 1))
-    return favourable / float(2**n)
+    term = math.comb(n, k)
+    favourable = 0
+    for i in range(k, n + 1):
+        favourable += term
+        term = term * (n - i) // (i + 1)
+    # 2.0**n overflows from n = 1024 on.
+    return float(Fraction(favourable, 2**n))

@@ -44,6 +44,9 @@ LOCALIZERS: Final[Registry[LocalizerFactory]] = Registry(
         "epipolar": _built_in("baselines.epipolar", "EpipolarConfig", "EpipolarLocalizer"),
         "d2net": _built_in("baselines.d2net.localizer", "D2NetConfig", "D2NetLocalizer"),
         "pixloc": _built_in("baselines.pixloc.localizer", "PixlocConfig", "PixlocLocalizer"),
+        "pixloc-search": _built_in(
+            "baselines.pixloc.localizer", "PixlocSearchConfig", "PixlocSearchLocalizer"
+        ),
         "objconnect": _built_in("objconnect.localizer", "ObjConnectConfig", "ObjConnectLocalizer"),
         "place": _built_in("objconnect.place", "PlaceConfig", "PlaceLocalizer"),
         "prior": _built_in("baselines.prior", "PriorConfig", "PriorLocalizer"),

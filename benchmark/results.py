@@ -26,6 +26,7 @@ from scene.storage.atomic import write_text
 from scene.storage.files import parse_json
 from scene.storage.listing import list_files
 from scene.storage.outputs import check_outputs, foreign_file_error
+from scene.storage.packed import MAGIC, SUFFIX, unpack
 
 # Larger numbers in a file are damage; sums of them could overflow.
 _MOST: Final = 10**12
@@ -44,8 +45,11 @@ TOTAL = "total"
 # Ending of basin files, which lie beside results but are not results; see ``benchmark.basin``.
 BASIN: Final = ".basin.json"
 
-# The first bytes of every results file and basin file.
-_HEAD: Final = b'{\n "schema": 1,\n "method": {'
+# Ending of compact results files; see ``benchmark.tracks.compact``.
+PACKED: Final = f".json{SUFFIX}"
+
+# The first bytes of every results file and basin file, and of what a compact one holds.
+_HEADS: Final = (b'{\n "schema": 1,\n "method": {', b'{"schema":1,"method":{')
 
 # Stored and recomputed figures that differ relatively by more show that the file was changed.
 _TOLERANCE = 1e-9
@@ -297,10 +301,15 @@ def method_in(path: Path) -> Method | None:
     if not path.is_file():
         return None
     content = path.read_bytes()
+    if content.startswith(MAGIC):
+        try:
+            content = unpack(content)
+        except ValueError:
+            return None
     try:
         return Method.model_validate(parse_json(content.decode())["method"])
     except (ValueError, KeyError, TypeError):
-        if content and not content.startswith(_HEAD):
+        if content and not content.startswith(_HEADS):
             raise foreign_file_error(path) from None
     return None
 
@@ -439,7 +448,9 @@ def results_files(path: Path) -> list[Path]:
     if not path.is_dir():
         raise InputError(f"results {path} do not exist")
     files = [
-        file for file in list_files(path, (".json",), depth=2) if not file.name.endswith(BASIN)
+        file
+        for file in list_files(path, (".json", SUFFIX), depth=2)
+        if file.name.lower().endswith((".json", PACKED)) and not file.name.endswith(BASIN)
     ]
     if not files:
         raise InputError(f"{path} holds no results file (<dataset>/<method>.json)")
@@ -466,9 +477,10 @@ def load(path: Path) -> Results:
                 "errors say otherwise"
             )
     recomputed = rescore(results)
-    for part in ("summary", *(f"by_{part}" for part in _PARTS)):
-        stored, computed = results.model_dump()[part], recomputed.model_dump()[part]
-        if (where := _difference(stored, computed, part)) is not None:
+    parts = {"summary", *(f"by_{part}" for part in _PARTS)}
+    stored, computed = (of.model_dump(include=parts) for of in (results, recomputed))
+    for part in stored:
+        if (where := _difference(stored[part], computed[part], part)) is not None:
             raise InputError(
                 f"results file {path}: {where} does not follow from its queries; "
                 "the file was changed after it was written"

@@ -24,6 +24,7 @@ def turned_over(
     placed: Georegistration,
     images: Sequence[FlightImage],
     max_error_deg: float,
+    agreeing: int = 0,
 ) -> set[str]:
     """Return the names of photographs that someone has rotated by 180 degrees.
 
@@ -36,10 +37,11 @@ def turned_over(
         placed: Where the model is in the world.
         images: Photographs of the model; there may be others.
         max_error_deg: A photograph that is further off contradicts its gimbal.
+        agreeing: Number of other photographs whose gimbals are known to agree.
     """
     linear = placed.world_from_model[:, :3]
     turn = linear / np.cbrt(np.linalg.det(linear))
-    over, upright = set(), 0
+    over, upright = set(), agreeing
     for image in images:
         if image.exif.gimbal is None or image.name not in model.images:
             continue

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
+from ingest.addition import add_photographs
 from ingest.adjustment import Adjusted, adjust
 from ingest.attitude import turned_over
 from ingest.control import fit_to_control
@@ -21,35 +19,35 @@ from ingest.georegister import georegister
 from ingest.given import Given, read_given, triangulated
 from ingest.neighbours import choose_pairs
 from ingest.options import IngestOptions
-from ingest.outputs import write_lists, write_measurements
-from ingest.photographs import SESSION, Flight, photographs_of, read_flight
-from ingest.picture import draw
-from ingest.plan import WORK, Plan, finished, resumable
+from ingest.outputs import FRAMES, owned_files, write_lists, write_map, write_measurements
+from ingest.photographs import (
+    SESSION,
+    Flight,
+    copy_photographs,
+    photographs_of,
+    read_flight,
+)
+from ingest.picture import PICTURE, draw
+from ingest.plan import DATABASE, WORK, Plan, flight_manifest, make_scene
 from ingest.positions import FEWEST, local, with_positions
 from ingest.report import REPORT, Findings, IngestReport, make_report
 from ingest.split import Split, queries_of
-from scene.bundle.manifest import Manifest, Session, read_json, write_json
-from scene.bundle.scene import COVISIBILITY, FEATURES, MAP_FILES, finish_scene
+from ingest.turned import begin_again, read_turned
+from scene.bundle.manifest import write_json
 from scene.colmap.database import MatchingJob, match_photographs
 from scene.colmap.sift import SiftOptions
 from scene.colmap.structure_from_motion import Mapper, map_photographs
-from scene.colmap.triangulation import triangulate_matched
-from scene.errors import InputError, WriteError
+from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
 from scene.maps.colmap_files import read_model
-from scene.maps.features import write_features
-from scene.maps.photographs import Photograph, PosedImage
-from scene.maps.sparse_map import SparseMap
+from scene.maps.photographs import Photograph
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.atomic import atomic_folder, remove_owned
+from scene.storage.atomic import atomic_folder
 from scene.storage.files import sha256_of
-from scene.storage.images import read_rgb, write_resized
 from scene.storage.locks import write_lock
 
-_TURNED = "turned.json"
-_DATABASE = Path("database.db")
 _DEFAULTS: Final = IngestOptions()
 
 
@@ -80,12 +78,6 @@ class _Source:
     control: Sequence[ControlPoint]
 
 
-class _Turned(BaseModel):
-    """Names of the photographs that are rotated by 180 degrees in the scene."""
-
-    names: tuple[str, ...]
-
-
 # More than six parameters: they are the options of the command ``ingest``.
 def ingest(
     photographs: Path,
@@ -95,6 +87,7 @@ def ingest(
     poses: Path | None = None,
     gcp: Path | None = None,
     checks: Sequence[str] = (),
+    add: Path | None = None,
     camera: Camera | None = None,
     size: int = 1600,
     mapper: Mapper = "incremental",
@@ -116,6 +109,8 @@ def ingest(
         gcp: list of ground control points, see ``control_points``. With ``poses``, which stay as
             they are, all points are check points.
         checks: names of points that are only compared.
+        add: finished scene to which the photographs are added, see ``add_photographs``; it stays as
+            it is, and ``out`` becomes a scene of both.
         camera: calibration of all photographs; None takes it from ``poses`` or EXIF.
         size: longest side of the photographs in the scene, pixels; larger ones are reduced.
         mapper: "incremental" or "global" structure from motion.
@@ -125,10 +120,19 @@ def ingest(
 
     Raises:
         InputError: fewer than three photographs can be read, have positions or overlap; ``out``
-            holds other files, cannot be written or is being written by another run.
+            holds other files, cannot be written or is being written by another run; or as
+            ``add_photographs``.
     """
     if photographs.resolve() in (out.resolve(), *out.resolve().parents):
         raise InputError(f"{out} lies in the folder of photographs: choose one outside it")
+    if add is not None:
+        if poses is not None or gcp is not None or checks or mapper != "incremental":
+            raise InputError(
+                "added photographs are registered in the map of their scene: leave out --poses, "
+                "--gcp, --gcp-check and --mapper"
+            )
+        asked = Plan(size=size, mapper=mapper, split=split, every=every, options=options)
+        return add_photographs(photographs, add, out, asked, gps, camera)
     flight = read_flight(photographs)
     if gps is not None:
         flight = with_positions(flight, gps)
@@ -179,30 +183,13 @@ def _source(
 
 
 def _ingest(out: Path, source: _Source) -> IngestReport:
-    plan = source.plan
-    if finished(out, plan):
-        return read_json(out / REPORT, IngestReport, "report of the ingested flight")
-    unfinished = resumable(out, plan)
-    unfinished.begin()
-    try:
-        report = _build(out, source)
-    except WriteError:
-        raise  # the same command continues when there is room
-    except InputError:
-        # These photographs make no scene, so nothing is kept for a later run.
-        remove_owned(out, _owned(source.flight))
-        raise
-    finish_scene(out, _manifest(plan, source.origin))
-    unfinished.end()
-    return report
-
-
-def _owned(flight: Flight) -> set[str]:
-    """Return the files that we write into the folder of a scene, for ``remove_owned``."""
-    copies = [f"sessions/{image.name}" for image in flight.images]
-    frames = f"sessions/{SESSION}/frames.h5"
-    lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, "pictures/ingest.png"]
-    return {*copies, frames, *lists, *(f"map/{file}" for file in MAP_FILES)}
+    return make_scene(
+        out,
+        source.plan,
+        lambda: _build(out, source),
+        owned_files(source.flight.images, SESSION),
+        flight_manifest(source.plan, source.origin, SESSION),
+    )
 
 
 def _build(out: Path, source: _Source) -> IngestReport:
@@ -220,15 +207,16 @@ def _build(out: Path, source: _Source) -> IngestReport:
         adjusted, points, source.origin, taken, out / WORK, options
     )
     model, images = adjusted.model, flight.images
-    wrong_attitudes = write_measurements(out, adjusted, images, fixes, queries, options)
-    sparse_map = _triangulate(out, model, queries)
+    frames = out / "sessions" / SESSION / FRAMES
+    wrong_attitudes = write_measurements(frames, adjusted, images, fixes, queries, options)
+    sparse_map = write_map(out, model, queries, out / WORK / DATABASE)
     write_lists(out, model, images, queries, options.covisibility_points)
     over = [image.file for image in images if image.name in turned]
     findings = Findings(wrong_attitudes, over, residuals)
     report = make_report(taken, flight, adjusted, fixes, sparse_map, findings)
     write_json(out / REPORT, report)
     draw(
-        out / "pictures" / "ingest.png",
+        out / PICTURE,
         f"{for_terminal(out.resolve().name)}: {report.registered} photographs, "
         f"{report.points} points",
         adjusted,
@@ -251,11 +239,11 @@ def _as_placed(point: ControlPoint, turned: set[str], taken: Sequence[Photograph
 
 def _as_given(out: Path, source: _Source, given: Given) -> tuple[Flight, Adjusted, set[str]]:
     """Return the photographs, their model with the given poses, and no rotated photographs."""
-    placed = _place(source.flight, source.folder, out, source.plan.size, set())
+    placed = copy_photographs(source.flight, source.folder, out / "sessions", source.plan.size, ())
     _require(placed, source.folder)
     there = [image.name for image in placed.images]
     taken = [photograph for photograph in source.taken if photograph.name in set(there)]
-    options, database = source.plan.options, out / WORK / _DATABASE
+    options, database = source.plan.options, out / WORK / DATABASE
     _match(taken, given.centres, options, out)
     adjusted = triangulated(given, there, source.fixes, out / "sessions", database, options)
     return placed, adjusted, set()
@@ -264,9 +252,10 @@ def _as_given(out: Path, source: _Source, given: Given) -> tuple[Flight, Adjuste
 def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     """Return the photographs of one model, the folder of the model, and the rotated photographs."""
     fixes, options = source.fixes, source.plan.options
-    known = out / WORK / _TURNED
-    turned = set(read_json(known, _Turned, "turned photographs").names) if known.exists() else set()
-    placed = _place(source.flight, source.folder, out, source.plan.size, turned)
+    turned = read_turned(out)
+    placed = copy_photographs(
+        source.flight, source.folder, out / "sessions", source.plan.size, turned
+    )
     _require(placed, source.folder)
     files = {image.name: image.file for image in placed.images}
     there = [photograph for photograph in source.taken if photograph.name in files]
@@ -277,13 +266,7 @@ def _structure(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
         where = georegister(raw, fixes, options.placement)
         turned = turned_over(raw, where, placed.images, options.max_attitude_error_deg)
         if turned:
-            # Their features belong to the unturned pictures, so the reconstruction starts again.
-            for name in turned:
-                (out / "sessions" / name).unlink()
-            for path in (out / WORK).glob(f"{_DATABASE.stem}*"):
-                path.unlink()
-            shutil.rmtree(model_path.parent)
-            write_json(known, _Turned(names=tuple(sorted(turned))))
+            begin_again(out, turned, model_path.parent)
             return _structure(out, source)
     return (
         placed.without({files[name]: reason for name, reason in elsewhere.items()}),
@@ -302,23 +285,6 @@ def _require(flight: Flight, folder: Path) -> None:
         )
 
 
-def _place(flight: Flight, folder: Path, out: Path, size: int, turned: set[str]) -> Flight:
-    """Copy photographs into the scene, rotating some; leave damaged ones out."""
-    damaged = {}
-    with progress_bar("copy photographs", len(flight.images)) as advance:
-        for done, image in enumerate(flight.images, 1):
-            target = out / "sessions" / image.name
-            if not target.is_file():
-                try:
-                    read_rgb(folder / image.file)
-                except InputError as error:
-                    damaged[image.file] = str(error)
-                else:
-                    write_resized(folder / image.file, target, size, over=image.name in turned)
-            advance(done)
-    return flight.without(damaged)
-
-
 def _match(
     taken: Sequence[Photograph],
     fixes: Mapping[str, NDArray[np.float64]],
@@ -328,7 +294,7 @@ def _match(
     pairs = choose_pairs([photograph.name for photograph in taken], fixes, options.pairs)
     with progress_bar("extract and match", len(taken) + len(pairs)) as advance:
         job = MatchingJob(out / "sessions", pairs, SiftOptions(), matching=options.matching)
-        match_photographs(job, taken, out / WORK / _DATABASE, advance)
+        match_photographs(job, taken, out / WORK / DATABASE, advance)
 
 
 def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, dict[str, str]]:
@@ -336,7 +302,7 @@ def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, 
     models = out / WORK / "models"
     with progress_bar("map", len(taken)) as advance, atomic_folder(models) as folder:
         models_by_size = map_photographs(
-            out / "sessions", taken, out / WORK / _DATABASE, folder, mapper, advance
+            out / "sessions", taken, out / WORK / DATABASE, folder, mapper, advance
         )
         members = [read_model(path).names for path in models_by_size]
     if not members or len(members[0]) < FEWEST:
@@ -350,30 +316,3 @@ def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, 
     return models / models_by_size[0].name, {
         n: why for n, why in reasons.items() if n not in members[0]
     }
-
-
-def _triangulate(out: Path, model: SparseMap, queries: set[str]) -> SparseMap:
-    images = [
-        PosedImage(name, model.images[name].camera, model.images[name].cam_from_world)
-        for name in model.names
-        if name not in queries
-    ]
-    with atomic_folder(out / "map", MAP_FILES) as folder:
-        sparse_map, features = triangulate_matched(
-            out / "sessions", images, out / WORK / _DATABASE, folder
-        )
-        write_features(folder / FEATURES, features)
-    return sparse_map
-
-
-def _manifest(plan: Plan, origin: Geodetic) -> Manifest:
-    return Manifest(
-        versions={n: version(n) for n in ("objconnect", "pycolmap", "numpy", "pillow", "h5py")},
-        preset=None,
-        seed=None,
-        config=plan.model_dump(mode="json"),
-        origin=origin,
-        reference="sfm",
-        sessions={SESSION: Session(condition="same-flight", flight="photographs", role="both")},
-        sha256={},
-    )

@@ -135,12 +135,12 @@ def triangulated(
     with atomic_folder(folder) as partial:
         raw, _ = triangulate_matched(root, images, database, partial)
     if given.origin is not None:
-        return Adjusted(raw, _as_given(raw, fixes, options), lenses, 0.0, {}, folder)
+        return Adjusted(raw, as_given(raw, fixes, options), lenses, 0.0, {}, folder)
     placed = georegister(raw, fixes, options.placement)
     return Adjusted(raw.moved(placed.world_from_model), placed, lenses, 0.0, {}, folder)
 
 
-def _as_given(
+def as_given(
     model: SparseMap, fixes: Mapping[str, Array], options: IngestOptions
 ) -> Georegistration:
     """Return the placement of a model that is in the world, and the fixes that contradict it."""

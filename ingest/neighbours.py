@@ -1,4 +1,4 @@
-"""Pairs of photographs that may show the same ground: neighbours by GPS and neighbours in time.
+"""Pairs of photographs that may show the same ground: neighbours by GPS, in time and by features.
 
 GPS alone would do for a good receiver. The order of the photographs helps where positions are late
 or missing.
@@ -13,8 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.options import PairOptions
+from scene.colmap.options import MatchOptions
+from scene.maps.features import Features, unit_descriptors
+from scene.maps.matching import match
+from scene.runtime.progress import progress_bar
 
 _DEFAULTS: Final = PairOptions()
+# Number of the largest features of a photograph by which photographs are compared.
+_LARGEST: Final = 500
 
 
 def choose_pairs(
@@ -44,3 +50,40 @@ def choose_pairs(
             pairs |= {(j, i) for j in range(max(i - after, 0), i)}
         pairs |= {(i, j) for j in range(i + 1, min(i + after + 1, len(names)))}
     return [(names[i], names[j]) for i, j in sorted({(min(p), max(p)) for p in pairs})]
+
+
+def alike(
+    names: Sequence[str],
+    known: Sequence[str],
+    features: Mapping[str, Features],
+    options: PairOptions,
+    matching: MatchOptions,
+) -> list[tuple[str, str]]:
+    """Return the pairs of photographs without a position and those of a map that look alike.
+
+    They are compared by the matches of their largest features alone, which other distances and most
+    changes of the picture leave as they are (the preemptive matching of Wu, "Towards linear-time
+    incremental structure from motion", 2013).
+
+    Args:
+        names: Photographs without a position.
+        known: Photographs of a map.
+        features: Features of all of them.
+        options: How many photographs of the map each one is matched with.
+        matching: Which features match.
+    """
+    largest = {}
+    for name in (*known, *names):
+        item = features[name]
+        chosen = np.argsort(-item.scale, kind="stable")[:_LARGEST]
+        largest[name] = unit_descriptors(item.descriptors[chosen])
+    pairs = []
+    with progress_bar("compare photographs", len(names)) as advance:
+        for done, name in enumerate(names, 1):
+            votes = [
+                len(match(largest[other], largest[name], matching.max_ratio)) for other in known
+            ]
+            best = np.argsort(-np.array(votes), kind="stable")[: options.nearest]
+            pairs += [(known[k], name) for k in sorted(best.tolist()) if votes[k]]
+            advance(done)
+    return pairs

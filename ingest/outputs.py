@@ -12,16 +12,24 @@ from ingest.adjustment import Adjusted
 from ingest.attitude import attitudes
 from ingest.options import IngestOptions
 from ingest.photographs import SESSION, FlightImage
-from ingest.report import residuals
+from ingest.picture import PICTURE
+from ingest.report import REPORT, residuals
 from scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
 from scene.bundle.frames import Frames, write_frames
 from scene.bundle.manifest import Objects, Splits, write_json
-from scene.bundle.scene import COVISIBILITY
+from scene.bundle.scene import COVISIBILITY, FEATURES, MAP_FILES
+from scene.colmap.triangulation import triangulate_matched
+from scene.maps.features import write_features
+from scene.maps.photographs import PosedImage
 from scene.maps.sparse_map import SparseMap
+from scene.storage.atomic import atomic_folder
+
+FRAMES = "frames.h5"
+"""The file of poses, cameras and priors in the folder of a session."""
 
 
 def write_measurements(
-    out: Path,
+    path: Path,
     adjusted: Adjusted,
     images: Sequence[FlightImage],
     fixes: Mapping[str, NDArray[np.float64]],
@@ -31,6 +39,14 @@ def write_measurements(
     """Write the poses of the model and the measurements of its photographs.
 
     The sigmas are measured on the photographs of the map.
+
+    Args:
+        path: file ``frames.h5`` of a session.
+        adjusted: the model in the world.
+        images: photographs of the session, all of them in the model.
+        fixes: measured positions (3,) by name, world metres.
+        queries: names of the queries.
+        options: when attitudes are wrong, and the least sigmas.
 
     Returns:
         By file, the error in degrees of each attitude that was not used.
@@ -56,8 +72,43 @@ def write_measurements(
         attitude_prior=attitude,
         attitude_sigma_deg=attitude_sigma,
     )
-    write_frames(out / "sessions" / SESSION / "frames.h5", frames, (), iter([{}] * len(names)))
+    write_frames(path, frames, (), iter([{}] * len(names)))
     return wrong
+
+
+def owned_files(images: Sequence[FlightImage], session: str) -> set[str]:
+    """Return the files that we write into the folder of a scene, for ``remove_owned``."""
+    copies = [f"sessions/{image.name}" for image in images]
+    lists = ["splits.json", "objects.json", COVISIBILITY, REPORT.name, PICTURE.as_posix()]
+    return {
+        *copies,
+        f"sessions/{session}/{FRAMES}",
+        *lists,
+        *(f"map/{file}" for file in MAP_FILES),
+    }
+
+
+def write_map(out: Path, model: SparseMap, queries: set[str], database: Path) -> SparseMap:
+    """Triangulate the map of a scene from its own photographs, and write it with its features.
+
+    Args:
+        out: folder of the scene.
+        model: the poses and cameras of map photographs and queries.
+        queries: names of the queries, which take no part.
+        database: features and verified matches of the photographs.
+
+    Raises:
+        InputError: no point could be triangulated.
+    """
+    images = [
+        PosedImage(name, model.images[name].camera, model.images[name].cam_from_world)
+        for name in model.names
+        if name not in queries
+    ]
+    with atomic_folder(out / "map", MAP_FILES) as folder:
+        sparse_map, features = triangulate_matched(out / "sessions", images, database, folder)
+        write_features(folder / FEATURES, features)
+    return sparse_map
 
 
 def write_lists(
@@ -84,12 +135,24 @@ def write_lists(
 
 def _covisibility(model: SparseMap, names: tuple[str, ...], sampled: int) -> Covisibility:
     """Measure covisibility on points in view; without depth, hidden points count as seen."""
-    points = np.full((len(names), sampled, 3), np.nan)
-    for k, name in enumerate(names):
-        rows = model.images[name].point_rows
-        seen = model.xyz[rows[rows >= 0]]
-        chosen = seen[np.linspace(0, len(seen) - 1, min(sampled, len(seen))).astype(int)]
-        points[k, : len(chosen)] = chosen
+    points = np.stack([seen_points(model, name, sampled) for name in names])
     images = [model.images[name] for name in names]
     poses = np.stack([image.cam_from_world for image in images])
     return Covisibility(names, visible_share([image.camera for image in images], poses, points))
+
+
+def seen_points(model: SparseMap, name: str, number: int) -> NDArray[np.float64]:
+    """Return points that a photograph of a model observes, (number, 3); NaN where it has fewer."""
+    rows = model.images[name].point_rows
+    return sample(model.xyz[rows[rows >= 0]], number)
+
+
+def sample(points: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+    """Return some of the points (N, 3), evenly spread over their order; NaN where there are fewer.
+
+    The result has the shape (number, 3).
+    """
+    chosen = np.linspace(0, len(points) - 1, min(number, len(points))).astype(int)
+    some = np.full((number, 3), np.nan)
+    some[: len(chosen)] = points[chosen]
+    return some

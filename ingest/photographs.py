@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -14,7 +14,7 @@ from scene.maps.photographs import Photograph
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
 from scene.storage.files import sha256_of
-from scene.storage.images import Exif, image_size, read_exif
+from scene.storage.images import Exif, image_size, read_exif, read_rgb, write_resized
 from scene.storage.listing import list_files
 
 SESSION = "flight"
@@ -67,11 +67,15 @@ class Flight:
         return replace(self, images=images, left_out=self.left_out | reasons)
 
 
-def read_flight(folder: Path) -> Flight:
+def read_flight(folder: Path, session: str = SESSION) -> Flight:
     """Read the metadata of every JPEG of a folder and of the folders in it.
 
     Of files with the same bytes, the first by name stays. Files that are not images, that cannot be
     read or whose names are not UTF-8 are left out.
+
+    Args:
+        folder: The folder.
+        session: Session of the photographs in the scene.
 
     Raises:
         InputError: There is no such folder, it holds no photograph, or two files would have the
@@ -93,7 +97,7 @@ def read_flight(folder: Path) -> Flight:
                 if digest in images:
                     left_out[file] = f"the same file as {images[digest].file}"
                 else:
-                    images[digest] = _look_at(folder, file, digest)
+                    images[digest] = _look_at(folder, file, digest, session)
             except UnicodeEncodeError:
                 # Neither COLMAP nor JSON can hold it.
                 left_out[for_terminal(file)] = "its name is not UTF-8: rename it"
@@ -114,9 +118,9 @@ def read_flight(folder: Path) -> Flight:
     return Flight(tuple(ordered), left_out)
 
 
-def _look_at(folder: Path, file: str, digest: str) -> FlightImage:
+def _look_at(folder: Path, file: str, digest: str, session: str = SESSION) -> FlightImage:
     exif, size = read_exif(folder / file), image_size(folder / file)
-    name = f"{SESSION}/images/{'_'.join(file.split())}"
+    name = f"{session}/images/{'_'.join(file.split())}"
     return FlightImage(file, name, digest, exif, size)
 
 
@@ -127,6 +131,36 @@ def _in_order(images: Iterable[FlightImage]) -> list[FlightImage]:
     if len(times) < len(by_name):
         return by_name
     return sorted(by_name, key=lambda image: times[image.file])
+
+
+def copy_photographs(
+    flight: Flight, folder: Path, root: Path, size: int, turned: Collection[str]
+) -> Flight:
+    """Copy photographs into a scene, reduced, some of them rotated by 180 degrees.
+
+    Args:
+        flight: The photographs.
+        folder: Their folder.
+        root: Folder of the sessions. A photograph that is there stays.
+        size: Longest side, pixels.
+        turned: Names of the photographs to rotate.
+
+    Returns:
+        The flight without damaged photographs.
+    """
+    damaged = {}
+    with progress_bar("copy photographs", len(flight.images)) as advance:
+        for done, image in enumerate(flight.images, 1):
+            target = root / image.name
+            if not target.is_file():
+                try:
+                    read_rgb(folder / image.file)
+                except InputError as error:
+                    damaged[image.file] = str(error)
+                else:
+                    write_resized(folder / image.file, target, size, over=image.name in turned)
+            advance(done)
+    return flight.without(damaged)
 
 
 def photographs_of(

@@ -13,6 +13,9 @@ from ingest.adjustment import Adjusted
 from ingest.report import residuals
 from scene.storage.atomic import atomic_write
 
+PICTURE = Path("pictures/ingest.png")
+"""The picture of a flight, in the folder of its scene."""
+
 
 def draw(
     path: Path,

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
+from importlib.metadata import version
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ingest.options import IngestOptions
+from ingest.report import REPORT, IngestReport
 from ingest.split import Split
-from scene.bundle.manifest import Manifest, read_json
-from scene.bundle.scene import MANIFEST, Scene
+from scene.bundle.manifest import Manifest, Session, read_json
+from scene.bundle.scene import MANIFEST, Scene, finish_scene
 from scene.colmap.structure_from_motion import Mapper
-from scene.errors import InputError
-from scene.storage.atomic import TEMPORARY_PREFIX
+from scene.errors import InputError, WriteError
+from scene.geometry.geodesy import Geodetic
+from scene.storage.atomic import TEMPORARY_PREFIX, remove_owned
 from scene.storage.resumable import ResumableFolder
 
 WORK = f"{TEMPORARY_PREFIX}ingest"
 """The folder of intermediate results in that of an unfinished scene."""
 
+DATABASE = Path("database.db")
+"""The database of features and matches among them."""
+
 _PLAN = "plan.json"
 
 
 class Plan(BaseModel):
-    """The request of a run. A folder that was begun with another request is refused."""
+    """The request of a run. A folder that was begun with another request is refused.
+
+    ``base`` is the digest of the scene that photographs are added to, and ``known`` are the
+    photographs that went into that scene: file by digest.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -30,12 +41,14 @@ class Plan(BaseModel):
     mapper: Mapper
     split: Split
     every: int
-    camera: str | None
-    gps: str | None
+    camera: str | None = None
+    gps: str | None = None
     poses: str | None = None
     gcp: str | None = None
     checks: tuple[str, ...] = ()
-    photographs: dict[str, str]
+    base: str | None = None
+    known: dict[str, str] = {}
+    photographs: dict[str, str] = {}
     options: IngestOptions = IngestOptions()
 
 
@@ -69,6 +82,56 @@ def finished(out: Path, plan: Plan) -> bool:
     ):
         unfinished.require_empty("scene")
     return False
+
+
+def flight_manifest(plan: Plan, origin: Geodetic, session: str) -> Manifest:
+    """Return the manifest of a scene of one flight, without digests."""
+    return Manifest(
+        versions={n: version(n) for n in ("objconnect", "pycolmap", "numpy", "pillow", "h5py")},
+        preset=None,
+        seed=None,
+        config=plan.model_dump(mode="json"),
+        origin=origin,
+        reference="sfm",
+        sessions={session: Session(condition="same-flight", flight="photographs", role="both")},
+        sha256={},
+    )
+
+
+def make_scene(
+    out: Path,
+    plan: Plan,
+    build: Callable[[], IngestReport],
+    owned: Collection[str],
+    manifest: Manifest,
+) -> IngestReport:
+    """Make the scene of a plan, or continue it, or return the report of the finished one.
+
+    Args:
+        out: Folder of the scene.
+        plan: The request.
+        build: Writes everything of the scene but its manifest.
+        owned: Files that ``build`` may write, for ``remove_owned``.
+        manifest: The manifest, without digests.
+
+    Raises:
+        InputError: The folder holds something else, or as ``build``.
+    """
+    if finished(out, plan):
+        return read_json(out / REPORT, IngestReport, "report of the ingested flight")
+    unfinished = resumable(out, plan)
+    unfinished.begin()
+    try:
+        report = build()
+    except WriteError:
+        raise  # the same command continues when there is room
+    except InputError:
+        # These photographs make no scene, so nothing is kept for a later run.
+        remove_owned(out, owned)
+        raise
+    finish_scene(out, manifest)
+    unfinished.end()
+    return report
 
 
 def recorded_plan(manifest: Manifest) -> Plan | None:

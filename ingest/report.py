@@ -60,8 +60,8 @@ class IngestReport(BaseModel):
         track_length: mean number of photographs that observe a point.
         reprojection_error_px: mean reprojection error over all observations, pixels.
         lenses: the cameras.
-        level: what defines the vertical: "gps", the "ground", poses that were "given",
-            or points of "control".
+        level: what defines the vertical: "gps", the "ground", poses that were "given", points of
+            "control", or the "map" that photographs were added to.
         fixes: number of photographs whose GPS position was used.
         blunders: distance from the camera of each fix that was not used, metres, by file.
         wrong_attitudes: angle between each gimbal attitude that was not used and its camera,
@@ -74,6 +74,9 @@ class IngestReport(BaseModel):
         map_points: number of points of the map, triangulated from its photographs alone.
         queries: number of photographs that are queries.
         control: ground control points, in the order of their list.
+        kept: number of frames of the scene that the photographs were added to; 0 without one. Map
+            and queries are then those of the whole scene, and the other figures those of the new
+            photographs.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -97,6 +100,7 @@ class IngestReport(BaseModel):
     map_points: int
     queries: int
     control: tuple[ControlResidual, ...] = ()
+    kept: int = 0
 
     def text(self) -> str:
         """Return the report as text."""
@@ -105,11 +109,13 @@ class IngestReport(BaseModel):
             "ground": "up is across the ground: GPS altitudes cannot tell",
             "given": "poses are as given",
             "control": "up is where ground control points say",
+            "map": "the world is that of the scene",
         }
         gps = "none" if self.gps is None else self.gps.text()
+        new = f"new photographs registered in a scene of {self.kept}" if self.kept else ""
         lines = [
-            f"{self.registered} of {self.photographs} photographs registered, {self.points} points "
-            f"in tracks of {self.track_length:.1f}, "
+            f"{self.registered} of {self.photographs} {new or 'photographs registered'}, "
+            f"{self.points} points in tracks of {self.track_length:.1f}, "
             f"{self.reprojection_error_px:.2f} px mean reprojection error",
             f"GPS residuals of {self.fixes} photographs: {gps}; {up[self.level]}",
             *(

@@ -70,6 +70,7 @@ class ObjectPlaceFinder:
         assert network.detector is not None and network.constellation is not None
         self._graph, self._options = network.constellation, options
         self._find = ObjectFinder(extract, network.detector, options.landmarks)
+        self._connect: Connector | None = None
         self.is_first = True
 
     def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
@@ -86,22 +87,28 @@ class ObjectPlaceFinder:
         """
         landmarks = self._find.kept_landmarks(sparse_map, images, key, cache)
         ground = map_ground(sparse_map)
-        self._connect = Connector(self._graph, landmarks, ground, self._options.connect)
+        # Photographs of a street look over the ground, and show no object from above.
+        self._connect = None
+        if len(landmarks):
+            self._connect = Connector(self._graph, landmarks, ground, self._options.connect)
         self._heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
         self.is_first = len(landmarks) <= self._options.most_landmarks
 
     def find(self, query: Query) -> list[Candidate]:
-        """Return places where the query may be, best first."""
+        """Return places where the query may be, best first; none in a map without objects."""
+        if self._connect is None:
+            return []
         found = self._find(query.image, query.camera)
         options = self._options
         base, *rest = headings_around(query.prior, self._heights, options.headings, options.heights)
         if query.prior is not None and query.prior.cam_from_world_rotation is not None:
             return self._connect(found, query.camera, base, *rest)
+        connect = self._connect
         places: list[Candidate] = []
         for number, degrees in enumerate(options.tilts_deg):
             # A camera that is tilted looks ahead: the ground is at the bottom of its picture.
             up = so3_exp(torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64))
-            places += self._connect(found, query.camera, up @ base, *rest)
+            places += connect(found, query.camera, up @ base, *rest)
             if number == 0 and (not places or _is_clear(places, options.clear_ratio)):
                 break
         return sorted(places, key=lambda place: -place.score)[: options.connect.candidates]

@@ -10,10 +10,8 @@ from pydantic import Field
 from baselines.checkpoint import shipped
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.maps import MapExtractor
-from baselines.featuremetric.options import FeaturemetricConfig
-from baselines.place.finder import PlaceOptions
-from baselines.sift import SiftConfig
-from baselines.starts import StartOptions
+from baselines.featuremetric.options import SearchingConfig
+from baselines.folding import fold
 from objconnect.connect import ConnectOptions
 from objconnect.finder import ObjectPlaceFinder, ObjectPlaceOptions
 from objconnect.network import read_network
@@ -22,16 +20,9 @@ SHIPPED: Final = Path(__file__).with_name("objconnect.safetensors")
 """The weights that come with the project."""
 
 
-class ObjConnectConfig(FeaturemetricConfig):
-    """Options of the objconnect localizer, which looks around its start too, and at more
-    photographs: what snow hides in one may be seen in another."""
+class ObjConnectConfig(SearchingConfig):
+    """Options of the objconnect localizer."""
 
-    references: int = Field(8, ge=1)
-    multistart: bool = True
-    most_tilt_deg: float | None = Field(30.0, ge=0)
-    place: PlaceOptions = Field(PlaceOptions())
-    matches: SiftConfig | None = Field(SiftConfig())
-    starts: StartOptions = Field(StartOptions(same_place_m=3.0))
     objects: ObjectPlaceOptions | None = Field(
         ObjectPlaceOptions(connect=ConnectOptions(candidates=3)),
         description="Starts from objects where no prior gives them, before the place search; None "
@@ -48,6 +39,7 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
 
     def __init__(self, config: ObjConnectConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
+        fold(network, config.precision)
         objects = None
         if config.objects is not None and network.constellation is not None:
             extract = MapExtractor(network, config.longest, config.precision)

@@ -7,7 +7,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 import baselines.pixloc.network as pixloc
@@ -100,7 +102,11 @@ class ObjConnectNet(nn.Module):
             self.constellation = ConstellationGraph(config.constellation)
 
     def forward(
-        self, image: Tensor, labels: Tensor | None = None, levels: int | None = None
+        self,
+        image: Tensor,
+        labels: Tensor | None = None,
+        levels: int | None = None,
+        shown: NDArray[np.bool_] | None = None,
     ) -> list[Level]:
         """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
 
@@ -109,6 +115,8 @@ class ObjConnectNet(nn.Module):
             labels: int64 label maps (B, _, _) of any size that cover the image, see
                 ``objconnect.segmentation``; None segments the image as configured.
             levels: number of levels from the coarsest on; None stands for all.
+            shown: cells of the finest level that are wanted, as ``pixloc.Decoder.forward`` takes
+                them; a network with objects or another decoder makes all cells.
 
         Returns:
             Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
@@ -118,7 +126,7 @@ class ObjConnectNet(nn.Module):
         Raises:
             InputError: the configuration expects label maps, and there are none.
         """
-        return self.describe(image, labels, levels)[0]
+        return self.describe(image, labels, levels, shown)[0]
 
     def objects(self, image: Tensor, labels: Tensor | None = None) -> Objects:
         """Return the objects of images, on the finest level that has objects.
@@ -136,13 +144,17 @@ class ObjConnectNet(nn.Module):
         return objects
 
     def describe(
-        self, image: Tensor, labels: Tensor | None = None, levels: int | None = None
+        self,
+        image: Tensor,
+        labels: Tensor | None = None,
+        levels: int | None = None,
+        shown: NDArray[np.bool_] | None = None,
     ) -> tuple[list[Level], Objects | None]:
         """Return the results of both ``forward`` and ``objects`` in one pass.
 
         The objects are None where the network has none. Arguments are those of ``forward``.
         """
-        decoded = self._decoded(image)
+        decoded = self._decoded(image, None if self._with_objects else shown)
         if not self._with_objects:
             labels = None
         elif labels is None and self.config.segmentation == "learned":
@@ -195,9 +207,14 @@ class ObjConnectNet(nn.Module):
         decoded = self._decoded(image)
         return [found for _, found in self._detected(decoded)]
 
-    def _decoded(self, image: Tensor) -> Iterable[Tensor]:
+    def _decoded(self, image: Tensor, shown: NDArray[np.bool_] | None = None) -> Iterable[Tensor]:
         """Yield the decoder's maps of images, coarse to fine."""
-        maps: Iterable[Tensor] = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
+        blocks = encode(self.encoder, image, self.config.strides[-1])
+        maps: Iterable[Tensor]
+        if isinstance(self.decoder, pixloc.Decoder):
+            maps = self.decoder(blocks, shown)
+        else:
+            maps = self.decoder(blocks)
         return maps
 
     def _learned(self, decoded: Iterable[Tensor]) -> Tensor:

@@ -8,7 +8,8 @@ import torch
 from pydantic import Field
 
 from baselines.checkpoint import shipped
-from baselines.featuremetric.maps import MapExtractor, Precision
+from baselines.featuremetric.maps import MapExtractor
+from baselines.folding import Precision, fold
 from baselines.place.finder import PlaceFinder, PlaceOptions
 from objconnect.localizer import SHIPPED
 from objconnect.network import read_network
@@ -28,7 +29,7 @@ class PlaceConfig(Config):
     """
 
     weights: Path | None = None
-    precision: Precision = "float32"
+    precision: Precision = Field("auto", validate_default=True)
     search: PlaceOptions = Field(default_factory=PlaceOptions)
 
 
@@ -43,6 +44,7 @@ class PlaceLocalizer:
     def __init__(self, config: PlaceConfig) -> None:
         self.config = config
         network, digest = read_network(config.weights or shipped(SHIPPED))
+        fold(network, config.precision)
         self.weights_sha256: str | None = digest
         extract = MapExtractor(network, 2 * config.search.longest, config.precision)
         self._finder = PlaceFinder(extract, config.search)

@@ -86,7 +86,7 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
 
 def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None) -> Scene:
     unfinished = _resumable(out, config)
-    finished = _finished(out, config)
+    finished = finished_scene(out, config)
     if finished is not None:
         return finished
     base = preset(config.preset)(config.seed, config.area)
@@ -148,8 +148,12 @@ def _resumable(out: Path, config: SimulateConfig) -> ResumableFolder:
     return ResumableFolder(out, out / _CONFIG, config.model_dump_json(), difference)
 
 
-def _finished(out: Path, config: SimulateConfig) -> Scene | None:
-    """Return the scene when it is finished already; refuse a folder that holds anything else."""
+def finished_scene(out: Path, config: SimulateConfig) -> Scene | None:
+    """Return the scene of a configuration if it is finished; None if it is still to be rendered.
+
+    Raises:
+        InputError: ``out`` holds something else than this scene or a part of it.
+    """
     unfinished = _resumable(out, config)
     if (out / MANIFEST).is_file():
         scene = Scene.open(out)

@@ -1,13 +1,19 @@
-"""Covariance of an aligned pose, from the residuals it was found by."""
+"""Covariance of an aligned pose, from the residuals it was found by and the curvature there."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from baselines.align.residuals import Linearisation
+from baselines.align.damping import moved
+from baselines.align.local import Local
+from baselines.align.problem import Problem
+from baselines.align.residuals import LevelCost, Linearisation
+from baselines.align.trees import rows
+from scene.geometry.pose import Pose
 
 # Degrees of freedom of a pose, in patches: each patch contributes two numbers.
 _POSE_IN_PATCHES = 3
@@ -15,7 +21,9 @@ _POSE_IN_PATCHES = 3
 _ANY_TURN = math.pi**2
 
 
-def covariance(around: Linearisation, patch_cells: float) -> Tensor:
+def covariance(
+    around: Linearisation, patch_cells: float, curvature: Tensor | None = None
+) -> Tensor:
     """Covariance (M, 6, 6) of poses at the minimum of their cost, in double precision.
 
     Huber's sandwich H^-1 (sum of p p^T) H^-1, with p the pull of each patch of the picture on the
@@ -28,9 +36,11 @@ def covariance(around: Linearisation, patch_cells: float) -> Tensor:
     Args:
         around: the cost at the M poses.
         patch_cells: side of the square patches, cells of the level.
+        curvature: H (M, 6, 6), the second derivatives of half the summed cost; None for those of
+            Gauss and Newton, which are right where residuals are small.
     """
-    H, pull = around.hessian.detach().double(), around.pull.detach().double()
-    pull, count = _by_patch(around, pull, patch_cells)
+    H = (around.hessian if curvature is None else curvature).detach().double()
+    pull, count = _by_patch(around, around.pull.detach().double(), patch_cells)
     enough = count > _POSE_IN_PATCHES
     factor, info = torch.linalg.cholesky_ex(H)
     determined = enough & (info == 0)
@@ -45,6 +55,75 @@ def covariance(around: Linearisation, patch_cells: float) -> Tensor:
     good = determined & result.isfinite().flatten(1).all(-1) & (turn < _ANY_TURN)
     unknown = torch.full_like(H[0, 0], torch.inf).diag_embed().expand_as(H)
     return torch.where(good[:, None, None], 0.5 * (result + result.transpose(-1, -2)), unknown)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far aligned poses may be off, as far as the query tells.
+
+    Attributes:
+        covariance: (B, 6, 6) of the left tangent, rotation (rad) then translation (m); infinite on
+            the diagonal where the points do not determine a pose.
+        curvature: (B,) geometric mean of the curvature of the cost over six directions, as a share
+            of Gauss and Newton's, at most 1; 0 where the points do not determine a pose.
+        depth: (B,) median depth of the points in view, metres; zero without any.
+    """
+
+    covariance: Tensor
+    curvature: Tensor
+    depth: Tensor
+
+
+def spread(problem: Problem, aligned: Pose) -> Spread:
+    """Compute the covariances of poses (B) aligned on the finest level of a problem.
+
+    Where a query hardly looks like the map, as in snow, the Hessian of Gauss and Newton is too
+    large: it counts the slopes of all that the query shows, also of what the map does not know and
+    the cost does not follow. So the second derivatives of the cost are measured, by differences of
+    gradients along the axes in which that Hessian is the identity, and count where they are less.
+
+    Args:
+        problem: what was aligned.
+        aligned: ``cam_from_world`` at the minimum.
+    """
+    options, local = problem.options, Local.of(problem.starting_at(aligned))
+    cost = LevelCost.of(
+        problem.levels[-1],
+        local.points,
+        local.usable,
+        local.intrinsics,
+        options.border_cells,
+        options.robust_scale,
+    )
+    around, patch = cost.linearise(local.start), options.covariance_patch_cells
+    depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2].double()
+    depth = torch.where(around.seen, depth, torch.nan)
+    first = covariance(around, patch)
+    known = (local.finite & first.isfinite().flatten(1).all(-1))[:, None, None]
+    eye = torch.eye(6).to(first)
+    lower = torch.linalg.cholesky(torch.where(known, around.hessian.detach().double(), eye))
+    axes = torch.linalg.inv(lower)  # a row for each direction
+    variance = lower.transpose(-1, -2) @ torch.where(known, first, eye) @ lower
+    length = options.curvature_sigmas * variance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
+    steps = length[:, None, None] * axes
+    slopes = _gradients(cost, local.start, steps) - _gradients(cost, local.start, -steps)
+    share = (slopes / (2 * length[:, None, None])) @ axes.transpose(-1, -2)
+    values, vectors = torch.linalg.eigh(0.5 * (share + share.transpose(-1, -2)).nan_to_num())
+    values = values.clamp(options.least_curvature, 1)
+    root = lower @ vectors * values.sqrt()[:, None]
+    measured = covariance(around, patch, root @ root.transpose(-1, -2))
+    return Spread(
+        torch.where(known, measured, first),
+        torch.where(known[:, 0, 0], values.log().mean(-1).exp(), 0),
+        depth.nanmedian(-1).values.nan_to_num(),
+    )
+
+
+def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:
+    """Return the gradients (B, K, 6) of half the summed cost after steps (B, K, 6) from poses."""
+    owner = torch.arange(len(steps), device=steps.device).repeat_interleave(steps.shape[1])
+    shifted = moved(rows(pose, owner), steps.flatten(0, 1))
+    return cost.rows(owner).linearise(shifted).gradient.double().view_as(steps)
 
 
 def _by_patch(around: Linearisation, pull: Tensor, side: float) -> tuple[Tensor, Tensor]:

@@ -231,8 +231,13 @@ def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
 def _cost_by_chance(level: Level, robust_scale: float, chance_cells: int) -> Tensor:
     """Return the mean cost (B,) of points at places that are not theirs."""
     cells = level.features.flatten(2)
-    some = cells[..., :: max(1, cells.shape[-1] // chance_cells)]
-    return _costs(some, level.reference, robust_scale).mean((-1, -2))
+    some = slice(None, None, max(1, cells.shape[-1] // chance_cells))
+    cost = _costs(cells[..., some], level.reference, robust_scale).mean(-2)
+    if level.confidence is None:
+        return cost.mean(-1)
+    # Cells that do not show the photograph say nothing.
+    shown = (level.confidence.flatten(1)[:, some] > 0).to(cost)
+    return (cost * shown).sum(-1) / shown.sum(-1).clamp_min(1)
 
 
 def _costs(cells: Tensor, reference: Tensor, robust_scale: float) -> Tensor:

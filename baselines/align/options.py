@@ -40,6 +40,18 @@ class SolverOptions(Config):
         description="Side of the square patches of a level (cells) whose points count as "
         "dependent in the covariance.",
     )
+    curvature_sigmas: float = Field(
+        4.0,
+        gt=0,
+        description="Standard deviations from a pose at which the curvature of its cost is "
+        "measured, for the covariance.",
+    )
+    least_curvature: float = Field(
+        0.05,
+        gt=0,
+        description="Least curvature that a covariance assumes in any direction, as a share of "
+        "Gauss and Newton's.",
+    )
 
 
 class Options(SolverOptions):

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
-from baselines.align.sampling import CellTable, Stride, inside, per_axis, stencil
+from baselines.align.sampling import VALUE, CellTable, Stride, inside, per_axis, stencil
 from baselines.align.trees import rows
 from scene.geometry.pose import Pose
 from scene.geometry.projection import Intrinsics
@@ -90,7 +89,7 @@ class LevelCost:
         stride: (2,) pixels per cell, x and y.
         points: (M, N, 3).
         mask: (M, N) points to use.
-        target: (M, N, 3, C) minus the features of the points, with two rows of zeros.
+        target: (M, N, C) features of the points.
         target_trust: (M, N) confidence of the points, or None.
         intrinsics: intrinsics (M) of the queries, or one camera.
         border: cells at the edge of the map in which points do not count; at least 1.
@@ -128,9 +127,9 @@ class LevelCost:
             border: cells at the edge of the map in which points do not count.
             scale: scale of the robust cost.
         """
-        table = CellTable.of(level.features)
         exact = level.features.dtype == torch.float64
-        reference = level.reference.to(torch.float64 if exact else torch.float32)
+        dtype = torch.float64 if exact else torch.float32
+        table = CellTable.of(level.features.to(dtype))
         return LevelCost(
             table=table,
             trust=None if level.confidence is None else CellTable.of(level.confidence),
@@ -138,7 +137,7 @@ class LevelCost:
             stride=per_axis(level.stride, points),
             points=points,
             mask=mask,
-            target=pad(-reference[..., None, :], (0, 0, 0, 2)),
+            target=level.reference.to(dtype),
             target_trust=level.reference_confidence,
             intrinsics=intrinsics,
             border=max(border, 1.0),
@@ -170,14 +169,15 @@ class LevelCost:
         index, weights = stencil(cells, self.table, self.first)
 
         # Residual and slopes of all channels, 3 x C per point; then only their products, 3 x 3.
-        near = self.table.gather(index).flatten(0, 1)
-        field = torch.baddbmm(self.target.flatten(0, 1), weights.flatten(0, 1).to(near), near)
-        gram = (field @ field.transpose(-1, -2)).view(*seen.shape, 3, 3).to(cells)
+        field = self.table.mix(index, weights)
+        field[..., 0, :] -= self.target
+        gram = (field @ field.transpose(-1, -2)).to(cells)
         squared = gram[..., 0, 0]
 
         trust = seen.to(cells)
         if self.trust is not None:
-            trust = trust * (self.trust.gather(index)[..., 0] * weights[..., 0, :]).sum(-1)
+            near = self.trust.gather(index[..., :VALUE])[..., 0]
+            trust = trust * (near * weights[..., :VALUE]).sum(-1)
         if self.target_trust is not None:
             trust = trust * self.target_trust
         seen = seen & (trust > 0)

@@ -11,6 +11,7 @@ from typing import Final
 
 import torch
 from torch import Tensor
+from torch.nn.functional import embedding_bag
 
 Stride = float | tuple[float, float]
 """Pixels per cell, one number or x and y (a picture resized by two factors)."""
@@ -57,29 +58,50 @@ class CellTable:
         cells = self.cells.index_select(0, index.flatten()).view(*index.shape, self.cells.shape[-1])
         return cells if cells.dtype == torch.float64 else cells.float()
 
+    def mix(self, index: Tensor, weights: Tensor) -> Tensor:
+        """Return value and slopes (M, N, 3, C) by cells and weights (M, N, 20) of ``stencil``.
+
+        Looking cells up and summing them in one pass takes a tenth of the time of a product with
+        the cells of every point, which do not fit into the processor's cache.
+        """
+        shape, index = index.shape[:-1], index.flatten()
+        parts = torch.tensor(_PARTS, device=index.device)
+        begin = torch.arange(0, len(index), STENCIL, device=index.device)[:, None] + parts
+        share = weights.to(self.cells).flatten()
+        mixed = embedding_bag(
+            index, self.cells, begin.flatten(), mode="sum", per_sample_weights=share
+        )
+        return mixed.view(*shape, 3, self.cells.shape[-1])
+
 
 def _stencil_basis() -> tuple[list[tuple[int, int]], Tensor]:
-    """Return the stencil's cells (x, y), and the (4, 36) matrix from 1, a, b, ab to weights."""
+    """Return the stencil's cells (x, y), and the (4, 20) matrix from 1, a, b, ab to weights."""
+    two, four = (0, 1), range(-1, 3)
+    reach = ((two, two), (two, four), (four, two))  # rows and columns of each part
+    placed = [
+        (part, x, y) for part, (rows, columns) in enumerate(reach) for y in rows for x in columns
+    ]
 
     def weights(a: float, b: float) -> Tensor:
         value = [torch.tensor([0, 1 - t, t, 0]) for t in (a, b)]
         slope = [0.5 * torch.tensor([t - 1, -t, 1 - t, t]) for t in (a, b)]
         columns = (value[0], slope[0], value[0])
         rows = (value[1], value[1], slope[1])
-        full = torch.stack([torch.outer(r, c) for r, c in zip(rows, columns, strict=True)])
-        return torch.stack([full[:, y + 1, x + 1] for x, y in cells], -1).flatten()
+        return torch.stack([rows[part][y + 1] * columns[part][x + 1] for part, x, y in placed])
 
-    square = [(x, y) for y in range(-1, 3) for x in range(-1, 3)]
-    cells = [(x, y) for x, y in square if x in (0, 1) or y in (0, 1)]
     at = {(a, b): weights(a, b).double() for a in (0.0, 1.0) for b in (0.0, 1.0)}
     none, x, y, both = at[0, 0], at[1, 0], at[0, 1], at[1, 1]
-    return cells, torch.stack([none, x - none, y - none, both - x - y + none])
+    return [(x, y) for _, x, y in placed], torch.stack(
+        [none, x - none, y - none, both - x - y + none]
+    )
 
 
-# A square of 4 x 4 cells around a point, from -1 to 2, without its corners: what a bilinear value
-# and its central differences are made of. Weights are bilinear in the place a, b between cells.
+# Cells of which a bilinear value (4), its central difference along x (8) and that along y (8) are
+# made. Weights are bilinear in the place a, b between cells.
 _CELLS, _BASIS = _stencil_basis()
 STENCIL: Final = len(_CELLS)
+VALUE: Final = 4
+_PARTS: Final = (0, VALUE, 12)
 
 
 def stencil(cells: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Tensor]:
@@ -91,15 +113,15 @@ def stencil(cells: Tensor, table: CellTable, first: Tensor) -> tuple[Tensor, Ten
         first: (M,) number of the first cell of each row's map.
 
     Returns:
-        Cell numbers (M, N, 12), and weights (M, N, 3, 12) of the value, its slope along x and its
-        slope along y, per cell. A slope is half the difference of the values one cell before and
-        one cell after.
+        Cell numbers (M, N, 20) and their weights (M, N, 20): four cells of the value, eight of its
+        slope along x and eight of its slope along y, per cell. A slope is half the difference of
+        the values one cell before and one cell after.
     """
     last = torch.tensor([table.width - 3, table.height - 3], device=cells.device)
     corner = cells.detach().floor().clamp_min(1).minimum(last)
     between = cells - corner
     powers = torch.cat([torch.ones_like(between[..., :1]), between, between.prod(-1, True)], -1)
-    weights = (powers @ _BASIS.to(cells)).view(*cells.shape[:-1], 3, STENCIL)
+    weights = powers @ _BASIS.to(cells)
     x, y = corner.long().unbind(-1)
     steps = torch.tensor([y * table.width + x for x, y in _CELLS], device=cells.device)
     index = (first[:, None] + y * table.width + x)[..., None] + steps

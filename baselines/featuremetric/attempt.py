@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from baselines.align.aligner import Alignment
+from baselines.align.covariance import Spread, spread
+from baselines.align.problem import Problem
 from baselines.featuremetric.options import SearchOptions
+from baselines.featuremetric.problem import fit
 from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
 
@@ -18,12 +25,14 @@ class Attempt:
     Attributes:
         view: the warped image.
         alignment: of the view.
+        spread: how far its pose may be off; None where alignment failed.
         fit: cost as a share of the cost by chance; infinite where alignment failed.
         reason: why the pose is not accepted; empty where it is.
     """
 
     view: WarpedImage
     alignment: Alignment
+    spread: Spread | None
     fit: float
     reason: str
 
@@ -38,6 +47,28 @@ class Attempt:
         return photograph_pose(self.view, self.alignment)
 
 
+def judged(
+    view: WarpedImage, problem: Problem, alignment: Alignment, options: SearchOptions
+) -> Attempt:
+    """Measure how well the pose of an alignment fits, and how far it may be off.
+
+    Args:
+        view: the warped image.
+        problem: what was aligned last.
+        alignment: of the view.
+        options: when a pose is accepted.
+    """
+    if alignment.failed[0]:
+        return Attempt(view, alignment, None, math.inf, alignment.reason(0))
+    of_chance, around = fit(problem, alignment.pose), spread(problem, alignment.pose)
+    reason = ""
+    if not of_chance < options.accept_fit:
+        reason = "the image fits the map's points hardly better than it would by chance"
+    elif not around.curvature[0] >= options.least_curvature:
+        reason = "the image fits the map's points nearly as well at poses around"
+    return Attempt(view, alignment, around, of_chance, reason)
+
+
 def is_clear(row: int, attempts: Sequence[Attempt], options: SearchOptions) -> bool:
     """Return whether another attempt led to the pose of this one, or all others fit worse."""
     attempt = attempts[row]
@@ -48,6 +79,24 @@ def is_clear(row: int, attempts: Sequence[Attempt], options: SearchOptions) -> b
         return True
     least = attempt.fit + options.clear_margin
     return bool(others) and all(other.fit > least for other in others)
+
+
+def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
+    """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
+
+    What the alignment measures grows by ``covariance_factor / curvature**covariance_power``: the
+    less of what the query shows is found again, the less is the rest believed. What errors of the
+    map leave, ``covariance_floor``, is added.
+    """
+    if attempt.spread is None:
+        return None
+    measured = attempt.spread.covariance[0].numpy()
+    if not np.isfinite(measured).all():
+        return None
+    share, depth = float(attempt.spread.curvature[0]), float(attempt.spread.depth[0])
+    factor = options.covariance_factor * share**-options.covariance_power
+    floor = options.covariance_floor * np.repeat([1.0, depth], 3)
+    return attempt.view.photograph_covariance(factor * measured + np.diag(floor**2))
 
 
 def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:

@@ -8,7 +8,6 @@ steps that make the cost larger are not taken, and the pose has a covariance.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -23,7 +22,14 @@ from baselines.align.aligner import Alignment, align
 from baselines.align.hypotheses import align_from_many
 from baselines.align.options import Options, SearchRadius
 from baselines.align.problem import Problem
-from baselines.featuremetric.attempt import Attempt, is_clear, photograph_pose, stayed_near
+from baselines.featuremetric.attempt import (
+    Attempt,
+    calibrated,
+    is_clear,
+    judged,
+    photograph_pose,
+    stayed_near,
+)
 from baselines.featuremetric.maps import FeatureMap, MapExtractor, Network
 from baselines.featuremetric.matcher import matcher
 from baselines.featuremetric.options import FeaturemetricConfig
@@ -34,7 +40,7 @@ from baselines.featuremetric.priors import (
     says_where,
     search_radius,
 )
-from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder, fit
+from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
 from baselines.featuremetric.references import ReferenceSource, references
 from baselines.place.finder import PlaceFinder
 from baselines.place.search import Candidate
@@ -207,12 +213,10 @@ class FeaturemetricLocalizer:
                 seconds=clock.seconds,
                 reason=best.reason,
             )
-        inflated = self.config.search.covariance_inflation * best.alignment.covariance[0].numpy()
-        covariance = best.view.photograph_covariance(inflated)
         return Estimate(
             Status.OK,
             best.pose,
-            covariance if np.isfinite(covariance).all() else None,
+            calibrated(best, self.config.search),
             inliers=seen,
             iterations=iterations,
             seconds=clock.seconds,
@@ -347,11 +351,7 @@ class FeaturemetricLocalizer:
                 problem, alignment = self._realigned(query, view, maps, problem, alignment)
             else:
                 alignment = align(problem)
-            reason = alignment.reason(0)
-            of_chance = math.inf if reason else fit(problem, alignment.pose)
-            if not reason and not of_chance < options.accept_fit:
-                reason = "the image fits the map's points hardly better than it would by chance"
-        return Attempt(view, alignment, of_chance, reason)
+            return judged(view, problem, alignment, options)
 
     def _realigned(
         self,

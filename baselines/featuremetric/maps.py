@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import torch
@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from baselines.align.sampling import sample
+from baselines.folding import resolved
 from baselines.views import WarpedImage, level_image, warp_image
 from scene.geometry.camera import Camera
 from scene.storage.lru_cache import MEGABYTE
 
-Precision = Literal["float32", "bfloat16"]
 # Bytes per pixel that a pass of the networks takes at its peak, beside what they return.
 _PASS_BYTES: Final = 320
+# The networks cut off what is left of an image beyond a multiple of this many pixels.
+_COARSEST: Final = 16
 
 
 class Levels(Protocol):
@@ -50,10 +52,13 @@ class Network(Protocol):
         ...
 
     def __call__(
-        self, image: Tensor, *, levels: int | None = None
+        self, image: Tensor, *, levels: int | None = None, shown: NDArray[np.bool_] | None = None
     ) -> Iterable[tuple[Tensor, Tensor]]:
         """Images (B, 3, H, W) of RGB in 0..1 -> features (B, C, h, w), not normalised, and
-        confidences (B, 1, h, w) in 0..1, of so many levels from the coarsest or of all."""
+        confidences (B, 1, h, w) in 0..1, of so many levels from the coarsest or of all.
+
+        Of the finest level only the cells ``shown`` (h, w) are wanted; None stands for all.
+        """
         ...
 
 
@@ -62,8 +67,8 @@ class FeatureMap:
     """One level of one view.
 
     Attributes:
-        features: (1, C, h, w), not normalised.
-        confidence: (1, 1, h, w) in 0..1; 0 where the view does not show the photograph.
+        features: (1, C, h, w) float32, not normalised.
+        confidence: (1, 1, h, w) float32 in 0..1; 0 where the view does not show the photograph.
         stride: pixels of the view per cell.
     """
 
@@ -91,13 +96,13 @@ class MapExtractor:
     Args:
         network: trained, ready for use.
         longest: photographs with a longer side (px) are made smaller.
-        precision: of the convolutions. bfloat16 is fast where the processor has units for it.
+        precision: of the convolutions, as in ``baselines.folding.Precision``.
     """
 
-    def __init__(self, network: Network, longest: int, precision: Precision) -> None:
+    def __init__(self, network: Network, longest: int, precision: str) -> None:
         self.network = network
         self.longest = longest
-        self._bfloat16 = precision == "bfloat16"
+        self._bfloat16 = resolved(precision) == "bfloat16"
 
     @torch.inference_mode()
     def __call__(
@@ -129,13 +134,19 @@ class MapExtractor:
             seen = level_image(rgb, camera, view_from_camera, scale)
         # Rows of pixels of RGB are channels-last as they are.
         image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
+        strides = self.network.config.strides
+        size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in image.shape[-2:])
+        finest = None if seen.whole else _shown(seen, size, strides[-1])
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
-            made = self.network(image, levels=levels)
+            made = self.network(image, levels=levels, shown=finest)
         maps = []
-        strides = self.network.config.strides[:levels]
-        for stride, (features, confidence) in zip(strides, made, strict=True):
-            shown = torch.from_numpy(_shown(seen, confidence.shape[-2:], stride))
-            maps.append(FeatureMap(features, confidence * shown, stride))
+        for stride, (features, confidence) in zip(strides[:levels], made, strict=True):
+            confidence = confidence.float()
+            if finest is not None:
+                last = stride == strides[-1]
+                shown = finest if last else _shown(seen, confidence.shape[-2:], stride)
+                confidence = confidence * torch.from_numpy(shown)
+            maps.append(FeatureMap(features.float(), confidence, stride))
         return seen, maps
 
     def largest_scale(self, camera: Camera) -> float:
@@ -151,10 +162,8 @@ class MapExtractor:
         return round(max(sides, default=0.0) ** 2 * _PASS_BYTES / MEGABYTE)
 
 
-def _shown(seen: WarpedImage, size: torch.Size, stride: int) -> NDArray[np.bool_]:
+def _shown(seen: WarpedImage, size: Sequence[int], stride: int) -> NDArray[np.bool_]:
     """Return which cells (h, w) of a level show the photograph."""
-    if seen.whole:
-        return np.ones(tuple(size), bool)
     height, width = size
     x, y = np.meshgrid((np.arange(width) + 0.5) * stride, (np.arange(height) + 0.5) * stride)
     return seen.shows(np.stack([x, y], -1))

@@ -8,8 +8,8 @@ from pydantic import Field
 
 from baselines.align.options import HypothesisOptions, SolverOptions
 from baselines.featuremetric.corners import CornerOptions
-from baselines.featuremetric.maps import Precision
 from baselines.featuremetric.references import ReferenceOptions
+from baselines.folding import Precision
 from baselines.place.finder import PlaceOptions
 from baselines.retrieval import RetrievalOptions
 from baselines.sift import SiftConfig
@@ -87,11 +87,28 @@ class SearchOptions(Config):
     matched_most_deg: float = Field(
         3.0, gt=0, description="How far the alignment may turn a pose from matches."
     )
-    covariance_inflation: float = Field(
-        3.0,
+    covariance_factor: float = Field(
+        1.9,
         gt=0,
-        description="Factor on the covariance of the alignment, which knows neither errors of the "
-        "map nor shadows and snow that pull all points one way. Chosen on a validation town.",
+        description="Factor on the covariance that the alignment measures where the query looks "
+        "wholly like the map. python -m tests.benchmarks.covariance finds this and the next two.",
+    )
+    covariance_power: float = Field(
+        1.0,
+        ge=0,
+        description="Power of the curvature, as a share of Gauss and Newton's, by which the "
+        "covariance is divided: the share is less where the query looks less like the map.",
+    )
+    covariance_floor: float = Field(
+        9e-5,
+        ge=0,
+        description="Standard deviation that errors of the map leave in any pose, per axis: "
+        "radians, and metres per metre to the points.",
+    )
+    least_curvature: float = Field(
+        0.25,
+        ge=0,
+        description="A pose is not accepted where the share is below this.",
     )
     compared_points: int = Field(
         512,
@@ -143,7 +160,11 @@ class FeaturemetricConfig(Config):
         "aligned to, by more than this, is seen as by a camera that is turned down so far; None "
         "leaves it as it is.",
     )
-    precision: Precision = Field("float32", description="Precision of the convolutions.")
+    precision: Precision = Field(
+        "float32",
+        description="Precision of the convolutions; auto is bfloat16 where the processor has "
+        "matrix units for it, else float32.",
+    )
     memory_mb: int = Field(
         1150,
         ge=1,
@@ -177,3 +198,16 @@ class FeaturemetricConfig(Config):
     retrieval: RetrievalOptions = Field(
         RetrievalOptions(), description="How photographs are chosen where there is no prior."
     )
+
+
+class SearchingConfig(FeaturemetricConfig):
+    """Options of a localizer that looks around its start and finds starts itself where no prior
+    gives them. It aligns to more photographs: what snow hides in one may be seen in another."""
+
+    references: int = Field(8, ge=1)
+    precision: Precision = Field("auto", validate_default=True)
+    multistart: bool = True
+    most_tilt_deg: float | None = Field(30.0, ge=0)
+    place: PlaceOptions = Field(PlaceOptions())
+    matches: SiftConfig | None = Field(SiftConfig())
+    starts: StartOptions = Field(StartOptions(same_place_m=3.0))

@@ -24,6 +24,8 @@ from scene.geometry.pose import Pose
 from scene.localizer import Query
 from scene.maps.sparse_map import SparseMap
 
+# Numerical guard: a cost by chance this small is that of features which are all the same.
+_NOTHING: Final = 1e-12
 LEAST_SIDE: Final = 16
 """Least side of an image, pixels: that of one cell of the coarsest level."""
 
@@ -185,6 +187,8 @@ class ProblemBuilder:
 def fit(problem: Problem, pose: Pose) -> float:
     """Return the cost at a pose as a share of the cost with features of other points.
 
+    It is 1 where the features are all the same, and infinite where no point is in view.
+
     Args:
         problem: of one image.
         pose: ``cam_from_world``, batched (1).
@@ -214,4 +218,6 @@ def fit(problem: Problem, pose: Pose) -> float:
         at_pose = Problem([chosen], points[:, order], problem.intrinsics, pose, [damping], still)
         return float(align(at_pose).cost)
 
-    return cost(order) / max(cost(other), 1e-12)
+    chance = cost(other)
+    # Features that are all the same cost nothing at any pose: they tell no place from another.
+    return cost(order) / chance if chance > _NOTHING else 1.0

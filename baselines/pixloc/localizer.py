@@ -1,4 +1,4 @@
-"""The localizer ``pixloc``, which aligns its features to the nearest photographs of the map."""
+"""The localizers ``pixloc`` and ``pixloc-search``, which align the features of PixLoc's network."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pydantic import Field
 
 from baselines.checkpoint import shipped
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
-from baselines.featuremetric.options import FeaturemetricConfig
+from baselines.featuremetric.options import FeaturemetricConfig, SearchingConfig
+from baselines.folding import fold
 from baselines.pixloc.network import read_network
 
 SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
@@ -34,4 +35,26 @@ class PixlocLocalizer(FeaturemetricLocalizer):
 
     def __init__(self, config: PixlocConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
+        fold(network, config.precision)
         super().__init__("pixloc", network, digest, config)
+
+
+class PixlocSearchConfig(SearchingConfig):
+    """Options of the pixloc-search localizer, those of ``objconnect`` but for its objects.
+
+    It is the control of comparisons: against ``pixloc`` it shows what the search, the corners and
+    more references do, and ``objconnect`` against it what the network does.
+    """
+
+
+class PixlocSearchLocalizer(FeaturemetricLocalizer):
+    """The localizer ``pixloc-search``; ``PixlocSearchConfig`` describes it.
+
+    Raises:
+        InputError: the weights are missing or belong to another network.
+    """
+
+    def __init__(self, config: PixlocSearchConfig) -> None:
+        network, digest = read_network(config.weights or shipped(SHIPPED))
+        fold(network, config.precision)
+        super().__init__("pixloc-search", network, digest, config)

@@ -10,9 +10,11 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, NamedTuple, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
@@ -26,6 +28,9 @@ from scene.errors import InputError
 STRIDES: Final = (16, 8, 4, 2, 1)
 # Rows of a map that are decoded at once: few enough for the processor's cache, and even.
 _ROWS: Final = 64
+# Cells beyond the wanted ones that are decoded too: the convolution and the resizing of the next
+# level need (4 + 1) / 2 + 1 of them, and interpolated slopes two.
+_REACH: Final = 4
 
 
 def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
@@ -92,7 +97,9 @@ class Decoder(nn.ModuleList):
         self._wanted = [STRIDES.index(stride) for stride in strides]
         self.sizes = [sizes[step] for step in self._wanted]
 
-    def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
+    def forward(
+        self, blocks: Sequence[Tensor], shown: NDArray[np.bool_] | None = None
+    ) -> Iterator[Tensor]:
         """Yield the map (B, C, h, w) of each level, coarse to fine, computed on demand.
 
         Cells are ``stride`` pixels wide and start at the top left corner. The part of an image
@@ -100,6 +107,8 @@ class Decoder(nn.ModuleList):
 
         Args:
             blocks: outputs of the encoder's blocks, from the finest stride of the decoder to 16.
+            shown: cells (h, w) of the finest level that are wanted; None stands for all. Cells of
+                any level that lie far from them may be zero. The others do not change.
         """
         skips = list(blocks)
         del blocks  # each of them can go once it is decoded
@@ -107,38 +116,96 @@ class Decoder(nn.ModuleList):
         if 0 in self._wanted:
             yield decoded
         for number, step in enumerate(self, 1):
-            decoded = _decode(step, decoded, skips.pop())
+            finer = 2 ** (self._wanted[-1] - number)
+            decoded = _decode(step, decoded, skips.pop(), _spans(shown, finer))
             if number in self._wanted:
                 yield decoded
 
 
-def _decode(step: nn.Module, coarse: Tensor, skip: Tensor) -> Tensor:
+def _spans(shown: NDArray[np.bool_] | None, finer: int) -> NDArray[np.int64] | None:
+    """Return the wanted columns (rows, 2) of each row of a level: the first, and one past the last.
+
+    Args:
+        shown: wanted cells of the finest level, or None for all.
+        finer: side of a cell of this level, in cells of the finest.
+    """
+    if shown is None or not shown.any():
+        return None
+    cells = np.pad(shown, [(0, -side % finer) for side in shown.shape])
+    height, width = (side // finer for side in cells.shape)
+    cells = cells.reshape(height, finer, width, finer).any((1, 3))
+    some = cells.any(1)
+    first = np.where(some, cells.argmax(1), width)
+    last = np.where(some, width - cells[:, ::-1].argmax(1), 0)
+    spans: NDArray[np.int64] = np.stack([first, last], 1)
+    return spans
+
+
+class _Window(NamedTuple):
+    """Cells ``first`` to ``last``, both even, along one side of a map, and what they are made of.
+
+    Attributes:
+        coarse: cells of the map of half the resolution.
+        fine: cells of the encoder's block, one more at either side where there is one.
+        shift: where those begin in the resized coarse map.
+        before: where the wanted cells begin in those.
+    """
+
+    coarse: slice
+    fine: slice
+    shift: int
+    before: int
+
+    @staticmethod
+    def of(first: int, last: int, size: int) -> _Window:
+        # The convolution sees one cell more at either side, and the resizing one of the coarse map.
+        before, after = int(first > 0), int(last < size)
+        start = max(first // 2 - 2, 0)
+        return _Window(
+            coarse=slice(start, last // 2 + 2 * after),
+            fine=slice(first - before, last + after),
+            shift=first - before - 2 * start,
+            before=before,
+        )
+
+
+def _decode(
+    step: nn.Module, coarse: Tensor, skip: Tensor, spans: NDArray[np.int64] | None = None
+) -> Tensor:
     """Apply a step of the decoder to maps of half its resolution and the encoder's block.
 
     What goes into the convolution is made for some rows at a time: of a whole picture it would take
-    three times the memory of the result.
+    three times the memory of the result. Of these rows, only columns near the ``spans`` (rows, 2)
+    are made, where there are such, and the others are zero.
     """
-    rows = 2 * coarse.shape[-2]
+    rows, columns = (2 * side for side in coarse.shape[-2:])
     # The statistics of a batch are those of whole maps.
     count = rows if step.training else _ROWS
     decoded = None
-    for first in range(0, rows, count):
-        last = min(first + count, rows)
-        # The convolution sees one row more at either side, and the resizing one of the coarse map.
-        above, below = int(first > 0), int(last < rows)
-        start = first // 2 - 2 * above
+    for top in range(0, rows, count):
+        bottom, left, right = min(top + count, rows), 0, columns
+        if spans is not None:
+            near = spans[max(top - _REACH, 0) : bottom + _REACH]
+            left = max(int(near[:, 0].min()) - _REACH, 0) // 2 * 2
+            right = min((int(near[:, 1].max()) + _REACH + 1) // 2 * 2, columns)
+            if left >= right:
+                continue
+        high, wide = _Window.of(top, bottom, rows), _Window.of(left, right, columns)
         up = functional.interpolate(
-            coarse[..., start : last // 2 + 2 * below, :], scale_factor=2.0, mode="bilinear"
+            coarse[..., high.coarse, wide.coarse], scale_factor=2.0, mode="bilinear"
         )
-        fine = skip[..., first - above : last + below, : up.shape[-1]]
-        up = up[..., first - above - 2 * start :, :][..., : fine.shape[-2], :]
-        made = step(torch.cat([up, fine], 1))[..., above : above + last - first, :]
+        fine = skip[..., :rows, :columns][..., high.fine, wide.fine]
+        up = up[..., high.shift :, wide.shift :][..., : fine.shape[-2], : fine.shape[-1]]
+        made = step(torch.cat([up, fine], 1))
+        made = made[..., high.before :, wide.before :][..., : bottom - top, : right - left]
         if decoded is None:
-            size = (*made.shape[:2], rows, made.shape[-1])
+            size = (*made.shape[:2], rows, columns)
             decoded = torch.empty(
                 size, dtype=made.dtype, device=made.device, memory_format=torch.channels_last
             )
-        decoded[..., first:last, :] = made
+            if spans is not None:
+                decoded.zero_()
+        decoded[..., top:bottom, left:right] = made
     assert decoded is not None
     return decoded
 
@@ -164,19 +231,22 @@ class PixlocNet(nn.Module):
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
         keep_variance(self)
 
-    def forward(self, image: Tensor, levels: int | None = None) -> list[tuple[Tensor, Tensor]]:
+    def forward(
+        self, image: Tensor, levels: int | None = None, shown: NDArray[np.bool_] | None = None
+    ) -> list[tuple[Tensor, Tensor]]:
         """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
 
         Args:
             image: images (B, 3, H, W), RGB in 0..1; H and W are at least 16.
             levels: number of levels from the coarsest on; None stands for all.
+            shown: cells of the finest level that are wanted, as ``Decoder.forward`` takes them.
 
         Returns:
             Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
             pixels wide and start at the top left corner. The part of an image beyond a multiple of
             16 pixels is cut off.
         """
-        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]))
+        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]), shown)
         maps = islice(decoded, levels)
         return [
             (features(level), torch.sigmoid(-confidence(level)))

@@ -18,7 +18,7 @@ from baselines.training.keypoints import keypoints
 from baselines.training.objects import PairObjects
 from baselines.training.options import PAIRS, PairOptions
 from baselines.training.pairs import Pair, Pinhole, fill, wrong_start
-from baselines.views import north_angle, upright
+from baselines.views import looks_down, north_angle, upright
 from scene.bundle.frames import DenseLayers
 from scene.bundle.manifest import SceneObject
 from scene.bundle.scene import Scene
@@ -28,6 +28,9 @@ from scene.storage.images import read_rgb
 
 # More than a scene has objects, so that ids of several scenes differ.
 _IDS: Final = 1 << 17
+
+
+_Pairs = list[tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -58,26 +61,26 @@ class RenderedPairs:
         self._options = options
         self._scenes = scenes
         self._frames: list[_Frame] = []
-        same: list[tuple[int, int]] = []
-        cross: list[tuple[int, int]] = []
+        # The pairs of each scene, of one condition and of two.
+        self._pairs: list[tuple[_Pairs, _Pairs]] = []
         for number, scene in enumerate(self._scenes):
             first = len(self._frames)
             self._frames += _frames(scene, number)
-            for a, b in _pairs(scene, self._frames[first:], options):
-                a, b = a + first, b + first
-                differ = self._frames[a].condition != self._frames[b].condition
-                (cross if differ else same).append((a, b))
-        if not same and not cross:
+            same, cross = _pairs(scene, self._frames[first:], first, options)
+            if same or cross:
+                self._pairs.append((same or cross, cross or same))
+        if not self._pairs:
             least = f"{options.min_overlap:.0%}"
             raise InputError(f"no two frames of {scenes[0].path} overlap by {least}")
-        self._same, self._cross = same or cross, cross or same
         self._open: dict[tuple[int, str], DenseLayers] | None = None
         self._by_id: dict[int, dict[int, SceneObject]] = {}
 
     def draw(self, rng: np.random.Generator) -> Pair:
         """See ``PairSource``."""
         while True:
-            pairs = self._cross if rng.uniform() < self._options.cross_share else self._same
+            # Scenes are drawn alike often: a street has fewer pairs than a survey.
+            same, cross = self._pairs[rng.integers(len(self._pairs))]
+            pairs = cross if rng.uniform() < self._options.cross_share else same
             a, b = pairs[rng.integers(len(pairs))]
             if rng.uniform() < 0.5:
                 a, b = b, a
@@ -135,9 +138,10 @@ class RenderedPairs:
         if rng.uniform() < options.level_share:
             distance = float(in_b[good][anchor, 2] / points[anchor, 2])
             match_scale *= np.clip(distance * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
-        # Both frames are turned by the same quarter turns, because south of the equator light comes
-        # from the north.
-        joint = np.pi / 2 * rng.integers(4)
+        # Frames from above are both turned by the same quarter turns, because south of the equator
+        # light comes from the north. Along a street the sky is always up.
+        above = looks_down(a.cam_from_world[:3, :3]) and looks_down(b.cam_from_world[:3, :3])
+        joint = np.pi / 2 * rng.integers(4) if above else 0.0
         angle_a = joint + north_angle(a.cam_from_world[:3, :3])
         angle_b = joint + north_angle(b.cam_from_world[:3, :3])
         angle_b += np.radians(rng.uniform(-options.heading_deg, options.heading_deg))
@@ -188,16 +192,32 @@ def _pinhole(camera: Camera, image: Path) -> Pinhole:
     return Pinhole(np.array(camera.focal), np.array(camera.principal))
 
 
-def _pairs(scene: Scene, frames: Sequence[_Frame], options: PairOptions) -> list[tuple[int, int]]:
-    """Return index pairs (a < b) of frames that overlap and have about the same heading."""
+def _pairs(
+    scene: Scene, frames: Sequence[_Frame], first: int, options: PairOptions
+) -> tuple[_Pairs, _Pairs]:
+    """Return the pairs of frames that overlap and have about the same heading.
+
+    Args:
+        scene: the scene of the frames.
+        frames: all its frames.
+        first: index of its first frame among those of all scenes.
+        options: the least overlap and the largest turn of a pair.
+
+    Returns:
+        Index pairs (a < b) of frames of one condition, and of two conditions.
+    """
     names = [str(frame.image.relative_to(scene.images_root)) for frame in frames]
     overlap = scene.covisibility.of(names).mutual
     rotations = np.stack([upright(frame.cam_from_world[:3, :3]) for frame in frames])
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     angle = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
     good = (overlap >= options.min_overlap) & (angle <= options.max_turn_deg)
-    rows, columns = np.nonzero(np.triu(good, 1))
-    return list(zip(rows.tolist(), columns.tolist(), strict=True))
+    same: _Pairs = []
+    cross: _Pairs = []
+    for a, b in np.argwhere(np.triu(good, 1)).tolist():
+        differ = frames[a].condition != frames[b].condition
+        (cross if differ else same).append((a + first, b + first))
+    return same, cross
 
 
 def _at(depth: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float64]:

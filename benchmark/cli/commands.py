@@ -14,6 +14,7 @@ from benchmark.cli.boundary import Boundary
 COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     "simulation": {
         "simulate": "Render a scene with exact camera poses.",
+        "track": "Render and map the places of a track of the leaderboard.",
         "gallery": "Render a page of pictures of every kind of place, season, light and weather.",
         "calibrate": "Calibrate the simulated camera from rendered chessboards.",
     },

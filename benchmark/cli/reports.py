@@ -23,24 +23,42 @@ class _Leaderboard:
 
     results: Sequence[Path]
     markdown: str
+    stored: Sequence[Path]
 
     def text(self) -> str:
-        return self.markdown
+        return "\n".join([self.markdown, *(f"stored {path}" for path in self.stored)])
 
     def as_dict(self) -> dict[str, Any]:
         from benchmark.report.tables import tables
 
-        return {"tables": tables(self.results)}
+        stored = {"stored": [str(path) for path in self.stored]} if self.stored else {}
+        return {"tables": tables(self.results), **stored}
 
 
 @app.command()
 def leaderboard(
     results: Annotated[
-        list[Path],
-        typer.Argument(metavar="RESULTS", help="Results files, or folders that evaluate wrote."),
-    ],
+        list[Path] | None,
+        typer.Argument(metavar="[RESULTS]", help="Results files, or folders that evaluate wrote."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for leaderboard.md, .tex and .html.")
+    ] = None,
+    board: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of tracks with the results that are kept of them, instead of RESULTS; "
+            "leaderboard.tex is not written.",
+        ),
+    ] = None,
+    store: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TRACK",
+            help="Folder of a track, such as leaderboard/uav-seasons, to keep the results in: "
+            "rounded and compressed to a tenth, with the same figures.",
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -49,10 +67,25 @@ def leaderboard(
     Prints Markdown. With --out, also writes it as LaTeX tables and as one HTML page that opens as a
     file, with charts, paired comparisons, and every query with its pictures. The page shows albums
     and basins that lie beside the results.
-    """
-    from benchmark.report.leaderboard import leaderboard as run
 
-    emit(_Leaderboard(results, run(results, out)), as_json)
+    With --board, the queries of all places of a track are pooled: by start, season and part.
+    """
+    from benchmark.report.board.command import board as run_board
+    from benchmark.report.leaderboard import leaderboard as run
+    from benchmark.tracks.compact import store as keep
+    from benchmark.tracks.compact import targets_of
+
+    if (board is None) == (not results):
+        raise InputError("give either RESULTS or --board")
+    if board is not None:
+        if store is not None:
+            raise InputError("--store keeps RESULTS, and --board shows those that are kept")
+        emit(run_board(board, out), as_json)
+        return
+    given = results or []
+    targets = {} if store is None else targets_of(given, store)
+    text = run(given, out)
+    emit(_Leaderboard(given, text, keep(targets)), as_json)
 
 
 @app.command()

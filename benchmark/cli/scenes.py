@@ -42,6 +42,15 @@ GivenPoses = Annotated[
         "or the folder of a COLMAP model. Photographs without a pose are left out.",
     ),
 ]
+AddTo = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="OLD",
+        help="Finished scene to add the photographs to. OLD stays as it is, and SCENE becomes a "
+        "scene of both: the frames of OLD keep their poses, and the new photographs are registered "
+        "in its map.",
+    ),
+]
 ControlList = Annotated[
     Path | None,
     typer.Option(
@@ -83,6 +92,7 @@ def ingest(
         ),
     ] = None,
     poses: GivenPoses = None,
+    add: AddTo = None,
     gcp: ControlList = None,
     gcp_check: CheckPoints = None,
     gcp_sigma: ControlSigma = 0.05,
@@ -106,9 +116,9 @@ def ingest(
     """Turn a folder of photographs with GPS positions into a scene.
 
     Writes SCENE with its map, the report ingest.json and a picture of the flight. The reference
-    poses come from structure from motion over all photographs, aligned to GPS, or from --poses.
-    Without --camera, focal lengths are read from there or from EXIF. An interrupted run goes on
-    where it stopped.
+    poses come from structure from motion over all photographs, aligned to GPS, from --poses, or
+    from the map of the scene that --add names. Without --camera, focal lengths are read from there
+    or from EXIF. An interrupted run goes on where it stopped.
     """
     from ingest.command import ingest as run
     from ingest.options import ControlOptions, IngestOptions
@@ -118,6 +128,7 @@ def ingest(
         out,
         gps=gps,
         poses=poses,
+        add=add,
         gcp=gcp,
         checks=gcp_check or (),
         camera=parse_camera(camera),

@@ -16,6 +16,8 @@ from simulate.place.presets import PRESETS
 
 app = typer.Typer(rich_markup_mode=None)
 
+Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)]
+
 
 @app.command()
 @options_of(
@@ -51,7 +53,7 @@ def simulate(
             "demo or uav-sim. The options of this command win over it.",
         ),
     ] = None,
-    jobs: Annotated[int, typer.Option(help="Number of rendering processes.", min=1)] = 1,
+    jobs: Jobs = 1,
     cluster: ClusterAddress = None,
     file_format: Annotated[
         str | None,
@@ -88,6 +90,60 @@ def simulate(
         values["export"] = write(out, file_format, target)["out"]
         text += f"\nexported to {target}"
     emit(Summary(text, values), as_json)
+
+
+@app.command()
+# More than six parameters: each is an option or argument of the command.
+def track(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="Name of the track, such as uav-seasons or street-seasons."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder of the scenes, one for each place.")
+    ],
+    place: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PLACE",
+            help="Place to render, such as park-1; repeat the option for several.",
+            show_default="all places",
+        ),
+    ] = None,
+    jobs: Jobs = 1,
+    cluster: ClusterAddress = None,
+    board: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of all tracks.",
+            show_default="the leaderboard that comes with objconnect",
+        ),
+    ] = None,
+    update: Annotated[
+        bool,
+        typer.Option(
+            "--update",
+            help="Record the digests, and how hard each query is, in the folder of --board.",
+        ),
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Render and map the places of a track of the leaderboard.
+
+    Prints one line a place: its digest, and whether the data set is the one that the leaderboard's
+    results are of. Places with streets are exported to the tree of Extended CMU Seasons too. An
+    interrupted run goes on where it stopped, and a finished place is not rendered again.
+    """
+    from benchmark.tracks.command import track as run
+    from benchmark.tracks.description import BOARD
+    from scene.errors import InputError
+
+    if update and board is None:
+        raise InputError("--update writes into the board: name its folder by --board")
+    emit(run(name, out, place or (), jobs, cluster, board or BOARD, update), as_json)
 
 
 @app.command()

@@ -14,12 +14,12 @@ from benchmark.report.tables import groups, table
 from scene.storage.atomic import write_text
 from scene.storage.outputs import OutputFile, check_outputs
 
-# These bytes stand near the beginning of each file that this command wrote.
-_MARKS: Final = {
+MARKS: Final = {
     "leaderboard.md": b"Recall is the percentage of all listed queries",
     "leaderboard.tex": b"% \\usepackage{booktabs} and \\usepackage{textcomp} in the preamble.",
     "leaderboard.html": b"<title>ObjConnect leaderboard</title>",
 }
+"""These bytes stand near the beginning of each file that a leaderboard is written to."""
 
 
 def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
@@ -40,7 +40,7 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
     """
     if out is not None:
         check_outputs(
-            (OutputFile(out / name, mark) for name, mark in _MARKS.items()), results, within=out
+            (OutputFile(out / name, mark) for name, mark in MARKS.items()), results, within=out
         )
     runs = groups(results)
     boards = [table(group) for group in runs]
@@ -49,6 +49,6 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
     if out is not None:
         html = page(runs)
         texts = (text, latex(boards, lines, note()), html)
-        for name, written in zip(_MARKS, texts, strict=True):
+        for name, written in zip(MARKS, texts, strict=True):
             write_text(out / name, written)
     return text

@@ -40,14 +40,14 @@ def markdown(boards: Sequence[Table]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def paper_markdown(lines: Sequence[Line], note: str) -> str:
+def paper_markdown(lines: Sequence[Line], note: str, headings: Sequence[str] = columns()) -> str:
     """Return the paper's table with our figures as Markdown."""
-    header = ["method", "source", *columns()]
-    text = ["", f"## {TITLE}", "", note, "", _line(header)]
-    text.append(_line(["---", "---", *["--:"] * (len(header) - 2)]))
-    for line in lines:
-        cells = ["–" if cell is None else cell.text() for cell in line.cells]
-        text.append(_line([escaped(line.method), escaped(line.source), *cells]))
+    header = ["method", "source", *headings]
+    text = ["", f"## {TITLE}", "", note, "", line(header)]
+    text.append(line(["---", "---", *["--:"] * (len(header) - 2)]))
+    for row in lines:
+        cells = ["–" if cell is None else cell.text() for cell in row.cells]
+        text.append(line([escaped(row.method), escaped(row.source), *cells]))
     return "\n".join(text) + "\n"
 
 
@@ -56,32 +56,35 @@ def _table(board: Table) -> Iterator[str]:
     recalls = [f"{threshold} (%)" for threshold in THRESHOLDS]
     header = ["method", "condition", "queries", *recalls, "median m", "median °"]
     header += ["false fixes (%)", "failed + fallback", "s/query"]
-    yield _line(header)
-    yield _line(["---", "---", *["--:"] * (len(header) - 2)])
+    yield line(header)
+    yield line(["---", "---", *["--:"] * (len(header) - 2)])
     for row in board.rows:
         summary = row.summary
-        yield _line(
+        yield line(
             [
                 escaped(row.method),
                 escaped(row.condition),
                 str(summary.queries),
-                *(_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS),
-                _number(summary.median_t_m),
-                _number(summary.median_r_deg),
-                "–" if summary.false_fixes is None else _recall(summary.false_fixes),
+                *(recall_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
+                number(summary.median_t_m),
+                number(summary.median_r_deg),
+                "–" if summary.false_fixes is None else recall_text(summary.false_fixes),
                 f"{summary.failed} + {summary.fallback}",
-                _number(summary.seconds.per_query.get(TOTAL)),
+                number(summary.seconds.per_query.get(TOTAL)),
             ]
         )
 
 
-def _line(cells: Sequence[str]) -> str:
+def line(cells: Sequence[str]) -> str:
+    """Return a row of a table."""
     return "| " + " | ".join(cells) + " |"
 
 
-def _recall(recall: Recall) -> str:
+def recall_text(recall: Recall) -> str:
+    """Return a percentage with its interval."""
     return f"{recall.value:.1f} [{recall.low:.1f}, {recall.high:.1f}]"
 
 
-def _number(value: float | None) -> str:
+def number(value: float | None) -> str:
+    """Return a figure with three decimals; a dash where it is unknown."""
     return "–" if value is None else f"{value:.3f}"

@@ -1,7 +1,7 @@
 """The leaderboard as one HTML page that needs no network and no server.
 
-The page is made of ``templates/page.html``, ``page.css`` and ``page.js``. All figures are inserted
-as one block of JSON, and the script shows them as text only.
+The page is made of ``templates/page.html``, ``page.css`` and ``page.js`` on top of ``shared``. All
+figures are inserted as one block of JSON, and the script shows them as text only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from benchmark.basin import Basin, load_basin
 from benchmark.clustered import MIN_CLUSTERS, difference_interval
 from benchmark.paired import compare, mcnemar
 from benchmark.report.album import ALBUM, SIDE, Album, Entry, read_album, webp
-from benchmark.report.paper import TITLE, columns, note, side_by_side
+from benchmark.report.paper import TITLE, Line, columns, note, side_by_side
 from benchmark.report.self_contained import fill
 from benchmark.report.tables import ALL, Group, Run, saturation, start_in_words, table
 from benchmark.results import BASIN, TOTAL, QueryResult, Recall, Summary, Uncertainty
@@ -63,26 +63,31 @@ def page(groups: Sequence[Group]) -> str:
         "boards": [
             _board(group, album, photographs) for group, album in zip(groups, albums, strict=True)
         ],
-        "paper": {
-            "title": TITLE,
-            "note": note(),
-            "columns": columns(),
-            "lines": [
-                {
-                    "method": line.method,
-                    "source": line.source,
-                    "reported": line.reported,
-                    "cells": [
-                        None if cell is None else {"value": cell.value, "text": cell.text()}
-                        for cell in line.cells
-                    ],
-                }
-                for line in side_by_side(groups)
-            ],
-        },
+        "paper": paper_of(columns(), note(), side_by_side(groups)),
         "pictures": photographs.pictures,
     }
-    return fill("page", data)
+    return fill("page", data, base="shared")
+
+
+def paper_of(columns: Sequence[str], note: str, lines: Sequence[Line]) -> dict[str, Any]:
+    """Return the paper's table beside our figures as a page shows it."""
+    return {
+        "title": TITLE,
+        "note": note,
+        "columns": columns,
+        "lines": [
+            {
+                "method": line.method,
+                "source": line.source,
+                "reported": line.reported,
+                "cells": [
+                    None if cell is None else {"value": cell.value, "text": cell.text()}
+                    for cell in line.cells
+                ],
+            }
+            for line in lines
+        ],
+    }
 
 
 def _board(group: Group, album: Album | None, photographs: _PagePhotographs) -> dict[str, Any]:
@@ -122,8 +127,8 @@ def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[s
         "weights": results.method.weights_sha256,
         "environment": results.environment.model_dump(),
         "summaries": {
-            ALL: _summary(results.summary),
-            **{name: _summary(part) for name, part in results.by_condition.items()},
+            ALL: figures_of(results.summary),
+            **{name: figures_of(part) for name, part in results.by_condition.items()},
         },
         # Queries that a run lacks are null; they count as failed where runs are paired.
         "queries": [
@@ -135,31 +140,34 @@ def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[s
             [round(100 - risk, 1) for _, risk in risk_coverage(results.queries, threshold)]
             for threshold in THRESHOLDS
         ],
-        "nees": _nees(results.summary.uncertainty),
+        "nees": nees_of(results.summary.uncertainty),
     }
 
 
-def _nees(figures: Uncertainty | None) -> dict[str, Any] | None:
+def nees_of(figures: Uncertainty | None) -> dict[str, Any] | None:
+    """Return the consistency of covariances as a page shows it; None without any."""
     if figures is None:
         return None
     return {
-        "mean": _rounded(figures.nees_mean),
+        "mean": rounded(figures.nees_mean),
+        "median": rounded(figures.nees_median),
         "queries": figures.queries,
         "within": _recall(figures.within_95),
     }
 
 
-def _summary(summary: Summary) -> dict[str, Any]:
+def figures_of(summary: Summary) -> dict[str, Any]:
+    """Return the figures of queries as a page shows them."""
     return {
         "queries": summary.queries,
         "recall": [_recall(summary.recall[threshold.key]) for threshold in THRESHOLDS],
-        "t": _rounded(summary.median_t_m),
-        "r": _rounded(summary.median_r_deg),
+        "t": rounded(summary.median_t_m),
+        "r": rounded(summary.median_r_deg),
         "wrong": None if summary.false_fixes is None else _recall(summary.false_fixes),
         "failed": summary.failed,
         "fallback": summary.fallback,
-        "seconds": _rounded(summary.seconds.per_query.get(TOTAL)),
-        "memory": _rounded(summary.peak_memory_mb),
+        "seconds": rounded(summary.seconds.per_query.get(TOTAL)),
+        "memory": rounded(summary.peak_memory_mb),
     }
 
 
@@ -172,10 +180,10 @@ def _query(query: QueryResult, entry: Entry | None) -> dict[str, Any]:
     return {
         "status": query.status.value,
         "reason": query.reason,
-        "t": _rounded(query.t_err_m),
-        "r": _rounded(query.r_err_deg),
-        "sigma": _rounded(query.sigma_t_m),
-        "seconds": _rounded(query.seconds.get(TOTAL)),
+        "t": rounded(query.t_err_m),
+        "r": rounded(query.r_err_deg),
+        "sigma": rounded(query.sigma_t_m),
+        "seconds": rounded(query.seconds.get(TOTAL)),
         "inliers": query.inliers,
         "points": points,
     }
@@ -235,22 +243,30 @@ def _pairs(
                 for queries in queries_of
             ]
             for a, b in combinations(range(len(correct)), 2):
-                change = compare(correct[a], correct[b])
-                clustered = difference_interval(correct[a], correct[b], flights)
-                low, high = clustered or (change.low, change.high)
-                yield {
-                    "condition": condition,
-                    "threshold": number,
-                    "a": a,
-                    "b": b,
-                    "change": _rounded(change.change),
-                    "low": _rounded(low),
-                    "high": _rounded(high),
-                    "p": _rounded(mcnemar(change.lost, change.won)),
-                    "lost": change.lost,
-                    "won": change.won,
-                    "clustered": clustered is not None,
-                }
+                where = {"condition": condition, "threshold": number, "a": a, "b": b}
+                yield where | paired(correct[a], correct[b], flights)
+
+
+def paired(before: Sequence[bool], after: Sequence[bool], flights: Sequence[str]) -> dict[str, Any]:
+    """Return the change of recall between two runs on the same queries, as a page shows it.
+
+    Args:
+        before: whether each query is correct in the first run.
+        after: whether it is in the second.
+        flights: flight of each query.
+    """
+    change = compare(before, after)
+    clustered = difference_interval(before, after, flights)
+    low, high = clustered or (change.low, change.high)
+    return {
+        "change": rounded(change.change),
+        "low": rounded(low),
+        "high": rounded(high),
+        "p": rounded(mcnemar(change.lost, change.won)),
+        "lost": change.lost,
+        "won": change.won,
+        "clustered": clustered is not None,
+    }
 
 
 def _pairs_note(group: Group) -> str:
@@ -291,7 +307,7 @@ def _recall(recall: Recall) -> list[float]:
     return [round(x, 6) for x in (recall.value, recall.low, recall.high)]
 
 
-def _rounded(value: float | None) -> float | None:
+def rounded(value: float | None) -> float | None:
     """Round a figure to four significant digits; None where it is unknown or not finite."""
     return None if value is None or not math.isfinite(value) else float(f"{value:.4g}")
 
@@ -318,7 +334,7 @@ class _PagePhotographs:
         left = PICTURE_BYTES
         with progress_bar("photographs", len(ranked)) as advance:
             for done, photograph in enumerate(ranked, 1):
-                small = photograph if side >= SIDE else _shrunk(photograph, side)
+                small = photograph if side >= SIDE else shrunk(photograph, side)
                 text = "data:image/webp;base64," + base64.b64encode(small).decode()
                 if len(text) > left:
                     break
@@ -332,7 +348,8 @@ class _PagePhotographs:
         return self._numbers.get(photograph)
 
 
-def _shrunk(photograph: bytes, side: int) -> bytes:
+def shrunk(photograph: bytes, side: int) -> bytes:
+    """Return an encoded photograph as WebP whose longest side is at most ``side`` pixels."""
     with Image.open(io.BytesIO(photograph)) as image:
         return webp(np.asarray(image.convert("RGB")), side)
 

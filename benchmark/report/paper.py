@@ -82,31 +82,41 @@ def note() -> str:
 
 def side_by_side(groups: Sequence[Group]) -> list[Line]:
     """Return the lines of the paper, then one for each of our methods and starts."""
-    reported = [
+    return reported() + list(_ours(groups))
+
+
+def reported() -> list[Line]:
+    """Return the lines of the paper."""
+    return [
         Line(method, REPORTED, True, tuple(Cell(value) for value in values))
         for method, values in _PAPER.items()
     ]
-    return reported + list(_ours(groups))
 
 
 def _ours(groups: Sequence[Group]) -> Iterator[Line]:
     """Yield a line for each method and start, over all queries of a column's data sets."""
-    pooled: dict[tuple[str, str], dict[str, list[QueryResult]]] = {}
+    by_run: dict[tuple[str, str], dict[str, list[QueryResult]]] = {}
     for group in groups:
         for column, (track, beginning) in _COLUMNS.items():
             if group.track == track and group.dataset.startswith(beginning):
                 for run in group.runs:
-                    cells = pooled.setdefault((run.label, group.start), {})
+                    cells = by_run.setdefault((run.label, group.start), {})
                     cells.setdefault(column, []).extend(run.results.queries)
-    for (method, start), cells in pooled.items():
+    for (method, start), cells in by_run.items():
         yield Line(
             method,
-            f"measured here, start: {start_in_words(start)}",
+            measured(start),
             False,
-            tuple(_cell(cells[column]) if column in cells else None for column in _COLUMNS),
+            tuple(pooled(cells[column]) if column in cells else None for column in _COLUMNS),
         )
 
 
-def _cell(queries: Sequence[QueryResult]) -> Cell:
+def measured(start: str) -> str:
+    """Return the source of a line of ours."""
+    return f"measured here, start: {start_in_words(start)}"
+
+
+def pooled(queries: Sequence[QueryResult]) -> Cell:
+    """Return the cell of our queries of a column."""
     interval: Interval = recall(queries, _THRESHOLD)
     return Cell(*interval, queries=len(queries))

@@ -1,8 +1,9 @@
 """HTML pages that contain everything they show and need no network, server or other file.
 
-A page ``NAME`` is made of ``templates/NAME.html``, ``.css`` and ``.js``. Its data is inserted as
-one block of JSON, which is escaped so that no name in it can end the block. A content security
-policy names the one script by its digest and allows no connection.
+A page ``NAME`` is made of ``templates/NAME.html``, ``.css`` and ``.js``, and may build on the style
+and the script of another name, such as ``shared``. Its data is inserted as one block of JSON, which
+is escaped so that no name in it can end the block. A content security policy names the one script
+by its digest and allows no connection.
 """
 
 from __future__ import annotations
@@ -16,12 +17,21 @@ from string import Template
 from typing import Any
 
 
-def fill(page: str, data: Mapping[str, Any]) -> str:
-    """Return the page of this name with its data."""
+def fill(page: str, data: Mapping[str, Any], base: str | None = None) -> str:
+    """Return the page of this name with its data.
+
+    Args:
+        page: name of the page.
+        data: its data.
+        base: name of a style and a script that stand before the page's own; None for none.
+    """
     folder = files("benchmark.report") / "templates"
-    style, script, whole = (
-        (folder / f"{page}.{kind}").read_text(encoding="utf-8") for kind in ("css", "js", "html")
+    names = (page,) if base is None else (base, page)
+    style, script = (
+        "".join((folder / f"{name}.{kind}").read_text(encoding="utf-8") for name in names)
+        for kind in ("css", "js")
     )
+    whole = (folder / f"{page}.html").read_text(encoding="utf-8")
     return Template(whole).substitute(
         style=style,
         script=script,

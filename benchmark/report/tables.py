@@ -29,6 +29,8 @@ _STARTS: Final = {
     "retrieval": "the {} map photographs most like it, by VLAD of SIFT",
     "pairs": "map photographs of the pair list {}",
     "error": "a prior wrong by {}",
+    "gravity": "roll and pitch alone, wrong by {}",
+    "gps": "the position alone, wrong by {}",
 }
 
 

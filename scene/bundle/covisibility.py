@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
@@ -14,6 +15,9 @@ from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.camera import Camera
 from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array
+
+if TYPE_CHECKING:
+    import torch
 
 COVISIBLE = 0.1
 """Two frames are covisible when each sees at least this share of the other's surface."""
@@ -116,6 +120,38 @@ def surface_points(
     return np.asarray((local - cam_from_world[:3, 3]) @ cam_from_world[:3, :3])
 
 
+def visible_points(
+    camera: Camera,
+    cam_from_world: NDArray[np.float64],
+    points: torch.Tensor,
+    depth: NDArray[np.float32] | None = None,
+) -> torch.Tensor:
+    """Return which points a frame sees, (...,) bool; a point that is NaN is not seen.
+
+    Args:
+        camera: camera of the frame.
+        cam_from_world: (4, 4).
+        points: (..., 3) world metres, float64.
+        depth: depth image (H, W) of the frame, metres; points behind the surface seen in it are
+            hidden. None ignores occlusion.
+    """
+    import torch
+
+    pose = torch.from_numpy(cam_from_world)
+    local = points @ pose[:3, :3].T + pose[:3, 3]
+    projected = camera.project(local)
+    real = torch.isfinite(points).all(-1)
+    seen = projected.valid & camera.contains(projected.xy) & real
+    if depth is not None:
+        image = torch.from_numpy(depth)
+        # A point on the right or lower edge of the image belongs to the last pixel.
+        column = projected.xy[..., 0][seen].long().clamp_max(camera.width - 1)
+        row = projected.xy[..., 1][seen].long().clamp_max(camera.height - 1)
+        limit = image[row, column].double() * (1 + _DEPTH_TOLERANCE)
+        seen[seen.clone()] = local[..., 2][seen] <= limit
+    return seen
+
+
 def visible_share(
     cameras: Sequence[Camera],
     cam_from_world: NDArray[np.float64],
@@ -138,22 +174,13 @@ def visible_share(
     import torch
 
     world = torch.from_numpy(points)
-    real = torch.isfinite(world).all(-1)
+    real = torch.isfinite(world).all(-1).sum(-1).clamp_min(1)
     shares = np.zeros((len(cameras), len(cameras)))
     images = iter(depths) if depths is not None else None
-    for j, camera in enumerate(cameras):
-        pose = torch.from_numpy(cam_from_world[j])
-        local = world @ pose[:3, :3].T + pose[:3, 3]
-        projected = camera.project(local)
-        seen = projected.valid & camera.contains(projected.xy) & real
-        if images is not None:
-            depth = torch.from_numpy(next(images))
-            # A point on the right or lower edge of the image belongs to the last pixel.
-            column = projected.xy[..., 0][seen].long().clamp_max(camera.width - 1)
-            row = projected.xy[..., 1][seen].long().clamp_max(camera.height - 1)
-            limit = depth[row, column].double() * (1 + _DEPTH_TOLERANCE)
-            seen[seen.clone()] = local[..., 2][seen] <= limit
-        shares[:, j] = (seen.sum(-1) / real.sum(-1).clamp_min(1)).numpy()
+    for j, (camera, pose) in enumerate(zip(cameras, cam_from_world, strict=True)):
+        depth = next(images) if images is not None else None
+        seen = visible_points(camera, pose, world, depth)
+        shares[:, j] = (seen.sum(-1) / real).numpy()
     np.fill_diagonal(shares, 0)
     return shares
 

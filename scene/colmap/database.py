@@ -14,7 +14,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from scene.colmap.models import empty_model, lens_ids, posed_model
+from scene.colmap.models import empty_model, extended_model, lens_ids, posed_model
 from scene.colmap.native import ROOM, SEED, Progress, native_camera
 from scene.colmap.options import AdjustmentOptions, MatchOptions
 from scene.colmap.sift import CHUNK, SiftOptions, extract_sift, read_features
@@ -208,6 +208,7 @@ def write_matched(
     images: Sequence[PosedImage],
     features: Mapping[str, Features],
     matches: Sequence[tuple[str, str, NDArray[np.int64]]],
+    photographs: Sequence[Photograph] = (),
 ) -> None:
     """Write a database of posed images with features and matches that are known to be right.
 
@@ -216,12 +217,13 @@ def write_matched(
         images: images in the order of their identifiers, as for ``models.write_posed``.
         features: features of some of them, by name.
         matches: names of two images, and the keypoints of the first and the second, (K, 2).
+        photographs: further images, without pose, features and matches.
 
     Raises:
         WriteError: the disk has no space.
     """
     keypoints = {image.name: np.zeros((0, 2)) for image in images}
-    model, ids = posed_model(images, keypoints)
+    model, ids = extended_model(images, keypoints, photographs)
     size = sum(item.descriptors.nbytes + 24 * len(item.xy) for item in features.values())
     pairs = sum(8 * len(rows) for _, _, rows in matches)
     require_disk_space(path, ROOM + 2 * (size + 2 * pairs))
@@ -264,14 +266,14 @@ def _sift_of(
 
 def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
     """Write a database of the model's images, unless a whole one exists."""
-    if not _is_sound(database):
+    if not is_sound(database):
         for journal in ("-journal", "-wal", "-shm"):
             database.with_name(database.name + journal).unlink(missing_ok=True)
         require_disk_space(database, ROOM)
         write_database(database, model)
 
 
-def _is_sound(database: Path) -> bool:
+def is_sound(database: Path) -> bool:
     """Return whether a database exists and is whole; COLMAP ends the process on a damaged one."""
     if not database.is_file():
         return False

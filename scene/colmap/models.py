@@ -41,6 +41,44 @@ def posed_model(
     return model, ids
 
 
+def extended_model(
+    images: Sequence[PosedImage],
+    keypoints: Mapping[str, NDArray[Any]],
+    photographs: Sequence[Photograph],
+) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
+    """Make a model of posed images and of photographs without a pose.
+
+    A calibrated photograph whose camera is one of the posed images shares it. The other ones share
+    a camera by lens.
+
+    Args:
+        images: posed images; identifiers are those of ``posed_model``.
+        keypoints: keypoints (K, 2) of the posed images.
+        photographs: photographs to register.
+
+    Returns:
+        The model, and the identifier of each image by name.
+    """
+    model, ids = posed_model(images, keypoints)
+    numbers: dict[object, int] = {}
+    for image in images:
+        numbers[image.camera] = model.image(ids[image.name]).camera_id
+    for photograph in photographs:
+        key = photograph.camera if photograph.calibrated else photograph.lens
+        if key not in numbers:
+            numbers[key] = len(model.cameras) + 1
+            native = native_camera(photograph.camera, numbers[key])
+            native.has_prior_focal_length = photograph.focal_known
+            model.add_camera_with_trivial_rig(native)
+        ids[photograph.name] = len(ids) + 1
+        model.add_image_with_trivial_frame(
+            pycolmap.Image(
+                name=photograph.name, camera_id=numbers[key], image_id=ids[photograph.name]
+            )
+        )
+    return model, ids
+
+
 def empty_model(cameras: Iterable[pycolmap.Camera]) -> pycolmap.Reconstruction:
     """Make a model that holds only cameras."""
     model = pycolmap.Reconstruction()

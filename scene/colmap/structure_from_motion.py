@@ -83,7 +83,7 @@ def reconstruct(
             f"structure from motion could not register {ALIGNABLE} of the {len(images)} "
             f"images of {root}: they need overlap and texture"
         )
-    _adjust_robustly(model, job.adjustment, lambda done: report(len(images) + done))
+    adjust_robustly(model, job.adjustment, on_round=lambda done: report(len(images) + done))
     robust = pycolmap.RANSACOptions(max_error=job.adjustment.align_m, random_seed=SEED)
     centres = [Pose.from_matrix(image.cam_from_world).centre().numpy() for image in images]
     similarity = pycolmap.align_reconstruction_to_locations(
@@ -96,13 +96,23 @@ def reconstruct(
     return read_model(out), features
 
 
-def _adjust_robustly(
-    model: pycolmap.Reconstruction, limits: AdjustmentOptions, on_round: Progress
+def adjust_robustly(
+    model: pycolmap.Reconstruction,
+    limits: AdjustmentOptions,
+    fixed: Collection[str] = (),
+    on_round: Progress = lambda _: None,
 ) -> None:
     """Adjust poses and points in rounds with a robust loss, removing outliers after each.
 
     COLMAP's mapper ends with least squares over everything within four pixels, where a wrong match
     has a hundred times the weight of the noise of a right one.
+
+    Args:
+        model: the model, which is changed.
+        limits: which observations are outliers.
+        fixed: names of images whose poses stay as they are; without any, the frame of the model is
+            that of two cameras.
+        on_round: called with the number of rounds done.
     """
     options = pycolmap.BundleAdjustmentOptions(
         print_summary=False,
@@ -116,7 +126,11 @@ def _adjust_robustly(
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
-    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    for image in model.images.values():
+        if image.name in fixed:
+            config.set_constant_rig_from_world_pose(image.frame_id)
+    if not fixed:
+        config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     for done in range(ADJUSTMENTS):
         on_round(done)
         sigma = _residual_sigma(model)

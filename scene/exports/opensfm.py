@@ -65,21 +65,29 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
 
 
 def _camera(camera: Camera) -> dict[str, Any]:
-    """Return a camera under OpenSfM's names, in units of its longer side from its middle."""
+    """Return a camera under OpenSfM's names, in units of its longer side from its middle.
+
+    A camera that OpenSfM's simplest model describes is written in it, because more programs read
+    that one.
+    """
     side = max(camera.width, camera.height)
     (fx, fy), (cx, cy) = camera.focal, camera.principal
-    fisheye = camera.is_fisheye
+    fisheye, lens = camera.is_fisheye, camera.distortion
+    size = {"width": camera.width, "height": camera.height}
+    middle = (cx, cy) == (camera.width / 2, camera.height / 2)
+    if middle and fx == fy and not fisheye and not any(lens[2:]):
+        kind = {"projection_type": "perspective"}
+        return {**kind, **size, "focal": fx / side, "k1": lens[0], "k2": lens[1]}
     names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2")
     return {
         "projection_type": "fisheye_opencv" if fisheye else "brown",
-        "width": camera.width,
-        "height": camera.height,
+        **size,
         "focal_x": fx / side,
         "focal_y": fy / side,
         "c_x": (cx - camera.width / 2) / side,
         "c_y": (cy - camera.height / 2) / side,
         **({} if fisheye else {"k3": 0.0}),
-        **dict(zip(names, camera.distortion, strict=True)),
+        **dict(zip(names, lens, strict=True)),
     }
 
 

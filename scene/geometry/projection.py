@@ -71,7 +71,8 @@ class Intrinsics:
             ([42.0, 24.0], [True, False])
         """
         z = points[..., 2]
-        in_front = (z > _MIN_DEPTH) & (points[..., :2].abs().amax(-1) < _MAX_SLOPE * z)
+        aside = torch.maximum(points[..., 0].abs(), points[..., 1].abs())
+        in_front = (z > _MIN_DEPTH) & (aside < _MAX_SLOPE * z)
         inverse_z = 1 / torch.where(in_front, z, torch.ones_like(z))
         uv = torch.where(in_front[..., None], points[..., :2] * inverse_z[..., None], 0)
         distorted, local, inside = self._distort(uv, jacobian)
@@ -79,12 +80,12 @@ class Intrinsics:
         xy = focal * distorted + self.principal[..., None, :]
         if local is None:
             return Projection(xy, in_front & inside, None)
-        zero = torch.zeros_like(z)
+        # The product with the derivatives of u = x/z and v = y/z, written out: products of small
+        # matrices, one of every point, take longer.
         u, v = uv.unbind(-1)
-        d_uv = torch.stack(
-            [inverse_z, zero, -u * inverse_z, zero, inverse_z, -v * inverse_z], -1
-        ).reshape(*z.shape, 2, 3)
-        return Projection(xy, in_front & inside, focal[..., None] * (local @ d_uv))
+        d_u, d_v = (focal[..., None] * local * inverse_z[..., None, None]).unbind(-1)
+        d_z = -(d_u * u[..., None] + d_v * v[..., None])
+        return Projection(xy, in_front & inside, torch.stack([d_u, d_v, d_z], -1))
 
     def unproject(self, xy: Tensor) -> tuple[Tensor, Tensor]:
         """Return the rays with z = 1 through pixels (..., N, 2), and which of them are valid.

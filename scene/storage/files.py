@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from scene.errors import InputError, WriteError
+from scene.storage.packed import SUFFIX, unpack
 
 # The longest file name that every usual file system allows (bytes).
 _MAX_NAME_BYTES = 255
@@ -44,14 +45,15 @@ def require_readable(path: Path, what: str) -> None:
 
 
 def read_text(path: Path, what: str) -> str:
-    """Read a UTF-8 text file of at most 1 GiB.
+    """Read a UTF-8 text file of at most 1 GiB, or one that xz compressed, ``NAME.xz``.
 
     Args:
         path: file to read.
         what: what the file is, for the message.
 
     Raises:
-        InputError: the file is missing, not a regular file, unreadable, larger, or not UTF-8.
+        InputError: the file is missing, not a regular file, unreadable, larger, not UTF-8, or not
+            compressed as its name says.
     """
     require_readable(path, what)
     try:
@@ -60,10 +62,14 @@ def read_text(path: Path, what: str) -> str:
                 f"cannot read {what} {path}: it is larger than {_LONGEST_TEXT >> 30} GiB"
             )
         # Programs on Windows begin a UTF-8 text with a byte order mark.
+        if path.suffix == SUFFIX:
+            return unpack(path.read_bytes()).decode("utf-8-sig")
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not a UTF-8 text file"
         raise InputError(f"cannot read {what} {path}: {reason}") from error
+    except ValueError as error:
+        raise InputError(f"cannot read {what} {path}: {error}") from None
 
 
 def parse_json(text: str) -> Any:

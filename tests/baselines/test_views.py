@@ -161,6 +161,8 @@ def test_poses_and_covariances_come_back() -> None:
     own = (moved @ pose.inverse()).log().numpy()
     outer = seen.photograph_covariance(np.outer(tangent, tangent))
     np.testing.assert_allclose(outer, np.outer(own, own), atol=1e-11)
+    unknown = np.diag(np.full(6, np.inf))
+    np.testing.assert_array_equal(seen.photograph_covariance(unknown), unknown)
 
 
 def test_what_is_left_of_a_turned_picture_is_known() -> None:

@@ -71,6 +71,6 @@ def test_unknown_names_are_told_what_there_is(install: Install) -> None:
     with pytest.raises(
         InputError,
         match="unknown method 'oracle'; known: sift, orb, akaze, epipolar, d2net, pixloc, "
-        "objconnect, place, prior, nearest",
+        "pixloc-search, objconnect, place, prior, nearest",
     ):
         create("oracle", {})

@@ -1,7 +1,8 @@
 """The weights that come with the project find poses: on a summer noon as the map's, and in snow.
 
 A network that has unlearned what it knew, by another loader, layout or order of its blocks, still
-gives feature maps of the right form. Poses tell.
+gives feature maps of the right form. Poses tell. Of the weights that methods take by themselves,
+the gate tells in every run of CI (``test_gate.py``).
 """
 
 from __future__ import annotations
@@ -29,8 +30,6 @@ from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.render.libraries import require_libraries
 from tests.blender import require_blender
-
-pytestmark = pytest.mark.thorough
 
 # Where 320 pixels a side suffice for a map, half a metre in snow takes more: a third of a metre on
 # the ground per pixel left `pixloc` at 0.5 to 0.9 m.
@@ -94,7 +93,15 @@ def found(part: Summary) -> int:
     return round(part.recall["0.5m_5deg"].value * part.queries / 100)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            name, marks=pytest.mark.slow if name == METHODS[name] else pytest.mark.thorough
+        )
+        for name in METHODS
+    ],
+)
 def test_shipped_weights_find_poses(name: str, ask: Callable[..., dict[str, Summary]]) -> None:
     """From 3 m and 5 degrees off.
 

@@ -118,6 +118,9 @@ def test_paired() -> None:
     assert change.change == pytest.approx(-100 * 5 / 60)
     assert change.p_drop == pytest.approx(stats.binomtest(7, 9, alternative="greater").pvalue)
     assert mcnemar(7, 2) == pytest.approx(stats.binomtest(7, 9).pvalue)
+    # 2.0**1024 is more than a float can hold.
+    assert mcnemar(640, 560) == pytest.approx(stats.binomtest(640, 1200).pvalue)
+    assert 0 <= mcnemar(3000, 0) < 1e-300
     # Bonett and Price: both counts and half of the others one larger, then Wald.
     p, q, z = 8 / 62, 3 / 62, stats.norm.ppf(0.975)
     half = z * np.sqrt((p + q - (p - q) ** 2) / 62)

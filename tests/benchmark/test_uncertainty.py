@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from benchmark.score import Threshold
 from benchmark.uncertainty import _CHI2_95, consistency, normalised_error, risk_coverage
 from scene.geometry.pose import Pose
 from scene.localizer import Status
 from tests.benchmark.made_data import pose_at, scored_query
+from tests.benchmarks.covariance import Answers, Numbers, calibrate
 
 TIGHT = Threshold(0.5, 5)
 
@@ -89,3 +92,39 @@ def test_risk_coverage_by_hand() -> None:
         (75, pytest.approx(100 / 3)),
         (100, 50),
     ]
+
+
+def made_answers(numbers: Numbers, seed: int, count: int = 2000) -> Answers:
+    """Errors that are drawn with the covariances that the numbers give."""
+    rng = np.random.default_rng(seed)
+    mixed = rng.normal(size=(count, 6, 9)) * np.repeat([3e-4, 2e-2], 3)[:, None]
+    covariances = mixed @ mixed.transpose(0, 2, 1) / 9
+    depth = rng.uniform(30, 120, count)
+    blank = np.zeros((count, 6))
+    false = np.zeros(count, bool)
+    names = np.full(count, "snow")
+    known = Answers(names, blank, covariances, rng.uniform(0.25, 1, count), depth, false)
+    lower = np.linalg.cholesky(known.calibrated(numbers))
+    # Student's distribution of eight degrees of freedom, of this covariance.
+    tails = np.sqrt(6 / rng.chisquare(8, count))
+    errors = (lower @ rng.normal(size=(count, 6, 1)))[..., 0] * tails[:, None]
+    return replace(known, errors=errors)
+
+
+@pytest.mark.parametrize("planted", [Numbers(2.0, 1.0, 1e-4), Numbers(3.0, 0.3, 3e-4)])
+def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
+    found = calibrate(made_answers(planted, seed=1, count=4000))
+    assert found.power == pytest.approx(planted.power, abs=0.1)
+    # 95 % of the errors of such tails are in an ellipsoid that is larger by what is known of them.
+    scale = 6 * f.ppf(0.95, 6, 8) * (6 / 8) / _CHI2_95
+    assert found.factor == pytest.approx(scale * planted.factor, rel=0.1)
+    assert found.floor == pytest.approx(scale**0.5 * planted.floor, rel=0.1)
+
+
+@pytest.mark.parametrize(("wrong", "holds"), [(1.0, True), (2.0, False), (0.5, False)])
+def test_calibrated_covariances_hold_where_they_were_not_chosen(wrong: float, holds: bool) -> None:
+    planted = Numbers(2.0, 1.0, 1e-4)
+    found = calibrate(made_answers(planted, seed=1))
+    off = Numbers(found.factor * wrong, found.power, found.floor * wrong**0.5)
+    unseen = made_answers(planted, seed=2).nees(off)
+    assert (4.5 < unseen.mean() < 8 and 0.93 <= np.mean(unseen <= _CHI2_95) <= 0.97) == holds

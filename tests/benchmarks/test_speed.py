@@ -14,6 +14,10 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from baselines.align.sampling import CellTable, stencil
+from baselines.folding import fold
+from objconnect.localizer import SHIPPED
+from objconnect.network import read_network
 from scene.bundle.scene import Scene
 from scene.geometry.camera import Camera
 from scene.maps.colmap_files import read_model
@@ -96,3 +100,64 @@ def test_match_opencv(benchmark: BenchmarkFixture, descriptors: torch.Tensor) ->
 def test_match_bare_product(benchmark: BenchmarkFixture, descriptors: torch.Tensor) -> None:
     """The matrix product alone: nothing that looks at every pair can be faster."""
     benchmark(lambda: descriptors[0] @ descriptors[1].T)
+
+
+@pytest.fixture(scope="module")
+def looked_up() -> tuple[CellTable, torch.Tensor, torch.Tensor]:
+    """Return a level of 128 channels, and cells and weights of 2,048 points in it."""
+    generator = torch.Generator().manual_seed(0)
+    maps = torch.rand(1, 128, 180, 180, generator=generator).contiguous(
+        memory_format=torch.channels_last
+    )
+    table = CellTable.of(maps)
+    cells = 2 + 170 * torch.rand(1, 2048, 2, generator=generator)
+    return table, *stencil(cells, table, torch.zeros(1, dtype=torch.long))
+
+
+@pytest.mark.benchmark(group="value and slopes of 2,048 points, 128 channels")
+def test_mix_ours(
+    benchmark: BenchmarkFixture, looked_up: tuple[CellTable, torch.Tensor, torch.Tensor]
+) -> None:
+    table, index, weights = looked_up
+    assert benchmark(table.mix, index, weights).shape == (1, 2048, 3, 128)
+
+
+@pytest.mark.benchmark(group="value and slopes of 2,048 points, 128 channels")
+def test_mix_by_products(
+    benchmark: BenchmarkFixture, looked_up: tuple[CellTable, torch.Tensor, torch.Tensor]
+) -> None:
+    """The cells of every point copied side by side, then one small product a point."""
+    table, index, weights = looked_up
+    parts = torch.nn.functional.one_hot(torch.tensor([0] * 4 + [1] * 8 + [2] * 8)).T
+    each = weights[..., None, :] * parts
+    mixed = benchmark(lambda: each @ table.gather(index))
+    torch.testing.assert_close(mixed, table.mix(index, weights))
+
+
+@pytest.mark.benchmark(group="value and slopes of 2,048 points, 128 channels")
+def test_mix_bare_lookup(
+    benchmark: BenchmarkFixture, looked_up: tuple[CellTable, torch.Tensor, torch.Tensor]
+) -> None:
+    """The cells copied once, each of them only for one of the sums."""
+    table, index, _ = looked_up
+    benchmark(lambda: table.cells.index_select(0, index[..., 4:16].flatten()))
+
+
+@pytest.mark.parametrize("way", ["as trained", "folded", "folded, bfloat16"])
+@pytest.mark.benchmark(group="the shipped network on 512 x 512")
+def test_network(benchmark: BenchmarkFixture, way: str) -> None:
+    network, _ = read_network(SHIPPED)
+    half = way.endswith("bfloat16")
+    if way != "as trained":
+        fold(network, "bfloat16" if half else "float32")
+    image = torch.rand(1, 3, 512, 512).contiguous(memory_format=torch.channels_last)
+    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=half):
+        assert len(benchmark(network, image)) == 3
+
+
+@pytest.mark.benchmark(group="the shipped network on 512 x 512")
+def test_network_bare_product(benchmark: BenchmarkFixture) -> None:
+    """A product of matrices of as many operations: 21.9e9."""
+    a, b = torch.rand(2, 2219, 2219)
+    with torch.inference_mode():
+        benchmark(lambda: a @ b)

@@ -35,6 +35,9 @@ from benchmark.localize import _origin
 from benchmark.report.album import Album, Entry, Neighbour, read_album, write_album
 from benchmark.results import QueryResult, Results, load
 from benchmark.starts import parse_start
+from benchmark.tracks.compact import write_compact
+from benchmark.tracks.description import Track
+from benchmark.tracks.queries import read_queries
 from ingest.control_points import read_control_points
 from ingest.photographs import Flight, FlightImage, _look_at
 from ingest.positions import _read as read_positions
@@ -61,6 +64,7 @@ from simulate.camera.lens import CameraConfig
 from simulate.config import SimulateConfig
 from simulate.flight.qgroundcontrol import read_plan
 from tests.benchmark.made_data import CAMERA, pose_at, write_flight, write_model, write_scene
+from tests.benchmark.report.board.made_board import write_board
 from tests.scene.bundle.test_frames import ALL, made_frames, made_layers
 from tests.scene.imports.test_imports import metashape as write_metashape
 from tests.scene.imports.test_imports import nerfstudio as write_nerfstudio
@@ -164,6 +168,7 @@ def _features(folder: Path) -> None:
 
 def _configs(folder: Path) -> None:
     shutil.copyfile(ROOT / "configs/demo.yaml", folder / "simulate.yaml")
+    shutil.copyfile(ROOT / "leaderboard/uav-seasons/track.yaml", folder / "track.yaml")
     (folder / "train.yaml").write_text(
         "steps: 20\nbatch: 2\nrate: 1.0e-3\nphotographs: [a, b]\nnetwork: {strides: [8, 2]}\n"
     )
@@ -176,6 +181,7 @@ def _results(folder: Path) -> None:
     gate = load(ROOT / "tests/data/gate-baseline/gate/sift.json")
     few = Results.of(gate.method, gate.dataset, gate.start, gate.queries[:3], 1.5, 99.0)
     few.write(folder / "results.json")
+    write_compact(folder / "results.json.xz", few)
     results = json.loads((folder / "results.json").read_text())
     level = {"prior_t_m": 1, "prior_r_deg": 2, "queries": 9, "failed": 1, "fallback": 0}
     level["correct"] = {"0.25m_2deg": 1, "0.5m_5deg": 2, "5m_10deg": 3}  # type: ignore[assignment]
@@ -189,6 +195,10 @@ def _results(folder: Path) -> None:
 def _read_journal(folder: Path) -> None:
     with Journal(folder / "journal", "k", QueryResult):
         pass
+
+
+def _track(folder: Path) -> None:
+    write_board(folder / "tracks", 2, [("town", 1)], ("sift",), ("none",))
 
 
 def _tables(folder: Path) -> None:
@@ -427,6 +437,7 @@ READERS: dict[str, Reader] = {
         _configs,
         {
             "simulate.yaml": ("text", lambda f: SimulateConfig.load(f / "simulate.yaml", {})),
+            "track.yaml": ("text", lambda f: load_config(Track, f / "track.yaml", {})),
             "train.yaml": ("text", lambda f: load_config(TrainConfig, f / "train.yaml", {})),
             "camera.yaml": (
                 "text",
@@ -439,10 +450,21 @@ READERS: dict[str, Reader] = {
         _results,
         {
             "results.json": ("json", lambda f: load(f / "results.json")),
+            "results.json.xz": ("bytes", lambda f: load(f / "results.json.xz")),
             "basin.json": ("json", lambda f: load_basin(f / "basin.json").text()),
             "journal": ("text", _read_journal),
         },
         4,
+    ),
+    "tracks": Reader(
+        _track,
+        {
+            "tracks/uav-seasons/queries/town-1.csv": (
+                "text",
+                lambda f: read_queries(f / "tracks/uav-seasons/queries/town-1.csv"),
+            ),
+        },
+        2,
     ),
     "tables": Reader(
         _tables,

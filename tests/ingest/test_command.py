@@ -14,7 +14,9 @@ from pydantic import BaseModel
 from typer.testing import CliRunner
 
 import ingest.command
+import ingest.photographs
 import ingest.plan
+import ingest.turned
 import scene.bundle.manifest
 import scene.storage.images
 from benchmark.cli import app
@@ -299,9 +301,9 @@ def test_killed_while_pictures_are_turned_back(
             raise KeyboardInterrupt
         scene.storage.images.write_resized(source, target, longest, over=over)
 
-    for patched in (write_json, write_resized):
+    for module, patched in ((ingest.turned, write_json), (ingest.photographs, write_resized)):
         with monkeypatch.context() as patch:
-            patch.setattr(ingest.command, patched.__name__, patched)
+            patch.setattr(module, patched.__name__, patched)
             with pytest.raises(KeyboardInterrupt):
                 run(folder, out)
     pictures = out / "sessions" / "flight" / "images"

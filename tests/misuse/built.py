@@ -27,6 +27,8 @@ PACKAGES = (
     "benchmark",
 )
 DATA = ("configs",)
+# Of the leaderboard the descriptions of tracks alone are installed.
+BOARD = "leaderboard"
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def source_tree(folder: Path) -> Path:
     """A copy of what is built from: building leaves files beside it."""
     folder.mkdir()
     rubbish = shutil.ignore_patterns("__pycache__")
-    for name in (*PACKAGES, *DATA):
+    for name in (*PACKAGES, *DATA, BOARD):
         shutil.copytree(ROOT / name, folder / name, ignore=rubbish)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copyfile(ROOT / name, folder / name)

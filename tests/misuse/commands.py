@@ -135,6 +135,24 @@ EVALUATE = Row(
     },
     keeps=("out", "out/*/.objconnect-*.journal", "out/hamlet", "out/meadow"),
 )
+LEADERBOARD = Row(
+    {
+        "results": folder(
+            "results",
+            part("results/meadow/sift.json", "results"),
+            part("results/meadow/sift.basin.json", "our json"),
+            part("results/meadow/album.h5", "bytes"),
+        )
+        # There are other results, and what lies beside them is shown where it is.
+        .fine("sift.json:missing", "sift.json:folder", *RETOLD)
+        .fine(*(f"{a}:{b}" for a in ("*.basin.json", "album.h5") for b in NO_FILES)),
+        # A page may lie among the results that it shows.
+        "out": out_folder("out", "leaderboard.*").beside_inputs(),
+        "board": FLAG,
+        "store": FLAG,
+        "as_json": FLAG,
+    }
+)
 VALIDATE = Row(
     {
         "scene": folder("hamlet", MANIFEST, SPLITS, OBJECTS, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH),
@@ -185,6 +203,34 @@ LOCALIZE = Row(
         "as_json": FLAG,
     }
 )
+INGEST = Row(
+    {
+        "photographs": folder("photos", part("photos/p1.jpg", "photograph")).fine(
+            "p1.jpg:one_pixel"
+        ),
+        "out": out_folder("out", "*"),
+        "gps": file("tables/gps.csv", "csv").fine("too_many"),
+        "add": FLAG,
+        "poses": file("tables/reconstruction.json", "json"),
+        "gcp": file("tables/gcp_list.txt", "words").but(
+            "nan",
+            "inf",
+            "word",
+            "huge",
+            "no_number",  # they change the name of a point
+        ),
+        "gcp_check": values("A", "", "magic", LONG),
+        "gcp_sigma": real("0.05"),
+        "camera": CAMERA,
+        "size": integer("96", HUGE),
+        "mapper": choice("incremental"),
+        "split": choice("photo"),
+        "every": integer("2", HUGE),
+        "as_json": FLAG,
+    },
+    work=("ingest.command.match_photographs", "ingest.addition.match_new"),
+)
+
 COMMANDS: dict[str, Row] = {
     "evaluate": EVALUATE,
     "evaluate:flight": EVALUATE.instead(datasets=folder("meadow", *FLIGHT)),
@@ -212,21 +258,28 @@ COMMANDS: dict[str, Row] = {
             "as_json": FLAG,
         }
     ),
-    "leaderboard": Row(
+    "leaderboard": LEADERBOARD,
+    "leaderboard:board": Row(
         {
-            "results": folder(
-                "results",
-                part("results/meadow/sift.json", "results"),
-                part("results/meadow/sift.basin.json", "our json"),
-                part("results/meadow/album.h5", "bytes"),
-            )
-            # There are other results, and what lies beside them is shown where it is.
-            .fine("sift.json:missing", "sift.json:folder", *RETOLD)
-            .fine(*(f"{a}:{b}" for a in ("*.basin.json", "album.h5") for b in NO_FILES)),
-            # A page may lie among the results that it shows.
+            "results": FLAG,
             "out": out_folder("out", "leaderboard.*").beside_inputs(),
+            "board": folder(
+                "tracks",
+                part("tracks/uav-seasons/track.yaml", "yaml"),
+                part("tracks/uav-seasons/queries/town-1.csv", "csv"),
+                part("tracks/uav-seasons/results/none/town-1/sift.json", "results"),
+            )
+            # There are other methods, and a difficulty may be unknown.
+            .fine("sift.json:missing", "town-1.csv:no_number", *RETOLD),
+            "store": FLAG,
             "as_json": FLAG,
         }
+    ),
+    "leaderboard:store": replace(
+        LEADERBOARD.instead(
+            store=folder("board/kept", part("board/kept/track.yaml", "yaml")),
+        ),
+        writes=("board/kept/results*",),
     ),
     "basin": Row(
         {
@@ -360,6 +413,23 @@ COMMANDS: dict[str, Row] = {
         },
         work=("simulate.command.render",),
     ),
+    "track": Row(
+        {
+            "name": values("tiny", "", "magic", "TINY", "../board/tiny", "tiny\n", LONG),
+            "out": out_folder("out", "*"),
+            "place": values(None, "", "magic", "../x", LONG),
+            "jobs": integer("1", HUGE),
+            "cluster": CLUSTER,
+            "board": folder(
+                "board",
+                part("board/tiny/track.yaml", "yaml"),
+                part("board/tiny/place.yaml", "yaml"),
+            ),
+            "update": FLAG,
+            "as_json": FLAG,
+        },
+        work=("simulate.command.render",),
+    ),
     "gallery": Row(
         {
             "out": out_folder("out", "*"),
@@ -383,31 +453,12 @@ COMMANDS: dict[str, Row] = {
         },
         work=("simulate.calibrate.render",),
     ),
-    "ingest": Row(
-        {
-            "photographs": folder("photos", part("photos/p1.jpg", "photograph")).fine(
-                "p1.jpg:one_pixel"
-            ),
-            "out": out_folder("out", "*"),
-            "gps": file("tables/gps.csv", "csv").fine("too_many"),
-            "poses": file("tables/reconstruction.json", "json"),
-            "gcp": file("tables/gcp_list.txt", "words").but(
-                "nan",
-                "inf",
-                "word",
-                "huge",
-                "no_number",  # they change the name of a point
-            ),
-            "gcp_check": values("A", "", "magic", LONG),
-            "gcp_sigma": real("0.05"),
-            "camera": CAMERA,
-            "size": integer("96", HUGE),
-            "mapper": choice("incremental"),
-            "split": choice("photo"),
-            "every": integer("2", HUGE),
-            "as_json": FLAG,
-        },
-        work=("ingest.command.match_photographs",),
+    "ingest": INGEST,
+    "ingest:add": INGEST.instead(
+        add=folder("hamlet", MANIFEST, SPLITS, COVISIBILITY, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH),
+        poses=FLAG,
+        gcp=FLAG,
+        gcp_check=FLAG,
     ),
     "map": Row(
         {
@@ -530,6 +581,7 @@ READ: dict[str, str] = {
     "results": "results/meadow/sift.json",
     "scene": "hamlet/splits.json",
     "tables": "tables/gps.csv",
+    "tracks": "tracks/uav-seasons/queries/town-1.csv",
     "videos": "film/flight.mp4",
     "weights": "weights/net.safetensors",
 }

@@ -19,7 +19,16 @@ from benchmark.cli import app
 from scene.config import SHIPPED, load_config, shipped
 from scene.errors import InputError
 from simulate.config import SimulateConfig
-from tests.misuse.built import DATA, PACKAGES, ROOT, Environment, build_wheel, install, source_tree
+from tests.misuse.built import (
+    BOARD,
+    DATA,
+    PACKAGES,
+    ROOT,
+    Environment,
+    build_wheel,
+    install,
+    source_tree,
+)
 from tests.test_imports import ALL, imports_when_loaded
 
 pytestmark = pytest.mark.thorough
@@ -68,6 +77,9 @@ def test_the_wheel_holds_every_file(wheel: Path) -> None:
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
+    tracks = {path.relative_to(ROOT).as_posix() for path in (ROOT / BOARD).glob("*/track.yaml")}
+    assert "leaderboard/uav-seasons/track.yaml" in tracks
+    lie |= tracks
     assert {"benchmark/report/templates/view.js", "baselines/pixloc/pixloc.safetensors"} <= lie
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
@@ -175,6 +187,13 @@ def test_the_wheel_finds_configurations_by_name(from_wheel: Environment, tmp_pat
     answer = from_wheel.run([*from_wheel.script("objconnect"), *words], tmp_path)
     assert answer.returncode == 2
     assert f"bad value for 'preset' in {from_wheel.ours}/configs/demo.yaml: " in answer.stderr
+
+
+def test_the_wheel_finds_tracks_by_name(from_wheel: Environment, tmp_path: Path) -> None:
+    words = ["track", "uav-seasons", "--place", "nowhere", "--out", "out"]
+    answer = from_wheel.run([*from_wheel.script("objconnect"), *words], tmp_path)
+    assert answer.returncode == 2
+    assert "the track uav-seasons has no place 'nowhere'; it has town-1, " in answer.stderr
 
 
 # ----------------------------------------------------------- the plugin of pytest

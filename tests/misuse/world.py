@@ -15,6 +15,7 @@ from PIL import Image
 from baselines.checkpoint import write_weights
 from baselines.training.config import TrainConfig
 from benchmark.datasets.textfiles import pose_line
+from benchmark.tracks.description import Place, Track, write_track
 from objconnect import network as objconnect
 from objconnect.config import ObjConnectNetConfig
 from scene.bundle.covisibility import Covisibility, write_covisibility
@@ -38,6 +39,7 @@ from tests.benchmark.made_data import (
     write_model,
     write_scene,
 )
+from tests.benchmark.report.board.made_board import write_board
 from tests.fuzz.readers import CMU_NAME, CMU_QUERY, READERS
 from tests.misuse.harness import run
 from tests.simulate.test_qgroundcontrol import PLAN
@@ -62,6 +64,8 @@ def make(root: Path) -> None:
     _masks(root / "masks", Scene.open(root / "hamlet").sparse_map().names)
     _weights(root / "weights")
     _results(root)
+    write_board(root / "tracks", 2, [("town", 1)], ("pixloc", "sift"), ("none",))
+    _board(root)
     _run(root)
 
 
@@ -238,6 +242,24 @@ def _results(root: Path) -> None:
         done = run(words)
         assert done.code == 0, done.stderr
     shutil.copytree(root / "results", root / "baseline")
+
+
+def _board(root: Path) -> None:
+    """A track to render, and one that records the data sets of the results."""
+    made = {
+        dataset: json.loads((root / "results" / dataset / "sift.json").read_text())["dataset"]
+        for dataset in ("meadow", "hamlet")
+    }
+    places = tuple(
+        Place(dataset=dataset, preset="town", seed=1, sha256=of["sha256"])
+        for dataset, of in made.items()
+    )
+    config = "board/tiny/place.yaml"
+    lists = {"config": config, "starts": ("none",), "methods": ("sift",)}
+    tiny = Track(name="tiny", title="Tiny", places=(places[0],), **lists)
+    write_track(tiny, root / "board")
+    write_track(tiny.model_copy(update={"name": "kept", "places": places}), root / "board")
+    (root / config).write_text("area: 120\nsize: 64\nspp: 1\nframes: 2\n")
 
 
 def _run(root: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from objconnect.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network import read_network
 from scene.bundle.scene import Scene
 from scene.geometry.pose import so3_exp
-from scene.localizer import Prior, Status
+from scene.localizer import Prior, Query, Status
 
 DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0])).double()
 ROTATION = (DOWN @ so3_exp(torch.ones(3).double() / 9)).numpy()
@@ -68,6 +69,24 @@ def test_the_map_is_looked_at_once(
     finder.prepare(sparse_map, rendered.images_root, "a key", tmp_path)
     with pytest.raises(AssertionError, match="twice"):
         finder.prepare(sparse_map, rendered.images_root, "another network", tmp_path)
+
+
+def test_a_map_seen_along_the_ground_has_no_objects(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
+) -> None:
+    up = np.eye(4)
+    up[:3, :3] = so3_exp(torch.tensor([math.pi / 2, 0.0, 0.0]).double()).numpy()
+    sparse_map = rendered.sparse_map()
+    images = {
+        name: replace(image, cam_from_world=up @ image.cam_from_world)
+        for name, image in sparse_map.images.items()
+    }
+    flat = replace(sparse_map, images=images)
+    finder.prepare(flat, rendered.images_root, "a key", tmp_path)
+    assert len(Landmarks.read(next(tmp_path.glob("objects-*.h5")))) == 0
+    camera = flat.images[flat.names[0]].camera
+    image = np.zeros((camera.height, camera.width, 3), np.uint8)
+    assert finder.find(Query("query", image, camera, None)) == []
 
 
 def test_landmarks_lie_where_objects_are(

@@ -20,7 +20,7 @@ from scene.errors import InputError
 from scene.geometry.geodesy import geodetic_from_enu
 from scene.storage.images import read_exif, read_rgb
 from scene.storage.locks import write_lock
-from simulate.command import _finished, _frames, lasting_noise, simulate
+from simulate.command import _frames, finished_scene, lasting_noise, simulate
 from simulate.config import SimulateConfig
 from simulate.render.disk import bytes_needed
 from simulate.render.libraries import PACKAGES, require_libraries
@@ -172,7 +172,7 @@ def test_what_killed_runs_leave_is_swept_up(rendered_copy: Path, tmp_path: Path)
     (tmp_path / "new" / ".objconnect-efgh5678.partial").write_bytes(b"")
     with pytest.raises(InputError, match="not a finished scene"):
         Scene.open(tmp_path / "new")
-    assert _finished(tmp_path / "new", RENDERED) is None, "it may be claimed"
+    assert finished_scene(tmp_path / "new", RENDERED) is None, "it may be claimed"
 
 
 def test_finished_scene_is_left_alone(rendered: Scene) -> None:

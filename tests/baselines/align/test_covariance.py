@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
+from scipy.stats import chi2
+from torch import Tensor
 
-from baselines.align.aligner import align
+from baselines.align.aligner import Alignment, align
+from baselines.align.covariance import spread
 from baselines.align.options import Options
 from baselines.align.problem import Problem
 from scene.geometry.pose import Pose
@@ -51,3 +55,102 @@ def test_predicts_the_scatter_of_poses(ranks: int) -> None:
     centred = errors - errors.mean(0)
     whitened = torch.linalg.solve(found.covariance, centred[..., None])[..., 0]
     assert 4.5 < (centred * whitened).sum(-1).mean() < 8  # 6 were the covariance known
+
+
+CLUTTERED = 120
+# Waves of 4 to 8 cells: shorter than a patch is wide, so that patches are independent.
+CLUTTER = (25.0, 5.0)
+
+
+@pytest.fixture(scope="module")
+def cluttered() -> tuple[Problem, Pose, Alignment, NDArray[np.float64]]:
+    """Queries of one place that also show what the map does not know, each something else.
+
+    Returns:
+        The problem, the true poses, the alignment, and the share that the place has in the squared
+        slopes of each picture.
+    """
+    truth = looking_down(3)
+    world = World(3, strides=(16, 4))
+    points = world.points(PINHOLE, truth, 400)
+    level = world.levels(PINHOLE, truth, points)[1]
+    others = [World(100 + k, CLUTTER, 2.0, world.strides) for k in range(CLUTTERED)]
+    clutter = np.stack([other.picture(PINHOLE, truth, 1) for other in others])
+    of_place = squared_slopes(level.features[0].numpy())
+    shares = np.array([of_place / (of_place + squared_slopes(each)) for each in clutter])
+    level = replace(
+        level,
+        features=level.features + torch.as_tensor(clutter),
+        reference=level.reference.expand(CLUTTERED, -1, -1),
+    )
+    poses = Pose(truth.rotation.expand(CLUTTERED, 3, 3), truth.translation.expand(CLUTTERED, 3))
+    problem = Problem(
+        [level],
+        torch.as_tensor(points).expand(CLUTTERED, -1, -1),
+        PINHOLE.intrinsics(),
+        poses,
+        [torch.full((6,), 1e-4)],
+        Options(iterations=60, converged_m=1e-3, converged_deg=1e-2, robust_scale=100.0),
+    )
+    return problem, poses, align(problem), shares
+
+
+def squared_slopes(picture: NDArray[np.float32]) -> float:
+    return sum(float(np.square(each).mean()) for each in np.gradient(picture, axis=(1, 2)))
+
+
+def nees(errors: Tensor, covariances: Tensor) -> NDArray[np.float64]:
+    whitened = torch.linalg.solve(covariances, errors[..., None])[..., 0]
+    return (errors * whitened).sum(-1).numpy()
+
+
+def test_covers_where_the_query_shows_what_the_map_does_not_know(
+    cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
+) -> None:
+    problem, truth, found, shares = cluttered
+    assert not found.failed.any()
+    errors = (found.pose @ truth.inverse()).log()
+    around = spread(problem, found.pose)
+    # Mean slopes of the picture tell how much of the curvature is the place's.
+    assert float(around.curvature.mean()) == pytest.approx(shares.mean(), rel=0.4)
+    values = nees(errors, around.covariance)
+    assert 4.5 < values.mean() < 8
+    assert np.mean(values < chi2.ppf(0.95, 6)) > 0.8
+    # Half of the covariance, and that of Gauss and Newton, are found too small.
+    assert nees(errors, around.covariance / 2).mean() > 8
+    assert nees(errors, found.covariance).mean() > 30
+
+
+def test_equals_that_of_gauss_and_newton_where_nothing_is_new() -> None:
+    world, truth = World(3, strides=(16, 4)), looking_down(3)
+    points = world.points(PINHOLE, truth, POINTS)
+    level = world.levels(PINHOLE, truth, points, noise=0.02)[1]
+    start = Pose(truth.rotation[None], truth.translation[None])
+    problem = Problem(
+        [level],
+        torch.as_tensor(points)[None],
+        PINHOLE.intrinsics(),
+        start,
+        [torch.full((6,), 1e-4)],
+        Options(iterations=30, converged_m=1e-3, converged_deg=1e-2),
+    )
+    found = align(problem)
+    around = spread(problem, found.pose)
+    assert 0.85 < float(around.curvature) <= 1
+    ratio = around.covariance.diagonal(dim1=-2, dim2=-1) / found.covariance.diagonal(
+        dim1=-2, dim2=-1
+    )
+    assert (ratio > 0.95).all() and (ratio < 1.5).all()
+
+
+def test_nothing_is_known_where_points_are_too_few() -> None:
+    world, truth = World(3, strides=(16, 4)), looking_down(3)
+    points = world.points(PINHOLE, truth, 2)
+    level = world.levels(PINHOLE, truth, points)[1]
+    start = Pose(truth.rotation[None], truth.translation[None])
+    cameras = PINHOLE.intrinsics()
+    damping = [torch.full((6,), 1e-4)]
+    problem = Problem([level], torch.as_tensor(points)[None], cameras, start, damping, Options())
+    around = spread(problem, start)
+    assert around.covariance.diagonal(dim1=-2, dim2=-1).isinf().all()
+    assert float(around.curvature) == 0

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +9,16 @@ import pytest
 import torch
 
 from baselines.align.options import Options
+from baselines.align.problem import Problem
 from baselines.featuremetric.maps import MapExtractor
-from baselines.featuremetric.problem import Levelling, ProblemBuilder
+from baselines.featuremetric.problem import Levelling, ProblemBuilder, fit
 from baselines.featuremetric.references import ReferenceSource, references
 from baselines.pixloc.network import read_network
 from baselines.views import tilt
+from scene.geometry.pose import Pose
 from scene.localizer import Query
+from tests.baselines.align.problems import DAMPING, small
+from tests.baselines.align.world import PINHOLE
 from tests.baselines.pixloc.made_map import (
     CAMERA,
     looking_down,
@@ -62,3 +67,19 @@ def test_points_cover_the_image_although_references_overlap_in_its_middle(tmp_pa
     counts = column.bincount(minlength=4)
     assert counts.sum() == 200
     assert counts.max() < 1.3 * counts.min()
+
+
+def test_features_that_are_all_the_same_fit_no_better_than_by_chance() -> None:
+    made = small()
+    pose = Pose(made.truth.rotation[None], made.truth.translation[None])
+    problem = Problem(made.levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
+    assert fit(problem, pose) < 0.5
+    middle = len(made.levels) // 2
+    level = made.levels[middle]
+    flat = replace(
+        level,
+        features=torch.zeros_like(level.features),
+        reference=torch.zeros_like(level.reference),
+    )
+    levels = [*made.levels[:middle], flat, *made.levels[middle + 1 :]]
+    assert fit(replace(problem, levels=levels), pose) == 1.0

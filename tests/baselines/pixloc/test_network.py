@@ -103,3 +103,29 @@ def test_rows_are_decoded_as_the_whole(size: tuple[int, int]) -> None:
     assert rows.shape == whole.shape == (1, 8, size[0] // 2 * 2, size[1] // 2 * 2)
     assert torch.allclose(rows, whole, atol=1e-6)
     assert whole.std() > 0.1
+
+
+@pytest.mark.parametrize("turn", [0.3, 0.8])
+def test_only_what_is_shown_is_decoded(turn: float) -> None:
+    """Cells that show a turned photograph are decoded as in the whole, and far ones are zero."""
+    torch.manual_seed(1)
+    config = PixlocNetConfig(width=0.125, decoder=(16, 16, 8, 8), strides=(16, 4, 2))
+    network = PixlocNet(config).eval()
+    size = (416, 464)
+    y, x = np.meshgrid(*(np.arange(1, side, 2) - side / 2 for side in size), indexing="ij")
+    along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+    shown = (abs(along) < 150) & (abs(across) < 120)
+    image = torch.rand(1, 3, *size)
+    with torch.no_grad():
+        part, whole = network(image, shown=shown), network(image)
+        nothing = network(image, shown=np.zeros_like(shown))
+    wanted = torch.from_numpy(shown)
+    for level, (a, b) in enumerate(zip(part, whole, strict=True)):
+        here = wanted[:: (8, 2, 1)[level], :: (8, 2, 1)[level]]
+        for ours, all_cells in zip(a, b, strict=True):
+            assert torch.allclose(ours[..., here], all_cells[..., here], atol=1e-5)
+    finest = network.features[2]
+    assert isinstance(finest, torch.nn.Conv2d) and finest.bias is not None
+    assert torch.allclose(part[2][0][0, :, 0, 0], finest.bias)
+    assert not torch.allclose(whole[2][0][0, :, 0, 0], finest.bias, atol=1e-3)
+    assert torch.equal(nothing[2][0], whole[2][0])

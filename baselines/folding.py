@@ -1,0 +1,111 @@
+"""Networks made ready for inference: fewer passes over the same maps.
+
+A convolution, the batch normalisation after it and the ReLU after that become one pass, whose
+weights hold the normalisation. Results are the same up to rounding. In bfloat16 the convolutions
+run on the processor's units for it, where it has any.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from typing import Annotated, Final, Literal
+
+import torch
+from pydantic import AfterValidator
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+
+def resolved(precision: str) -> str:
+    """Return the precision that is used on this processor: ``auto`` becomes one of the others."""
+    if precision != "auto":
+        return precision
+    return "bfloat16" if has_bfloat16_units() else "float32"
+
+
+def has_bfloat16_units() -> bool:
+    """Return whether the processor has matrix units for bfloat16: Intel's AMX.
+
+    Units that add up vectors of bfloat16 (AVX-512) are no faster than single precision.
+    """
+    return bool(torch.cpu._is_amx_tile_supported())
+
+
+Precision = Annotated[Literal["auto", "float32", "bfloat16"], AfterValidator(resolved)]
+"""Precision of the convolutions; ``auto`` is bfloat16 where the processor has units for it, and
+becomes what it stands for in every configuration, so that results record it."""
+
+# oneDNN's convolution with a ReLU in the same pass; not every build of torch has it.
+_FUSED: Final = getattr(torch.ops.mkldnn, "_convolution_pointwise", None)
+
+
+class ConvReLU(nn.Module):
+    """A 3x3 convolution and a ReLU in one pass."""
+
+    def __init__(self, convolution: nn.Conv2d, dtype: torch.dtype) -> None:
+        super().__init__()
+        made = copy.deepcopy(convolution).to(dtype).requires_grad_(False)
+        # torch's annotations lack this argument.
+        self.convolution = made.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Return the maps (B, C, h, w) after both."""
+        layer = self.convolution
+        maps = maps.to(layer.weight.dtype)
+        if _FUSED is None or maps.device.type != "cpu":
+            return torch.relu_(layer(maps))
+        where = (layer.padding, layer.stride, layer.dilation, layer.groups)
+        result: Tensor = _FUSED(maps, layer.weight, layer.bias, *where, "relu", [], "")
+        return result
+
+
+class CellwiseConv(nn.Module):
+    """A convolution of single cells as a product of matrices, of maps that are channels-last."""
+
+    def __init__(self, convolution: nn.Conv2d) -> None:
+        super().__init__()
+        self.convolution = convolution
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Return the maps (B, C, h, w) after it, channels-last."""
+        layer = self.convolution
+        rows = functional.linear(maps.permute(0, 2, 3, 1), layer.weight[:, :, 0, 0], layer.bias)
+        return rows.permute(0, 3, 1, 2)
+
+
+def fold(network: nn.Module, precision: str) -> None:
+    """Make a trained network ready for inference; it can then be neither trained nor saved.
+
+    Args:
+        network: with the parts ``encoder``, ``decoder``, ``features`` and ``confidence``.
+        precision: of the convolutions of encoder and decoder.
+    """
+    dtype = torch.bfloat16 if resolved(precision) == "bfloat16" else torch.float32
+    for name in ("encoder", "decoder"):
+        for module in [*network.get_submodule(name).modules()]:
+            if isinstance(module, nn.Sequential):
+                layers = [*_folded([*module], dtype)]
+                del module[:]
+                module.extend(layers)
+    for name in ("features", "confidence"):
+        heads = network.get_submodule(name)
+        assert isinstance(heads, nn.ModuleList)
+        for number, head in enumerate(heads):
+            assert isinstance(head, nn.Conv2d)
+            heads[number] = CellwiseConv(head.requires_grad_(False))
+
+
+def _folded(layers: list[nn.Module], dtype: torch.dtype) -> Iterator[nn.Module]:
+    """Yield the layers of a sequence, with those of one pass as one."""
+    while layers:
+        layer = layers.pop(0)
+        if isinstance(layer, nn.Conv2d):
+            if layers and isinstance(normalisation := layers[0], nn.BatchNorm2d):
+                layer = fuse_conv_bn_eval(layer, normalisation)
+                del layers[0]
+            if layers and isinstance(layers[0], nn.ReLU):
+                layers.pop(0)
+                layer = ConvReLU(layer, dtype)
+        yield layer

@@ -1,0 +1,1 @@
+"""The page of all tracks, from the committed results of each."""

@@ -1,0 +1,61 @@
+"""Table I of the object-connect paper beside the changed cells of our tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from benchmark.report.board.cells import ALL, cells
+from benchmark.report.board.runs import BoardRun, TrackBoard
+from benchmark.report.paper import Cell, Line, measured, pooled, reported
+from benchmark.tracks.queries import CHANGED
+
+# Each column of the paper with our track and part beside it, in the order of ``paper.columns``.
+_BESIDE: Final = {
+    "urban: CMU / street-seasons": ("street-seasons", "urban"),
+    "suburban: CMU / street-seasons": ("street-seasons", "suburban"),
+    "park: CMU / street-seasons": ("street-seasons", "park"),
+    "simulated UAV / uav-seasons": ("uav-seasons", ALL),
+}
+
+
+def columns() -> tuple[str, ...]:
+    """Return the headings: the data of the paper, then our track."""
+    return tuple(_BESIDE)
+
+
+def note() -> str:
+    """Return what a reader has to know before comparing."""
+    return (
+        "Recall in % at 0.5 m 5°. The upper lines stand as the paper reports them, on its own "
+        "data; they are not measurements of this project. The lower lines are ours on simulated "
+        "places of the same kind, under changed conditions: other data, so that a column shows "
+        "which range each reaches and ranks nobody across the two halves."
+    )
+
+
+def lines(boards: Sequence[TrackBoard]) -> list[Line]:
+    """Return the lines of the paper, then one for each of our methods and starts."""
+    runs = dict.fromkeys((run.start, run.method) for board in boards for run in board.runs)
+    ours = (Line(method, measured(start), False, tuple(_cells(boards, start, method)))
+            for start, method in runs)  # fmt: skip
+    return reported() + list(ours)
+
+
+def _cells(boards: Sequence[TrackBoard], start: str, method: str) -> Iterator[Cell | None]:
+    for track, part in _BESIDE.values():
+        found = [
+            _pooled(board, run, part)
+            for board in boards
+            for run in board.runs
+            if (board.track.name, run.start, run.method) == (track, start, method)
+        ]
+        yield found[0] if found else None
+
+
+def _pooled(board: TrackBoard, run: BoardRun, part: str) -> Cell | None:
+    for cell in cells(board.queries):
+        if (cell.season, cell.part) == (CHANGED, part):
+            answers = run.of(cell.rows)
+            return pooled(answers) if answers else None
+    return None

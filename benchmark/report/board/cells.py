@@ -1,0 +1,98 @@
+"""The cells of a track: the queries that one figure pools.
+
+A cell is a season and a part of the track. The seasons are "same" (the map's own condition, and
+nothing moved), "changed" (all others), and each condition. The parts are "all" and each part of the
+track, such as a kind of place; a single condition is pooled over all parts only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.report.board.runs import BoardQuery
+from benchmark.score import Interval, Threshold, is_correct, wilson
+from benchmark.tracks.queries import CHANGED, SAME
+from benchmark.uncertainty import Predicted
+from scene.bundle.manifest import ALL_CONDITIONS
+from scene.localizer import Status
+
+ALL: Final = ALL_CONDITIONS
+# A cell says how wide its intervals are where recall is 90 %.
+_RECALL: Final = 0.9
+RISK: Final = 0.01
+"""Share of wrong answers that ``bounded_recall`` stays below."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """The queries of one cell.
+
+    Attributes:
+        season: "same", "changed" or a condition.
+        part: "all" or a part of the track.
+        rows: (K,) indices of the queries in the list of the track.
+    """
+
+    season: str
+    part: str
+    rows: NDArray[np.int64]
+
+    @property
+    def half_width(self) -> float:
+        """Return half the width of a 95 % interval at a recall of 90 %, in percentage points."""
+        low, high = wilson(round(_RECALL * len(self.rows)), len(self.rows))
+        return 50 * (high - low)
+
+
+def cells(queries: Sequence[BoardQuery]) -> Iterator[Cell]:
+    """Yield the cells that hold a query: both seasons of all and each part, then the conditions."""
+    for season in (CHANGED, SAME):
+        chosen = [k for k, query in enumerate(queries) if query.same == (season == SAME)]
+        for part in (ALL, *parts(queries)):
+            rows = [k for k in chosen if part in (ALL, queries[k].row.part)]
+            if rows:
+                yield Cell(season, part, np.array(rows))
+    for condition in conditions(queries):
+        rows = [k for k, query in enumerate(queries) if query.row.condition == condition]
+        yield Cell(condition, ALL, np.array(rows))
+
+
+def parts(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
+    """Return the parts of a track in the order of its places."""
+    return tuple(dict.fromkeys(query.row.part for query in queries))
+
+
+def conditions(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
+    """Return the conditions of a track in the order of its queries."""
+    return tuple(dict.fromkeys(query.row.condition for query in queries))
+
+
+def bounded_recall(outcomes: Sequence[Predicted], threshold: Threshold) -> Interval | None:
+    """Return the recall of the surest answers, of which fewer than 1 % are wrong.
+
+    Answers are believed from the smallest predicted standard deviation of the position on, up to
+    the largest one with which the share of wrong poses among them is below ``RISK``. Equal ones are
+    believed together. An answer without one is never believed.
+
+    Returns:
+        The share of all queries that are believed and right, in percent; None where no answer has
+        a standard deviation.
+    """
+    stated = [o for o in outcomes if o.status is Status.OK and o.sigma_t_m is not None]
+    if not stated:
+        return None
+    sigma = np.array([o.sigma_t_m for o in stated], np.float64)
+    order = np.argsort(sigma, kind="stable")
+    right = np.cumsum(np.array([is_correct(o, threshold) for o in stated])[order])
+    believed = np.arange(1, len(stated) + 1)
+    # Only the last of equal ones closes a set that may be believed.
+    closed = np.append(np.diff(sigma[order]) > 0, True)
+    allowed = np.flatnonzero(closed & (believed - right < RISK * believed))
+    found = int(right[allowed[-1]]) if len(allowed) else 0
+    low, high = wilson(found, len(outcomes))
+    return Interval(100 * found / len(outcomes), 100 * low, 100 * high)

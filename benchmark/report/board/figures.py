@@ -1,0 +1,151 @@
+"""The figures of the page of all tracks, each computed here and shown as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.report.board.cells import Cell, bounded_recall, cells, conditions, parts
+from benchmark.report.board.difficulty import AXES, Axis, Bin, binned
+from benchmark.report.board.runs import BoardRun, TrackBoard
+from benchmark.report.page import figures_of, nees_of, paired, rounded
+from benchmark.report.tables import start_in_words
+from benchmark.results import QueryResult, summarize
+from benchmark.score import THRESHOLDS, Interval
+from benchmark.uncertainty import risk_coverage
+from scene.localizer import Status
+
+# Points of a risk-coverage curve on the page.
+_POINTS: Final = 50
+_STATUS: Final = {Status.OK: 0, Status.FALLBACK: 1, Status.FAILED: 2}
+
+
+def track_figures(board: TrackBoard) -> dict[str, Any]:
+    """Return what the page shows of a track."""
+    return {
+        "name": board.track.name,
+        "title": board.track.title,
+        "parts": parts(board.queries),
+        "conditions": conditions(board.queries),
+        "methods": board.track.methods,
+        "missing": board.missing,
+        "datasets": [[place.dataset, place.sha256] for place in board.track.places],
+        "queries": _listed(board),
+        "starts": [
+            {
+                "name": start,
+                "words": start_in_words(start),
+                "runs": [_answers(board, run) for run in runs],
+                "cells": [_cell(board, cell, runs) for cell in cells(board.queries)],
+            }
+            for start in board.track.starts
+            if (runs := [run for run in board.runs if run.start == start])
+        ],
+    }
+
+
+def _listed(board: TrackBoard) -> dict[str, Any]:
+    """Return the list of queries, by column: the page reads many."""
+    places = [place.dataset for place in board.track.places]
+    part_names, condition_names = parts(board.queries), conditions(board.queries)
+    return {
+        "name": [query.row.name for query in board.queries],
+        "dataset": [places.index(query.dataset) for query in board.queries],
+        "part": [part_names.index(query.row.part) for query in board.queries],
+        "condition": [condition_names.index(query.row.condition) for query in board.queries],
+        "same": [int(query.same) for query in board.queries],
+        **{
+            axis.key: [rounded(getattr(query.row.difficulty, axis.key)) for query in board.queries]
+            for axis in AXES
+        },
+    }
+
+
+def _answers(board: TrackBoard, run: BoardRun) -> dict[str, Any]:
+    """Return the errors of every query, by column; null where there are no results."""
+    known = run.answers
+    return {
+        "method": board.track.methods.index(run.method),
+        "t": [None if a is None else _short(a.t_err_m) for a in known],
+        "r": [None if a is None else _short(a.r_err_deg) for a in known],
+        "sigma": [None if a is None else _short(a.sigma_t_m) for a in known],
+        "status": [None if a is None else _STATUS[a.status] for a in known],
+    }
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.3g}")
+
+
+def _cell(board: TrackBoard, cell: Cell, runs: Sequence[BoardRun]) -> dict[str, Any]:
+    return {
+        "season": cell.season,
+        "part": cell.part,
+        "queries": len(cell.rows),
+        "flights": len(np.unique(board.flights[cell.rows])),
+        "half": rounded(cell.half_width),
+        "runs": [_run(board, cell, run) for run in runs],
+        "pairs": [list(_pairs(board, cell, runs, number)) for number in range(len(THRESHOLDS))],
+    }
+
+
+def _run(board: TrackBoard, cell: Cell, run: BoardRun) -> dict[str, Any] | None:
+    """Return the figures of a run in a cell; None where it has no results of the cell."""
+    rows = cell.rows[run.has[cell.rows]]
+    answers = run.of(rows)
+    if not answers:
+        return None
+    summary = summarize(answers, 0.0, None)
+    bounded = [bounded_recall(answers, threshold) for threshold in THRESHOLDS]
+    return {
+        "summary": figures_of(summary),
+        "nees": nees_of(summary.uncertainty),
+        "bounded": [None if found is None else _interval(found) for found in bounded],
+        "surest": [_surest(answers, number) for number in range(len(THRESHOLDS))],
+        "difficulty": [
+            [_bin(bins) for bins in zip(*_curves(board, rows, run, axis), strict=True)]
+            for axis in AXES
+        ],
+    }
+
+
+def _interval(interval: Interval) -> list[float]:
+    return [round(value, 2) for value in interval]
+
+
+def _surest(answers: Sequence[QueryResult], number: int) -> list[list[float]]:
+    """Return points (coverage, share of right poses) in percent of the surest queries."""
+    curve = risk_coverage(answers, THRESHOLDS[number])
+    chosen = np.unique(np.linspace(0, len(curve) - 1, _POINTS).round().astype(int))
+    return [[round(curve[k][0], 1), round(100 - curve[k][1], 1)] for k in chosen]
+
+
+def _curves(
+    board: TrackBoard, rows: NDArray[np.int64], run: BoardRun, axis: Axis
+) -> Iterator[list[Bin]]:
+    """Yield the bins of an axis at every threshold."""
+    of = axis.bins([getattr(board.queries[row].row.difficulty, axis.key) for row in rows])
+    for right in run.correct:
+        yield binned(of, right[rows], len(axis.labels))
+
+
+def _bin(thresholds: Sequence[Bin]) -> list[Any]:
+    """Return the queries of a bin, then its recall at every threshold."""
+    recalls = (found.recall for found in thresholds)
+    return [thresholds[0].queries, *(r if r is None else _interval(r) for r in recalls)]
+
+
+def _pairs(
+    board: TrackBoard, cell: Cell, runs: Sequence[BoardRun], number: int
+) -> Iterator[dict[str, Any]]:
+    """Yield the comparison of every two runs on the queries of the cell that both have."""
+    for (a, first), (b, second) in combinations(enumerate(runs), 2):
+        both = cell.rows[first.has[cell.rows] & second.has[cell.rows]]
+        if len(both):
+            before, after = first.correct[number, both], second.correct[number, both]
+            change = paired(before.tolist(), after.tolist(), board.flights[both].tolist())
+            yield {"a": a, "b": b} | change

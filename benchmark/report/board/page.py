@@ -1,0 +1,47 @@
+"""The page of all tracks, in one HTML file: ``templates/board.html``, ``.css`` and ``.js``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from benchmark.report.board import beside_paper
+from benchmark.report.board.difficulty import AXES
+from benchmark.report.board.figures import track_figures
+from benchmark.report.board.pictures import Pictures
+from benchmark.report.board.runs import TrackBoard
+from benchmark.report.page import paper_of
+from benchmark.report.self_contained import fill
+from benchmark.score import THRESHOLDS
+from scene.runtime.progress import progress_bar
+
+
+def board_page(boards: Sequence[TrackBoard]) -> str:
+    """Return the page of all tracks.
+
+    Raises:
+        InputError: an album of a track is damaged.
+    """
+    tracks = []
+    pictures = Pictures()
+    with progress_bar("tracks", len(boards)) as advance:
+        for done, board in enumerate(boards, 1):
+            tracks.append(track_figures(board) | {"pictures": pictures.of(board)})
+            advance(done)
+    data = {
+        "thresholds": [{"key": t.key, "text": str(t)} for t in THRESHOLDS],
+        "axes": [
+            {
+                "key": axis.key,
+                "short": axis.short,
+                "title": axis.title,
+                "unit": axis.unit,
+                "labels": axis.labels,
+                "column": axis.column,
+            }
+            for axis in AXES
+        ],
+        "tracks": tracks,
+        "pictures": pictures.encoded,
+        "paper": paper_of(beside_paper.columns(), beside_paper.note(), beside_paper.lines(boards)),
+    }
+    return fill("board", data, base="shared")

@@ -1,0 +1,117 @@
+"""The headline cells of all tracks as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from benchmark.report.board import beside_paper
+from benchmark.report.board.cells import RISK, Cell, bounded_recall, cells
+from benchmark.report.board.runs import BoardRun, TrackBoard
+from benchmark.report.markdown import escaped, line, number, paper_markdown, recall_text
+from benchmark.report.tables import start_in_words
+from benchmark.results import TOTAL, Recall, Summary, summarize
+from benchmark.score import THRESHOLDS
+
+
+@dataclass(frozen=True)
+class HeadlineRow:
+    """The figures of a method in a cell.
+
+    Attributes:
+        start: name of the starting information.
+        season: "changed", "same" or a condition.
+        part: "all" or a part of the track.
+        method: name of the method.
+        half_width: half the width of the cell's 95 % interval at a recall of 90 %, points.
+        surest: recall at 0.5 m 5° at bounded risk, see ``benchmark.report.board.cells``; None where
+            the method predicts no sigma.
+        summary: figures of the queries.
+    """
+
+    start: str
+    season: str
+    part: str
+    method: str
+    half_width: float
+    surest: Recall | None
+    summary: Summary
+
+
+def headline(board: TrackBoard) -> Iterator[HeadlineRow]:
+    """Yield the figures of every start, cell and method of a track that has results."""
+    for start in dict.fromkeys(run.start for run in board.runs):
+        for cell in cells(board.queries):
+            for run in board.runs:
+                if run.start == start and run.has[cell.rows].any():
+                    yield _row(cell, run)
+
+
+def _row(cell: Cell, run: BoardRun) -> HeadlineRow:
+    answers = run.of(cell.rows)
+    surest = bounded_recall(answers, THRESHOLDS[1])
+    return HeadlineRow(
+        start=run.start,
+        season=cell.season,
+        part=cell.part,
+        method=run.method,
+        half_width=cell.half_width,
+        surest=None if surest is None else Recall(**surest._asdict()),
+        summary=summarize(answers, 0.0, None),
+    )
+
+
+def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[HeadlineRow]]) -> str:
+    """Return a table for each track and start, with a row for each cell and method.
+
+    Args:
+        boards: the tracks.
+        rows: the figures of each of them.
+    """
+    lines = [
+        "# Leaderboard",
+        "",
+        "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
+        "with its Wilson 95 % interval; failed queries and fallback poses count as wrong. ± is "
+        "half the width of that interval at a recall of 90 %. False fixes are poses that a method "
+        "calls right and that are wrong by more than 5 m or 10°. The surest are the share of all "
+        "queries that are believed and right at 0.5 m 5° when answers are believed in the order of "
+        f"their predicted sigma, as long as fewer than {RISK:.0%} of those are wrong.",
+    ]
+    for board, figures in zip(boards, rows, strict=True):
+        lines += ["", f"## {escaped(board.track.name)}: {escaped(board.track.title)}"]
+        for start in dict.fromkeys(row.start for row in figures):
+            lines += ["", f"### Start: {escaped(start_in_words(start))}", ""]
+            lines += _table([row for row in figures if row.start == start])
+        if not figures:
+            lines += ["", "Nothing is measured yet."]
+        lines += ["", *(f"- Missing: {escaped(sentence)}." for sentence in board.missing)]
+    text = "\n".join(lines).rstrip() + "\n"
+    return text + paper_markdown(
+        beside_paper.lines(boards), beside_paper.note(), beside_paper.columns()
+    )
+
+
+def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
+    recalls = [f"{threshold} (%)" for threshold in THRESHOLDS]
+    header = ["season", "part", "method", "queries", "±", *recalls, "surest (%)"]
+    header += ["false fixes (%)", "NEES", "median m", "s/query"]
+    yield line(header)
+    yield line(["---", "---", "---", *["--:"] * (len(header) - 3)])
+    for row in rows:
+        summary, consistent = row.summary, row.summary.uncertainty
+        yield line(
+            [
+                escaped(row.season),
+                escaped(row.part),
+                escaped(row.method),
+                str(summary.queries),
+                f"{row.half_width:.1f}",
+                *(recall_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
+                "–" if row.surest is None else recall_text(row.surest),
+                "–" if summary.false_fixes is None else recall_text(summary.false_fixes),
+                "–" if consistent is None else f"{consistent.nees_mean:.1f}",
+                number(summary.median_t_m),
+                number(summary.seconds.per_query.get(TOTAL)),
+            ]
+        )

@@ -1,0 +1,216 @@
+"""The command ``track``: the places of a track, rendered, mapped and compared with the record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.datasets.cmu import is_cmu
+from benchmark.datasets.simulated import open_scene
+from benchmark.tracks.description import (
+    BOARD,
+    DESCRIPTION,
+    Place,
+    Track,
+    load_track,
+    write_track,
+)
+from benchmark.tracks.difficulty import measure, write_queries
+from mapping.build import build_map
+from scene.bundle.scene import Scene
+from scene.exports.export import export
+from scene.storage.outputs import check_output_folder, check_outputs
+from simulate.command import finished_scene, simulate
+from simulate.config import SimulateConfig
+
+# The preset of drives, which are exported to the tree of Extended CMU Seasons too.
+_STREET: Final = "street"
+_TREE: Final = "cmu"
+# Characters of a digest that are shown.
+_SHOWN: Final = 12
+
+
+@dataclass(frozen=True)
+class PlaceReport:
+    """A place that is rendered and mapped.
+
+    Attributes:
+        dataset: name of the data set.
+        scene: folder of the scene.
+        export: folder of its tree of Extended CMU Seasons; None for places without streets.
+        queries: number of queries.
+        sha256: digest of the data set.
+        recorded: digest that the track records; None where it records none.
+    """
+
+    dataset: str
+    scene: Path
+    export: Path | None
+    queries: int
+    sha256: str
+    recorded: str | None
+
+    @property
+    def same(self) -> bool | None:
+        """Return whether the data set is the recorded one; None where none is recorded."""
+        return None if self.recorded is None else self.sha256 == self.recorded
+
+    def text(self) -> str:
+        """Return one line for a person."""
+        said = {
+            None: "not recorded yet",
+            True: "as recorded",
+            False: f"NOT the recorded {(self.recorded or '')[:_SHOWN]}",
+        }[self.same]
+        return f"{self.dataset}: {self.queries} queries, data set {self.sha256[:_SHOWN]}, {said}"
+
+
+@dataclass(frozen=True)
+class TrackReport:
+    """The places of a track and how they compare with the record.
+
+    Attributes:
+        track: name of the track.
+        board: folder of all tracks.
+        places: the places that were asked for.
+        written: files of the board that were written.
+    """
+
+    track: str
+    board: Path
+    places: tuple[PlaceReport, ...]
+    written: tuple[Path, ...] = ()
+
+    @property
+    def differing(self) -> tuple[str, ...]:
+        """Return the data sets that are not the recorded ones."""
+        return tuple(place.dataset for place in self.places if place.same is False)
+
+    def text(self) -> str:
+        """Return one line a place, and a note where some differ from the record."""
+        lines = [place.text() for place in self.places]
+        lines += [f"wrote {path}" for path in self.written]
+        results = f"the results of {', '.join(self.differing)} in {self.board / self.track}"
+        if self.differing and self.written:
+            lines.append(
+                f"Note: {results} are of earlier data sets: evaluate again and replace them."
+            )
+        elif self.differing:
+            lines.append(
+                f"Note: {results} cannot be compared with results on these scenes: evaluate every "
+                "method that you compare on the same render. Renders differ in single bits between "
+                "kinds of processors and versions of libraries."
+            )
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report for a program."""
+        places = [
+            {
+                "dataset": place.dataset,
+                "scene": str(place.scene),
+                "export": None if place.export is None else str(place.export),
+                "queries": place.queries,
+                "sha256": place.sha256,
+                "recorded": place.recorded,
+                "same": place.same,
+            }
+            for place in self.places
+        ]
+        return {
+            "track": self.track,
+            "places": places,
+            "differing": list(self.differing),
+            "written": [str(path) for path in self.written],
+        }
+
+
+# More than six parameters: it is the function of a command.
+def track(
+    name: str,
+    out: Path,
+    places: Sequence[str] = (),
+    jobs: int = 1,
+    cluster: str | None = None,
+    board: Path = BOARD,
+    update: bool = False,
+) -> TrackReport:
+    """Render and map the places of a track, and compare their data sets with the recorded ones.
+
+    Places that are there already are not rendered again, and an interrupted run goes on where it
+    stopped. Places with streets are exported to the tree of Extended CMU Seasons as well.
+
+    Args:
+        name: name of the track.
+        out: folder of the scenes, ``out/<dataset>``.
+        places: data sets of the places to render; none means all.
+        jobs: number of rendering processes on this machine.
+        cluster: cluster that renders and extracts features instead, see
+            ``scene.runtime.cluster.worker_pool``.
+        board: folder of all tracks.
+        update: whether to record these digests, and how hard each query is, in the board.
+
+    Raises:
+        InputError: there is no such track or place, the description is wrong, a folder holds
+            something else, rendering or mapping failed, or the board cannot be written.
+    """
+    chosen = load_track(name, board)
+    wanted = [(place, _configuration(chosen, place)) for place in chosen.chosen(tuple(places))]
+    check_output_folder(out, [board])
+    if update:
+        check_outputs([board / name / DESCRIPTION, *(_queries(board, name, p) for p, _ in wanted)])
+    for place, config in wanted:
+        finished_scene(out / place.dataset, config)  # a wrong folder is told before hours of work
+    made = tuple(_make(place, config, out, jobs, cluster) for place, config in wanted)
+    written = _record(name, board, made) if update else ()
+    return TrackReport(name, board, made, written)
+
+
+def _record(name: str, board: Path, made: Sequence[PlaceReport]) -> tuple[Path, ...]:
+    """Write the digests of places and the difficulty of their queries into the board."""
+    written = []
+    for place in made:
+        written.append(_queries(board, name, place))
+        write_queries(written[-1], measure(Scene.open(place.scene)))
+    # Read again: another run may have recorded other places meanwhile.
+    digests = {place.dataset: place.sha256 for place in made}
+    write_track(load_track(name, board).with_digests(digests), board)
+    return (*written, board / name / DESCRIPTION)
+
+
+def _queries(board: Path, name: str, place: Place | PlaceReport) -> Path:
+    return board / name / "queries" / f"{place.dataset}.csv"
+
+
+def _configuration(track: Track, place: Place) -> SimulateConfig:
+    given = {"preset": place.preset, "seed": place.seed}
+    return SimulateConfig.load(Path(track.config), given)
+
+
+def _make(
+    place: Place, config: SimulateConfig, out: Path, jobs: int, cluster: str | None
+) -> PlaceReport:
+    """Render, map and export a place, each unless it was done before."""
+    path = out / place.dataset
+    scene = simulate(config, path, jobs, cluster)
+    if not _is_mapped(scene):
+        build_map(path, cluster=cluster)
+    tree = path.with_name(f"{place.dataset}-{_TREE}") if place.preset == _STREET else None
+    if tree is not None and not is_cmu(tree):
+        export(path, _TREE, tree)
+    dataset = open_scene(path)
+    return PlaceReport(
+        dataset=place.dataset,
+        scene=path,
+        export=tree,
+        queries=len(dataset.queries),
+        sha256=dataset.sha256,
+        recorded=place.sha256,
+    )
+
+
+def _is_mapped(scene: Scene) -> bool:
+    """Return whether the map is complete; the manifest records its files after they are written."""
+    return any(name.startswith("map/") for name in scene.manifest.sha256)

@@ -1,0 +1,172 @@
+"""Compact results files, for results that a track keeps by the hundred.
+
+``xz -d`` makes an ordinary results file of one. Its numbers have fewer digits, and every figure of
+it stands for the same queries: errors, predicted sigma and NEES keep ten digits, which changes a
+median or a mean by less than 1e-9 of itself; a query that rounding would move across a threshold
+keeps all their digits. Poses keep 0.1 mm and 1e-7 of a quaternion, heights 1 cm, and seconds three
+digits: repeated runs differ by more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.results import (
+    PACKED,
+    QueryResult,
+    Results,
+    load,
+    method_in,
+    rescore,
+    results_files,
+    summarize,
+    summarize_parts,
+)
+from benchmark.tracks.description import DESCRIPTION, Track, load_track
+from scene.errors import InputError
+from scene.storage.atomic import atomic_write
+from scene.storage.outputs import check_outputs
+from scene.storage.packed import SUFFIX, pack
+
+RESULTS: Final = "results"
+"""The folder of a track's results: ``results/<start>/<dataset>/<method>.json.xz``."""
+
+# Digits of what is scored, and of measured times.
+_DIGITS: Final = 10
+_TIME_DIGITS: Final = 3
+# Decimals of heights (m), quaternions and translations (m).
+_HEIGHT_DECIMALS: Final = 2
+_TURN_DECIMALS: Final = 7
+_SHIFT_DECIMALS: Final = 4
+
+
+def compact(results: Results) -> Results:
+    """Return results with rounded numbers, and the figures that follow from them."""
+    summary = results.summary
+    prepare = {"prepare": _digits(summary.seconds.prepare, _DIGITS)}
+    run = {
+        "seconds": summary.seconds.model_copy(update=prepare),
+        "peak_memory_mb": _shortened(summary.peak_memory_mb),
+    }
+    queries = tuple(_rounded(query) for query in results.queries)
+    shorter = {"queries": queries, "summary": summary.model_copy(update=run)}
+    return rescore(results.model_copy(update=shorter))
+
+
+def write_compact(path: Path, results: Results) -> None:
+    """Write results rounded and compressed, atomically.
+
+    Args:
+        path: file to write; its name ends in ``.json.xz``.
+        results: results, rounded or not.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    values = compact(results).model_dump(mode="json", by_alias=True)
+    figures = {
+        key: _shortened(value)
+        for key, value in values.items()
+        if key == "summary" or key.startswith("by_")
+    }
+    text = Results.model_validate(values | figures).model_dump_json(by_alias=True)
+    with atomic_write(path) as partial:
+        partial.write_bytes(pack(text))
+
+
+def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
+    """Return the results that ``store`` writes into the folder of a track, by the file of each.
+
+    Args:
+        results: results files, or folders of them.
+        folder: folder of the track, with its ``track.yaml``.
+
+    Raises:
+        InputError: a file is no results file, is not of a data set that the track records, would
+            have the name of another one, or cannot be written.
+    """
+    if not (folder / DESCRIPTION).exists():
+        raise InputError(f"{folder} is not the folder of a track: it has no {DESCRIPTION}")
+    track = load_track(folder.resolve().name, folder.resolve().parent)
+    files = [file for given in results for file in results_files(given)]
+    targets: dict[Path, Results] = {}
+    for file in files:
+        run = compact(load(file))
+        _require_recorded(track, run, file)
+        method = file.name.removesuffix(SUFFIX).removesuffix(".json")
+        target = folder / RESULTS / run.start / run.dataset.name / f"{method}{PACKED}"
+        if targets.get(target, run) != run:
+            raise InputError(
+                f"{file}: other results of {method} on {run.dataset.name} from {run.start} are "
+                "given too: give one of the files another name"
+            )
+        targets[target] = run
+    check_outputs([target for target in targets if target not in files], within=folder)
+    for target in targets:
+        method_in(target)  # another program's file must not be replaced
+    return targets
+
+
+def store(targets: Mapping[Path, Results]) -> list[Path]:
+    """Write results compactly, in place of older ones, and return the files.
+
+    Raises:
+        InputError: a folder cannot be written.
+    """
+    for target, run in targets.items():
+        write_compact(target, run)
+    return list(targets)
+
+
+def _require_recorded(track: Track, run: Results, file: Path) -> None:
+    """Refuse results of another data set than the track's."""
+    (place,) = track.chosen((run.dataset.name,))
+    if place.sha256 != run.dataset.sha256:
+        was = "none" if place.sha256 is None else place.sha256[:12]
+        raise InputError(
+            f"{file} is of another {place.dataset} ({run.dataset.sha256[:12]}) than the track "
+            f"{track.name} records ({was}): see objconnect track --update"
+        )
+
+
+def _rounded(query: QueryResult) -> QueryResult:
+    """Return a query with rounded numbers that are judged as the exact ones are."""
+    pose = query.cam_from_world
+    unjudged: dict[str, Any] = {
+        "seconds": {stage: _digits(s, _TIME_DIGITS) for stage, s in query.seconds.items()},
+        "cam_from_world": pose
+        and (
+            *(round(x, _TURN_DECIMALS) for x in pose[:4]),
+            *(round(x, _SHIFT_DECIMALS) for x in pose[4:]),
+        ),
+    }
+    judged: dict[str, Any] = {
+        key: _shortened(getattr(query, key))
+        for key in ("t_err_m", "r_err_deg", "sigma_t_m", "nees")
+    }
+    judged["altitude_m"] = round(query.altitude_m, _HEIGHT_DECIMALS)
+    rounded = query.model_copy(update=unjudged | judged)
+    if _verdicts(rounded) == _verdicts(query):
+        return rounded
+    return query.model_copy(update=unjudged)
+
+
+def _verdicts(query: QueryResult) -> tuple[object, ...]:
+    """Return everything that a figure counts of a query: yes or no, or the name of its band."""
+    figures = summarize([query], 0.0, None)
+    inside = figures.uncertainty and figures.uncertainty.within_95.value
+    bands = tuple(summarize_parts([query], 0.0, None)["altitude"])
+    return figures.recall, figures.false_fixes, inside, bands
+
+
+def _shortened(value: Any) -> Any:
+    """Return a figure, or figures by name, with as many digits as a reader compares."""
+    if isinstance(value, dict):
+        return {key: _shortened(inner) for key, inner in value.items()}
+    return _digits(value, _DIGITS) if isinstance(value, float) else value
+
+
+def _digits(value: float, digits: int) -> float:
+    return float(f"{value:.{digits - 1}e}")

@@ -1,0 +1,130 @@
+"""The description of a track: the places that are rendered, the starts and the methods.
+
+A track is the folder ``leaderboard/<track>/``. Its ``track.yaml`` is read here; ``queries/`` and
+``results/`` beside it are what the track was measured to be.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import yaml
+from pydantic import Field, field_validator
+
+from scene.config import SHIPPED, Config, load_config
+from scene.errors import InputError
+from scene.storage.atomic import write_text
+from scene.storage.listing import list_files
+
+BOARD: Final = SHIPPED.with_name("leaderboard")
+"""The folder of the tracks that come with the project."""
+
+DESCRIPTION: Final = "track.yaml"
+
+_Name = Annotated[str, Field(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$", max_length=100)]
+_Words = Annotated[str, Field(min_length=1, max_length=300)]
+
+
+class Place(Config):
+    """A place of a track, which is one scene and one data set.
+
+    Attributes:
+        dataset: name of the scene's folder and of the data set.
+        preset: kind of place.
+        seed: random seed of the place.
+        sha256: digest of the data set once it was rendered and mapped; None before.
+    """
+
+    dataset: _Name
+    preset: _Name
+    seed: int = Field(ge=0)
+    sha256: str | None = Field(None, pattern=r"^[0-9a-f]{64}$")
+
+
+class Track(Config):
+    """A list of places that are rendered alike, and what is run on them.
+
+    Attributes:
+        name: name of its folder.
+        title: what it shows, in a line.
+        config: configuration of ``simulate``: a name or a file; places set preset and seed.
+        places: the places.
+        starts: starts of ``benchmark.starts`` that methods are run from.
+        methods: names of the results files.
+    """
+
+    name: _Name
+    title: _Words
+    config: _Words
+    places: tuple[Place, ...] = Field(min_length=1)
+    starts: tuple[_Words, ...] = Field(min_length=1)
+    methods: tuple[_Words, ...] = Field(min_length=1)
+
+    @field_validator("places")
+    @classmethod
+    def _are_distinct(cls, places: tuple[Place, ...]) -> tuple[Place, ...]:
+        names = [place.dataset for place in places]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two places have one name: {', '.join(names)}")
+        return places
+
+    def chosen(self, names: tuple[str, ...] = ()) -> tuple[Place, ...]:
+        """Return the places of these names in the track's order; all of them for no name.
+
+        Raises:
+            InputError: the track has no place of a name.
+        """
+        known = [place.dataset for place in self.places]
+        for name in names:
+            if name not in known:
+                raise InputError(
+                    f"the track {self.name} has no place {name!r}; it has {', '.join(known)}"
+                )
+        return tuple(place for place in self.places if not names or place.dataset in names)
+
+    def with_digests(self, digests: dict[str, str]) -> Track:
+        """Return the track with the digests of some places, by data set."""
+        places = tuple(
+            place.model_copy(update={"sha256": digests.get(place.dataset, place.sha256)})
+            for place in self.places
+        )
+        return self.model_copy(update={"places": places})
+
+
+def load_track(name: str, board: Path = BOARD) -> Track:
+    """Read the track of a name.
+
+    Args:
+        name: name of the track.
+        board: folder of all tracks.
+
+    Raises:
+        InputError: there is no such folder or track, or the description is wrong.
+    """
+    files = list_files(board, (".yaml",), depth=2)
+    known = [path.parent.name for path in files if path.name == DESCRIPTION]
+    if name not in known:
+        there = f"; there are {', '.join(known)}" if known else ""
+        raise InputError(f"{board} has no track of the name {name!r}{there}")
+    path = board / name / DESCRIPTION
+    track = load_config(Track, path, {})
+    if track.name != name:
+        raise InputError(f"{path}: the track is called {track.name!r}, its folder {name!r}")
+    return track
+
+
+def write_track(track: Track, board: Path) -> None:
+    """Write the description of a track; comments of the file are lost.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    text = yaml.safe_dump(
+        track.model_dump(mode="json"),
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=None,
+        width=1000,
+    )
+    write_text(board / track.name / DESCRIPTION, text)

@@ -1,0 +1,242 @@
+"""How hard each query of a scene is, from what the scene knows of it: overlap, scale, angle, days.
+
+The figures compare a query with the one map photograph that sees most of what it sees, as RUBIK
+bins pairs of images (Loiseau and Bourmaud, "RUBIK: A Structured Benchmark for Image Matching across
+Geometric Challenges", CVPR 2025).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from scene.bundle.covisibility import surface_points, visible_points
+from scene.bundle.frames import Frames
+from scene.bundle.scene import Scene
+from scene.errors import InputError
+from scene.geometry.camera import Camera
+from scene.runtime.progress import progress_bar
+from scene.storage.atomic import write_text
+
+# Points per side of the grid that samples the surface in a query.
+_PER_SIDE: Final = 16
+# Shares of the surface that differ by less are one share, because of that grid; of photographs that
+# see one share, the one from the most similar direction is compared.
+_SAME_SHARE: Final = 0.02
+_YEAR_DAYS: Final = 365
+
+
+class Difficulty(NamedTuple):
+    """A query against the map photograph that sees most of it.
+
+    Attributes:
+        overlap: share of the query's pixels whose surface that photograph sees too, 0 to 1.
+        scale: metres of the surface on a pixel of the query over those on a pixel of the
+            photograph, median of what both see; None where they share nothing.
+        angle_deg: angle between the lines of sight of both, median of what both see; None likewise.
+        days: days of the year between both, 0 to 182; None likewise, or where a time is unknown.
+    """
+
+    overlap: float
+    scale: float | None
+    angle_deg: float | None
+    days: int | None
+
+
+class QueryRow(NamedTuple):
+    """A query, what it is of, and how hard it is; the columns of ``queries/<dataset>.csv``."""
+
+    name: str
+    condition: str
+    flight: str
+    part: str
+    difficulty: Difficulty
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame as a camera somewhere at some time.
+
+    Attributes:
+        camera: camera.
+        cam_from_world: (4, 4).
+        time: seconds since 1970, or NaN.
+    """
+
+    camera: Camera
+    cam_from_world: NDArray[np.float64]
+    time: float
+
+
+def compared(
+    query: View, photograph: View, points: NDArray[np.float64], depth: NDArray[np.float32]
+) -> tuple[float, float] | None:
+    """Return scale and angle (degrees) between a query and a map photograph.
+
+    Args:
+        query: query.
+        photograph: map photograph.
+        points: (S, 3) surface that the query sees, world metres; NaN where there is none.
+        depth: (H, W) planar depth of the photograph, metres.
+
+    Returns:
+        The medians over the points that both see; None if there is no such point.
+    """
+    world = torch.from_numpy(points)
+    shared = visible_points(photograph.camera, photograph.cam_from_world, world, depth).numpy()
+    seen = points[shared]
+    if not len(seen):
+        return None
+    (near, to_query), (far, to_photograph) = _sight(query, seen), _sight(photograph, seen)
+    cosine = np.clip((to_query * to_photograph).sum(-1), -1, 1)
+    return float(np.median(near / far)), float(np.median(np.degrees(np.arccos(cosine))))
+
+
+def days_between(one: float, other: float) -> int | None:
+    """Return the days of the year between two times (s since 1970), 0 to 182; None for NaN."""
+    if not np.isfinite([one, other]).all():
+        return None
+    first, second = (datetime.fromtimestamp(t, UTC).timetuple().tm_yday for t in (one, other))
+    apart = abs(first - second)
+    return min(apart, abs(_YEAR_DAYS - apart))
+
+
+def measure(scene: Scene) -> list[QueryRow]:
+    """Return every query of a scene with its difficulty, in the order of the scene's lists.
+
+    Raises:
+        InputError: a list or a depth image of the scene is missing or damaged.
+    """
+    frames = {session: scene.frames(session) for session in scene.sessions}
+    views = {name: view for one in frames.values() for name, view in _views(one)}
+    asked = [name for names in scene.splits.queries.values() for name in names]
+    if unknown := [name for name in (*asked, *scene.splits.map) if name not in views]:
+        raise InputError(f"scene {scene.path}: {unknown[0]} of splits.json is no frame")
+    with progress_bar("difficulty", len(asked) + len(scene.splits.map)) as advance:
+        points = {}
+        for name, depth in _depths(scene, frames, set(asked)):
+            view = views[name]
+            points[name] = surface_points(view.camera, view.cam_from_world, depth, _PER_SIDE)
+            advance(len(points))
+        shares = _candidates(scene, asked)
+        found: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in asked}
+        wanted = {photograph for of in shares.values() for photograph in of}
+        for k, (name, depth) in enumerate(_depths(scene, frames, wanted), 1):
+            for query in asked:
+                if name in shares[query]:
+                    pair = compared(views[query], views[name], points[query], depth)
+                    if pair is not None:
+                        found[query][name] = pair
+            advance(len(points) + k)
+    parts = _parts(scene, [views[name] for name in asked])
+    return [
+        QueryRow(
+            name,
+            scene.sessions[session].condition,
+            session,
+            part,
+            _difficulty(views, name, shares[name], found[name], points[name]),
+        )
+        for part, (session, name) in zip(parts, _asked(scene), strict=True)
+    ]
+
+
+def write_queries(path: Path, rows: Iterable[QueryRow]) -> None:
+    """Write ``queries/<dataset>.csv`` atomically; what is unknown is an empty cell.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow((*QueryRow._fields[:-1], *Difficulty._fields))
+    for row in rows:
+        of = row.difficulty
+        scale = None if of.scale is None else f"{of.scale:.3f}"
+        angle = None if of.angle_deg is None else f"{of.angle_deg:.1f}"
+        table.writerow((*row[:-1], f"{of.overlap:.3f}", scale, angle, of.days))
+    write_text(path, text.getvalue())
+
+
+def _sight(
+    view: View, points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the metres of a surface across the view on one pixel, (S,), and the directions to the
+    points, (S, 3)."""
+    rotation, translation = view.cam_from_world[:3, :3], view.cam_from_world[:3, 3]
+    local = points @ rotation.T + translation
+    return local[:, 2] / view.camera.focal[0], local @ rotation / np.linalg.norm(
+        local, axis=-1, keepdims=True
+    )
+
+
+def _views(frames: Frames) -> Iterator[tuple[str, View]]:
+    for k, name in enumerate(frames.names):
+        yield name, View(frames.cameras[k], frames.cam_from_world[k], float(frames.time[k]))
+
+
+def _asked(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield session and name of every query."""
+    for session, names in scene.splits.queries.items():
+        yield from ((session, name) for name in names)
+
+
+def _depths(
+    scene: Scene, frames: Mapping[str, Frames], names: set[str]
+) -> Iterator[tuple[str, NDArray[np.float32]]]:
+    """Yield the depth images of some frames."""
+    for session, of in frames.items():
+        with scene.dense(session) as dense:
+            for k, name in enumerate(of.names):
+                if name in names:
+                    yield name, dense.read("depth", k)
+
+
+def _candidates(scene: Scene, asked: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return the map photographs that see most of each query, with their shares of its surface."""
+    mapped = scene.splits.map
+    overlap = scene.covisibility.of([*asked, *mapped]).overlap[: len(asked), len(asked) :]
+    shares = {}
+    for name, row in zip(asked, overlap.tolist(), strict=True):
+        least = max(row, default=0.0) - _SAME_SHARE
+        shares[name] = {
+            photograph: share
+            for photograph, share in zip(mapped, row, strict=True)
+            if share > 0 and share >= least
+        }
+    return shares
+
+
+def _difficulty(
+    views: Mapping[str, View],
+    query: str,
+    shares: Mapping[str, float],
+    found: Mapping[str, tuple[float, float]],
+    points: NDArray[np.float64],
+) -> Difficulty:
+    """Return the difficulty of a query from its candidates and what was measured of them."""
+    if not found:
+        return Difficulty(0.0, None, None, None)
+    name, (scale, angle) = min(found.items(), key=lambda item: item[1][1])
+    surface = float(np.isfinite(points).all(-1).mean())
+    days = days_between(views[query].time, views[name].time)
+    return Difficulty(surface * max(shares.values()), scale, angle, days)
+
+
+def _parts(scene: Scene, views: Sequence[View]) -> list[str]:
+    """Return the part of the place that each camera stands in, or else the kind of the place."""
+    kind = scene.manifest.preset or ""
+    if not scene.objects.surroundings:
+        return [kind] * len(views)
+    poses = np.stack([view.cam_from_world for view in views])
+    centres = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+    return [part or kind for part in scene.objects.surroundings_at(centres)]

@@ -1,0 +1,77 @@
+"""The list of a data set's queries that a track keeps, ``queries/<dataset>.csv``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from benchmark.tracks.difficulty import Difficulty, QueryRow
+from scene.bundle.manifest import ALL_CONDITIONS
+from scene.errors import InputError
+from scene.storage.tables import read_table
+
+SAME: Final = "same"
+"""Name of the queries under the map's own condition; no condition can be called so."""
+CHANGED: Final = "changed"
+"""Name of the other queries; no condition can be called so."""
+
+_COLUMNS: Final = (*QueryRow._fields[:-1], *Difficulty._fields)
+_MOST_DAYS: Final = 182
+# No query is so much farther from the ground than the map's photographs, or nearer.
+_MOST_SCALE: Final = 1e6
+
+
+def read_queries(path: Path) -> tuple[QueryRow, ...]:
+    """Read what ``benchmark.tracks.difficulty.write_queries`` wrote.
+
+    Raises:
+        InputError: the file cannot be read, a column is missing, a query is listed twice, or a
+            value is empty or impossible; the message names the line.
+    """
+    rows: dict[str, QueryRow] = {}
+    for where, values in read_table(path, "list of a track's queries", _COLUMNS):
+        row = _row(where, values)
+        if row.name in rows:
+            raise InputError(f"{where}: query {row.name} is listed twice")
+        rows[row.name] = row
+    if not rows:
+        raise InputError(f"{path} lists no query")
+    return tuple(rows.values())
+
+
+def _row(where: str, values: Mapping[str, str]) -> QueryRow:
+    for column in ("name", "condition", "flight", "part"):
+        if not values[column] or not values[column].isprintable():
+            raise InputError(f"{where}: {column} {values[column]!r} is no name")
+    for column, taken in (("condition", (ALL_CONDITIONS, SAME, CHANGED)), ("part", ("all",))):
+        if values[column] in taken:
+            raise InputError(f"{where}: no {column} can be called {values[column]!r}")
+    overlap = _number(where, values, "overlap", 1)
+    if overlap is None:
+        raise InputError(f"{where}: overlap is empty")
+    days = _number(where, values, "days", _MOST_DAYS)
+    difficulty = Difficulty(
+        overlap,
+        _number(where, values, "scale", _MOST_SCALE),
+        _number(where, values, "angle_deg", 180),
+        None if days is None else round(days),
+    )
+    return QueryRow(
+        values["name"], values["condition"], values["flight"], values["part"], difficulty
+    )
+
+
+def _number(where: str, values: Mapping[str, str], column: str, most: float) -> float | None:
+    """Return a number from 0 to ``most``; None for an empty cell."""
+    text = values[column]
+    if not text:
+        return None
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not 0 <= number <= most:
+        raise InputError(f"{where}: {column} {text!r} is no number from 0 to {most:g}")
+    return number

@@ -1,0 +1,328 @@
+"""The page of all tracks in a real headless Chromium, opened as a file."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from benchmark.cli import app
+from benchmark.paired import mcnemar
+from benchmark.report.album import read_album
+from benchmark.report.board.command import BoardReport, board
+from benchmark.report.board.pictures import keep_pictures, main
+from benchmark.results import load
+from benchmark.score import THRESHOLDS, is_correct
+from benchmark.starts import NONE
+from benchmark.tracks.compact import store, targets_of
+from benchmark.tracks.description import Place, Track, load_track, write_track
+from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
+from scene.errors import InputError
+from tests.benchmark.made_data import write_scene
+from tests.benchmark.report.board.made_board import write_board
+from tests.benchmark.report.test_leaderboard import run
+from tests.browser import Browser
+
+HOSTILE = "</script><script>window.harm = 1</script><img src=x onerror='window.harm = 1'>"
+PHONE = 390
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with Browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A track with results, and one without."""
+    folder = write_board(tmp_path_factory.mktemp("board") / "tracks")
+    track = load_track("uav-seasons", folder)
+    write_track(track.model_copy(update={"name": "yet-to-come", "title": HOSTILE}), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(made: Path) -> BoardReport:
+    return board(made, made.parent / "out")
+
+
+@pytest.fixture
+def page(made: Path, report: BoardReport, browser: Browser) -> Browser:
+    browser.open(made.parent / "out" / "leaderboard.html")
+    browser.run("location.hash = ''")
+    return browser
+
+
+def choose(browser: Browser, name: str, text: str) -> None:
+    """Choose an option of a list by what it says."""
+    chosen = browser.run(
+        f"""(() => {{
+        const list = document.getElementById({json.dumps(name)});
+        list.value = [...list.options].find((o) => o.text === {json.dumps(text)}).value;
+        list.dispatchEvent(new Event("change"));
+        return document.getElementById({json.dumps(name)}).selectedOptions[0].text;
+    }})()"""
+    )
+    assert chosen == text
+    browser.settle()
+
+
+def methods(browser: Browser) -> list[str]:
+    return browser.texts("#rows th")
+
+
+def is_clean(browser: Browser) -> bool:
+    asked = [url for url in browser.requests if not url.startswith("data:")]
+    return not browser.errors and len(asked) == 1 and asked[0].startswith("file:///")
+
+
+def row(report: BoardReport, **wanted: Any) -> Any:
+    (found,) = (
+        row for row in report.rows[0] if all(getattr(row, k) == v for k, v in wanted.items())
+    )
+    return found
+
+
+def test_it_opens_as_a_file_and_asks_for_nothing(page: Browser) -> None:
+    assert page.texts("#tracks button")[0] == "uav-seasons\n72 queries, 3 methods, 2 starts"
+    assert page.texts("#where") == ["uav-seasons: changed, all places"]
+    for card in ("difficulty", "surest"):
+        page.wait(f"document.querySelectorAll('#{card} svg.chart path').length > 1")
+    assert len(page.texts("#difficulty h4")) == 4
+    assert page.run("document.querySelectorAll('[id]').length") == page.run(
+        "new Set([...document.querySelectorAll('[id]')].map(e => e.id)).size"
+    )
+    assert is_clean(page)
+
+
+def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) -> None:
+    pixloc = row(report, start="error=3m,5deg", season="changed", part="all", method="pixloc")
+    recall = pixloc.summary.recall["0.5m_5deg"]
+    cells = page.texts("#rows tr:nth-child(2) td")
+    shown = f"{recall.value:.1f}", f"[{recall.low:.1f},", f"{recall.high:.1f}]"
+    assert tuple(cells[2].split()) == shown
+    assert cells[0] == "48"
+    assert "48 queries of 6 flights" in page.texts("#facts")[0]
+    assert f"reaches {pixloc.half_width:.1f} points" in page.texts("#facts")[0]
+    assert page.texts("#bounded tbody tr:nth-child(2) td")[1].split("\n")[0] == (
+        f"{pixloc.surest.value:.1f}"
+    )
+    assert page.texts("#consistency tbody tr:nth-child(1) td")[0] == "–"
+    nees = pixloc.summary.uncertainty.nees_mean
+    assert float(page.texts("#consistency tbody tr:nth-child(5) td")[0]) == pytest.approx(
+        nees, rel=0.01
+    )
+
+
+def test_filters_change_the_table(page: Browser, report: BoardReport) -> None:
+    for start, words in (("none", "no prior"), ("error=3m,5deg", "a prior wrong by 3m,5deg")):
+        choose(page, "start", words)
+        for season, part, named in (
+            ("changed", "town", ("changed", "town")),
+            ("same", "park", ("same season", "park")),
+            ("snow-dusk", "all", ("snow-dusk", "all places")),
+        ):
+            choose(page, "season", named[0])
+            choose(page, "part", named[1])
+            assert page.texts("#where") == [f"uav-seasons: {', '.join(named)}"]
+            best = row(report, start=start, season=season, part=part, method="objconnect").summary
+            cells = page.texts("#rows tr:nth-child(3) td")
+            assert cells[0] == str(best.queries)
+            assert cells[3].split("\n")[0] == f"{best.recall['5m_10deg'].value:.1f}"
+    # A single condition is of all places only.
+    assert page.texts("#part option") == ["all places"]
+    assert is_clean(page)
+
+
+def test_sorting(page: Browser) -> None:
+    assert methods(page) == ["sift", "pixloc", "objconnect"]
+    page.click("#results thead th:nth-child(1) button")
+    assert methods(page) == ["objconnect", "pixloc", "sift"]
+    page.click("#results thead th:nth-child(3) button")
+    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(3)")]
+    assert values == sorted(values, reverse=True)
+    page.click("#results thead th:nth-child(3) button")
+    assert page.run("document.querySelector('#results th:nth-child(3)').ariaSort") == "ascending"
+    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(3)")]
+    assert values == sorted(values)
+    # The order outlives another cell.
+    choose(page, "season", "same season")
+    assert page.run("document.querySelector('#results th:nth-child(3)').ariaSort") == "ascending"
+    assert is_clean(page)
+
+
+def test_paired_comparison(page: Browser, report: BoardReport) -> None:
+    page.click("[data-of=threshold][data-value='0']")
+    runs = {run.method: run for run in report.boards[0].runs if run.start == "error=3m,5deg"}
+    changed = [k for k, query in enumerate(report.boards[0].queries) if not query.same]
+    before, after = (runs[name].correct[0, changed] for name in ("sift", "objconnect"))
+    lost, won = int((before & ~after).sum()), int((~before & after).sum())
+    # Row objconnect, column sift.
+    cell = page.texts("#pairs tbody tr:nth-child(3) td")[0].split("\n")
+    assert cell[0] == f"+{100 * (won - lost) / len(changed):.1f}"
+    p = mcnemar(lost, won)
+    assert cell[-1] == ("p < 0.001" if p < 0.001 else f"p = {p:.{3 if p < 0.1 else 2}f}")
+    title = page.run("document.querySelector('#pairs tbody tr:nth-child(3) td').title")
+    assert title == f"right where the other is wrong: {won}; wrong where it is right: {lost}"
+    assert "draws whole flights, 6 here" in page.texts("#pairs .quiet")[0]
+
+
+def test_a_cell_of_the_overview_is_shown(page: Browser) -> None:
+    page.click("#overview tbody tr:nth-child(1) td:nth-child(6) button")
+    assert page.texts("#where") == ["uav-seasons: same season, park"]
+    assert page.run("document.querySelectorAll('#overview [aria-current=true]').length") == 3
+    assert page.run("location.hash") == "#uav-seasons/error%3D3m%2C5deg/same/park/1"
+
+
+def test_the_address_names_the_cell(made: Path, page: Browser) -> None:
+    choose(page, "season", "snow-dusk")
+    choose(page, "start", "no prior")
+    address = page.run("location.hash")
+    page.open(made.parent / "out" / "leaderboard.html")
+    page.run(f"location.hash = {json.dumps(address)}")
+    page.run("location.reload()")
+    page.wait("document.readyState === 'complete' && document.getElementById('where') !== null")
+    page.wait("document.getElementById('where').innerText === 'uav-seasons: snow-dusk, all places'")
+    assert page.run("document.getElementById('start').selectedOptions[0].text") == "no prior"
+
+
+def test_worst_queries_come_first(page: Browser, report: BoardReport) -> None:
+    choose(page, "start", "no prior")
+    page.click("#rows tr:nth-child(1) button")
+    assert page.run("document.getElementById('run').selectedOptions[0].text") == "sift"
+    (run,) = (r for r in report.boards[0].runs if (r.start, r.method) == ("none", "sift"))
+    changed = [k for k, query in enumerate(report.boards[0].queries) if not query.same]
+    errors = {
+        k: answer.t_err_m
+        for k in changed
+        if (answer := run.answers[k]) is not None and answer.t_err_m is not None
+    }
+    worst = max(errors, key=lambda k: errors[k])
+    query = report.boards[0].queries[worst]
+    said = page.texts("#worst-rows tr:first-child th")[0].split("\n")
+    assert said == [query.dataset, query.row.name]
+    shown = page.texts("#worst-rows tr:first-child td")
+    assert float(shown[2].removesuffix(" m")) == pytest.approx(errors[worst], rel=0.01)
+    assert float(shown[5]) == pytest.approx(query.row.difficulty.overlap, abs=1e-3)
+    lost = len(changed) - len(errors)
+    assert page.texts("#worst-queries div .quiet") == [
+        f"10 of {len(changed)} queries; {lost} failed"
+    ]
+    page.click("#more")
+    assert len(page.texts("#worst-rows tr")) == 20
+    assert is_clean(page)
+
+
+def test_difficulty_counts_every_query(page: Browser) -> None:
+    page.click("#difficulty summary")
+    counts = [int(text) for text in page.texts("#difficulty tbody td:nth-child(3)")]
+    assert [sum(counts[:5]), sum(counts[5:11]), sum(counts[11:17]), sum(counts[17:])] == [48] * 4
+
+
+def test_a_track_without_results_and_with_a_hostile_title(page: Browser) -> None:
+    page.click("#tracks button:nth-child(2)")
+    assert page.texts("#board .lede") == [HOSTILE]
+    assert page.texts("#board .note") == ["Nothing is measured on this track yet."]
+    assert not page.run("'harm' in window")
+    page.click("#tracks button:nth-child(1)")
+    assert page.texts("#where") == ["uav-seasons: changed, all places"]
+    assert is_clean(page)
+
+
+def test_the_papers_table_is_labelled(page: Browser) -> None:
+    sources = page.texts("#paper-table tbody td:nth-child(2)")
+    assert sources[:3] == ["as reported by the paper"] * 3
+    assert len(sources) == 3 + 6
+    assert all(source.startswith("measured here, start:") for source in sources[3:])
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_it_fits_a_phone(made: Path, page: Browser, dark: bool) -> None:
+    page.open(made.parent / "out" / "leaderboard.html", PHONE, 844, dark)
+    page.wait("document.querySelectorAll('#difficulty svg.chart').length === 4")
+    assert page.run("document.documentElement.scrollWidth") == PHONE
+    ground = page.run("getComputedStyle(document.body).backgroundColor")
+    assert (ground == "rgb(20, 23, 26)") == dark
+    assert is_clean(page)
+
+
+def test_the_command(made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    answer = CliRunner().invoke(app, ["leaderboard", "--board", str(made), "--out", str(out)])
+    assert answer.exit_code == 0
+    assert (out / "leaderboard.md").read_text() == answer.stdout
+    assert sorted(path.name for path in out.iterdir()) == ["leaderboard.html", "leaderboard.md"]
+    answer = CliRunner().invoke(app, ["leaderboard", "--board", str(made), "--json"])
+    first = json.loads(answer.stdout)["tracks"][0]["rows"][0]
+    assert (first["season"], first["part"], first["method"]) == ("changed", "all", "sift")
+    assert first["summary"]["queries"] == 48
+    for given in ([], [str(made), "--board", str(made)]):
+        answer = CliRunner().invoke(app, ["leaderboard", *given])
+        assert answer.exit_code == 2
+        assert isinstance(answer.exception, SystemExit | InputError)
+
+
+def test_worst_queries_have_pictures_where_an_album_is_kept(
+    tmp_path: Path, browser: Browser
+) -> None:
+    """A scene's own results, kept in a track with what ``evaluate`` wrote beside them."""
+    scene = write_scene(tmp_path / "hamlet")
+    path = run(scene, tmp_path / "results", "sift", NONE)
+    results = load(path)
+    place = Place(dataset="hamlet", preset="town", seed=1, sha256=results.dataset.sha256)
+    track = Track(
+        name="one", title="One", config="x", places=(place,), starts=("none",), methods=("sift",)
+    )
+    folder = tmp_path / "tracks" / "one"
+    write_track(track, folder.parent)
+    rows = [
+        QueryRow(q.name, q.condition, q.group, "town", Difficulty(0.5, 1, 1, 1))
+        for q in results.queries
+    ]
+    write_queries(folder / "queries" / "hamlet.csv", rows)
+    store(targets_of([path], folder))
+    (kept,) = keep_pictures([tmp_path / "results"], folder)
+    album = read_album(kept, results.dataset.sha256)
+    wrong = {q.name for q in results.queries if not is_correct(q, THRESHOLDS[1])}
+    assert album is not None
+    assert set(album.entries) == wrong
+    board(folder.parent, tmp_path / "out")
+    browser.open(tmp_path / "out" / "leaderboard.html")
+    assert len(wrong) == browser.run("document.querySelectorAll('#worst-rows tr:has(img)').length")
+    browser.wait("[...document.querySelectorAll('#worst-rows img')].every(i => i.naturalWidth)")
+    assert browser.run("document.querySelector('#worst-rows img').naturalWidth") == 96
+    assert is_clean(browser)
+    with pytest.raises(InputError, match="is of the data of"):
+        keep_pictures([tmp_path], folder)
+    assert main(["--track", str(folder), str(tmp_path / "results")]) == 0
+    assert main(["--track", str(folder), str(tmp_path)]) == 2
+
+
+@pytest.mark.thorough
+def test_eight_methods_four_starts_and_three_thousand_queries(
+    tmp_path: Path, browser: Browser
+) -> None:
+    presets = ("town", "suburb", "park", "farmland", "industrial")
+    methods = tuple(f"method-{k}" for k in range(8))
+    starts = ("error=3m,5deg", "error=10m,10deg", "gps=50m", "none")
+    places = [(preset, seed) for preset in presets for seed in (1, 2)]
+    write_board(tmp_path / "tracks", 107, places, methods, starts)
+    began = time.process_time()
+    board(tmp_path / "tracks", tmp_path / "out")
+    assert time.process_time() - began < 60
+    path = tmp_path / "out" / "leaderboard.html"
+    assert path.stat().st_size < 15_000_000
+    browser.open(path, PHONE)
+    assert browser.texts("#tracks button small") == ["3210 queries, 8 methods, 4 starts"]
+    assert len(methods) == len(browser.texts("#rows tr"))
+    choose(browser, "start", "the position alone, wrong by 50m")
+    choose(browser, "part", "farmland")
+    assert browser.texts("#rows td:nth-child(2)") == ["428"] * 8
+    assert browser.run("document.documentElement.scrollWidth") == PHONE
+    assert is_clean(browser)

@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from pathlib import Path
+
+import pytest
+
+from benchmark.report.board.cells import cells
+from benchmark.report.board.command import board
+from benchmark.report.board.runs import read_board, read_boards
+from benchmark.results import load, rescore
+from benchmark.score import THRESHOLDS
+from benchmark.tracks.compact import write_compact
+from benchmark.tracks.description import load_track, write_track
+from scene.errors import InputError
+from tests.benchmark.report.board.made_board import write_board
+
+NAME = "uav-seasons"
+START = "error=3m,5deg"
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    return write_board(tmp_path / "board")
+
+
+def results_path(made: Path, dataset: str = "town-1", method: str = "pixloc") -> Path:
+    return made / NAME / "results" / START / dataset / f"{method}.json"
+
+
+def test_every_query_has_the_answers_of_its_own_data_set(made: Path) -> None:
+    (found,) = read_boards(made)
+    assert len(found.queries) == 3 * 3 * 8
+    assert not found.missing
+    assert [(run.start, run.method) for run in found.runs[:4]] == [
+        (START, "sift"),
+        (START, "pixloc"),
+        (START, "objconnect"),
+        ("none", "sift"),
+    ]
+    k = next(k for k, query in enumerate(found.queries) if query.dataset == "town-2")
+    given = load(results_path(made, "town-2")).queries[0]
+    assert found.runs[1].answers[k] == given
+    assert found.runs[1].correct[:, k].tolist() == [
+        given.t_err_m is not None and given.t_err_m < threshold.metres for threshold in THRESHOLDS
+    ]
+    assert {q.row.condition for q in found.queries if q.same} == {"summer-noon"}
+    assert len(set(found.flights)) == 9
+
+
+def test_figures_pool_the_data_sets(made: Path) -> None:
+    """Counted anew from the files themselves."""
+    right = total = 0
+    for dataset in ("park-1", "town-1", "town-2"):
+        for query in json.loads(results_path(made, dataset).read_text())["queries"]:
+            if query["condition"] != "summer-noon":
+                total += 1
+                right += query["status"] == "ok" and query["t_err_m"] < 0.5
+    (row,) = (
+        row
+        for row in board(made).rows[0]
+        if (row.start, row.season, row.part, row.method) == (START, "changed", "all", "pixloc")
+    )
+    assert row.summary.queries == total == 48
+    assert row.summary.recall["0.5m_5deg"].value == pytest.approx(100 * right / total)
+    text = board(made).text()
+    assert f"| changed | all | pixloc | 48 | {row.half_width:.1f} |" in text
+    paper = next(line for line in text.splitlines() if line.startswith("| pixloc | measured here"))
+    assert f"{100 * right / total:.1f} [" in paper
+    assert "| – | – | – |" in paper
+
+
+def test_compressed_results_count_alike(made: Path) -> None:
+    before = board(made).rows
+    path = results_path(made)
+    write_compact(path.with_suffix(".json.xz"), load(path))
+    path.unlink()
+    after = board(made).rows
+    for one, two in zip(before[0], after[0], strict=True):
+        assert one.summary.recall == two.summary.recall
+        assert one.summary.false_fixes == two.summary.false_fixes
+
+
+def test_what_is_missing_is_said_and_not_counted(
+    made: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    results_path(made).unlink()
+    for dataset in ("park-1", "town-1", "town-2"):
+        (made / NAME / "results" / "none" / dataset / "sift.json").unlink()
+    with caplog.at_level(logging.WARNING):
+        found = read_board(NAME, made)
+    assert found.missing == (
+        f"no results of pixloc from start {START} on town-1",
+        "no results of sift from start none on any data set",
+    )
+    assert [record.getMessage().partition(": ")[2] for record in caplog.records] == [*found.missing]
+    assert [run.has.sum() for run in found.runs] == [72, 48, 72, 72, 72]
+    rows = board(made).rows[0]
+    assert {row.method for row in rows if row.start == "none"} == {"pixloc", "objconnect"}
+
+
+def test_a_track_without_results_is_shown_as_such(made: Path) -> None:
+    track = load_track(NAME, made)
+    write_track(track.model_copy(update={"name": "new-track"}), made)
+    text = board(made).text()
+    assert "## new-track: Drones through the seasons\n\nNothing is measured yet." in text
+    assert "- Missing: no results yet." in text
+
+
+def test_tracks_with_results_come_first(made: Path) -> None:
+    (track,) = (path.name for path in made.iterdir())
+    empty = made / f"a-{track}"
+    shutil.copytree(made / track, empty)
+    shutil.rmtree(empty / "results")
+    text = (empty / "track.yaml").read_text()
+    (empty / "track.yaml").write_text(text.replace(f"name: {track}", f"name: a-{track}"))
+    assert [board.track.name for board in read_boards(made)] == [track, f"a-{track}"]
+
+
+def test_other_data_are_refused(made: Path) -> None:
+    track = load_track(NAME, made)
+    write_track(track.with_digests({"town-1": "0" * 64}), made)
+    with pytest.raises(InputError, match=r"sift\.json are of data set .* town-1 is 000000000000"):
+        read_boards(made)
+
+
+def test_results_from_another_start_are_refused(made: Path) -> None:
+    results = load(results_path(made))
+    results.model_copy(update={"start": "none"}).write(results_path(made))
+    with pytest.raises(InputError, match=r"are from start none, not error=3m,5deg"):
+        read_boards(made)
+
+
+def test_a_query_without_a_row_is_named(made: Path) -> None:
+    path = made / NAME / "queries" / "town-1.csv"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if "snow-dusk/images/000003" not in line))
+    with pytest.raises(InputError, match=r"has no row of snow-dusk/images/000003.jpg"):
+        read_boards(made)
+
+
+def test_a_row_without_an_answer_is_named(made: Path) -> None:
+    results = load(results_path(made))
+    rescore(results.model_copy(update={"queries": results.queries[:-2]})).write(results_path(made))
+    with pytest.raises(InputError, match=r"on town-1 lack 2 queries of .*town-1.csv"):
+        read_boards(made)
+
+
+def test_a_missing_list_of_queries_is_named(made: Path) -> None:
+    (made / NAME / "queries" / "town-1.csv").unlink()
+    with pytest.raises(InputError, match=r"town-1.csv"):
+        read_boards(made)
+
+
+def test_no_track_and_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no track"):
+        read_boards(tmp_path)
+    with pytest.raises(InputError, match="does not exist"):
+        read_boards(tmp_path / "nowhere")
+
+
+def test_cells_of_the_made_board(made: Path) -> None:
+    found = read_board(NAME, made)
+    sizes = {(cell.season, cell.part): len(cell.rows) for cell in cells(found.queries)}
+    assert sizes[("changed", "all")] == 48
+    assert sizes[("same", "town")] == 16
+    assert sizes[("snow-dusk", "all")] == 24

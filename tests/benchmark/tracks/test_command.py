@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from benchmark.datasets.open import open_datasets
+from benchmark.datasets.simulated import open_scene
+from benchmark.results import DatasetId, Method, Results
+from benchmark.tracks import command
+from benchmark.tracks.command import track
+from benchmark.tracks.compact import write_compact
+from benchmark.tracks.description import load_track
+from scene.bundle.scene import Scene, finish_scene
+from scene.errors import InputError
+from simulate.config import SimulateConfig
+from tests.benchmark.made_data import scored_query, write_scene
+from tests.conftest import RENDERED
+from tests.scene.exports.test_cmu import street as street  # a fixture
+
+Snapshot = dict[str, int]
+
+
+def write_board(root: Path, preset: str = "town", seeds: tuple[int, ...] = (11,)) -> Path:
+    """A track whose places are those of the tests' rendered scene."""
+    config = RENDERED.model_dump(mode="json", exclude={"preset", "seed"})
+    (root / "config.yaml").write_text(yaml.safe_dump(config))
+    places = [{"dataset": f"{preset}-{seed}", "preset": preset, "seed": seed} for seed in seeds]
+    description = {"name": "tiny", "title": "Tiny", "config": str(root / "config.yaml")}
+    lists: dict[str, Any] = {"places": places, "starts": ["none"], "methods": ["sift"]}
+    (root / "board" / "tiny").mkdir(parents=True)
+    (root / "board" / "tiny" / "track.yaml").write_text(yaml.safe_dump(description | lists))
+    return root / "board"
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Path:
+    return write_board(tmp_path)
+
+
+@pytest.fixture
+def out(rendered: Scene, tmp_path: Path) -> Path:
+    """The folder of the scenes, with the place rendered and mapped."""
+    shutil.copytree(rendered.path, tmp_path / "out" / "town-11")
+    return tmp_path / "out"
+
+
+def written(folder: Path) -> Snapshot:
+    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_finished_place_is_compared_and_left_alone(out: Path, board: Path) -> None:
+    before = written(out) | written(board)
+    report = track("tiny", out, board=board)
+    assert written(out) | written(board) == before
+    (place,) = report.places
+    assert place.sha256 == open_scene(out / "town-11").sha256
+    assert (place.queries, place.recorded, place.same, place.export) == (7, None, None, None)
+    assert report.text() == f"town-11: 7 queries, data set {place.sha256[:12]}, not recorded yet"
+
+
+def test_what_is_recorded(out: Path, board: Path) -> None:
+    report = track("tiny", out, board=board, update=True)
+    table = board / "tiny" / "queries" / "town-11.csv"
+    assert report.written == (table, board / "tiny" / "track.yaml")
+    assert load_track("tiny", board).places[0].sha256 == report.places[0].sha256
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    (dataset,) = open_datasets(out / "town-11")
+    assert [row["name"] for row in rows] == [query.name for query in dataset.queries]
+    assert {row["part"] for row in rows} == {"town"}
+    for row, query in zip(rows, dataset.queries, strict=True):
+        assert (row["condition"], row["flight"]) == (query.condition, query.group)
+        assert 0 < float(row["overlap"]) <= 1
+        assert 0.3 < float(row["scale"]) < 3
+        assert int(row["days"]) == 0 if row["condition"] == "summer-noon" else int(row["days"]) > 90
+    again = track("tiny", out, board=board)
+    assert again.places[0].same is True
+    assert again.text().endswith(", as recorded")
+    assert again.as_dict()["differing"] == []
+
+
+def test_another_render_is_named(out: Path, board: Path) -> None:
+    """One pixel of one photograph differs; the results of that place can not be compared."""
+    track("tiny", out, board=board, update=True)
+    recorded = load_track("tiny", board).places[0].sha256
+    assert recorded is not None
+    photograph = next((out / "town-11" / "sessions").rglob("*.jpg"))
+    photograph.write_bytes(photograph.read_bytes() + b"\0")
+    report = track("tiny", out, board=board)
+    assert report.differing == ("town-11",)
+    first, note = report.text().splitlines()
+    assert first.endswith(f"NOT the recorded {recorded[:12]}")
+    assert note.startswith(f"Note: the results of town-11 in {board / 'tiny'} cannot be compared")
+    assert report.as_dict()["places"][0]["same"] is False
+    assert load_track("tiny", board).places[0].sha256 == recorded, "nothing is recorded unasked"
+    renewed = track("tiny", out, board=board, update=True)
+    assert "earlier data sets" in renewed.text().splitlines()[-1]
+    assert track("tiny", out, board=board).differing == ()
+
+
+def test_a_map_that_was_not_finished_is_built(out: Path, board: Path) -> None:
+    """Killed after the map and before the manifest, or before the map: both give the same data."""
+    place = out / "town-11"
+    before = track("tiny", out, board=board).places[0].sha256
+    shutil.rmtree(place / "map")
+    finish_scene(place, Scene.open(place).manifest)
+    assert track("tiny", out, board=board).places[0].sha256 == before
+    assert Scene.open(place).changed_files() == []
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What the renderer and the builder of maps are asked for, in place of hours of work."""
+    calls: list[tuple[Any, ...]] = []
+
+    def simulate(config: SimulateConfig, path: Path, jobs: int, cluster: str | None) -> Scene:
+        calls.append((path.name, config.preset, config.seed, jobs, cluster))
+        if not path.exists():
+            write_scene(path)
+            shutil.rmtree(path / "map")
+            finish_scene(path, Scene.open(path).manifest)
+        return Scene.open(path)
+
+    def build(path: Path, cluster: str | None) -> None:
+        calls.append(("map", path.name, cluster))
+        write_scene(path.with_name("whole"))
+        shutil.move(path.with_name("whole") / "map", path / "map")
+        shutil.rmtree(path.with_name("whole"))
+        finish_scene(path, Scene.open(path).manifest)
+
+    monkeypatch.setattr(command, "simulate", simulate)
+    monkeypatch.setattr(command, "build_map", build)
+    return calls
+
+
+def test_every_place_is_rendered_and_mapped(tmp_path: Path, asked: list[tuple[Any, ...]]) -> None:
+    board = write_board(tmp_path, seeds=(1, 2))
+    report = track("tiny", tmp_path / "out", jobs=3, cluster="local", board=board)
+    assert asked == [
+        ("town-1", "town", 1, 3, "local"),
+        ("map", "town-1", "local"),
+        ("town-2", "town", 2, 3, "local"),
+        ("map", "town-2", "local"),
+    ]
+    assert [place.scene for place in report.places] == [
+        tmp_path / "out" / name for name in ("town-1", "town-2")
+    ]
+    asked.clear()
+    (one,) = track("tiny", tmp_path / "elsewhere", ["town-2"], board=board).places
+    assert [call[0] for call in asked] == ["town-2", "map"]
+    assert one.dataset == "town-2"
+
+
+def test_a_folder_of_something_else_is_told_first(
+    tmp_path: Path, asked: list[tuple[Any, ...]]
+) -> None:
+    board = write_board(tmp_path, seeds=(1, 2))
+    (tmp_path / "out" / "town-2").mkdir(parents=True)
+    (tmp_path / "out" / "town-2" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="town-2 is not empty and not a scene"):
+        track("tiny", tmp_path / "out", board=board)
+    assert asked == []
+
+
+def test_streets_are_exported(
+    street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "track").mkdir()
+    board = write_board(tmp_path / "track", "street", (7,))
+    (tmp_path / "out").mkdir()
+    monkeypatch.setattr(command, "finished_scene", lambda *_: None)
+    monkeypatch.setattr(
+        command, "simulate", lambda *_: Scene.open(Path(street.rename(tmp_path / "out/street-7")))
+    )
+    (place,) = track("tiny", tmp_path / "out", board=board).places
+    assert place.export == tmp_path / "out" / "street-7-cmu"
+    assert place.sha256 == open_scene(tmp_path / "out" / "street-7").sha256
+    assert {d.name for d in open_datasets(place.export)} >= {"cmu-urban-slice2", "cmu-park-slice18"}
+    before = written(place.export)
+    monkeypatch.setattr(command, "simulate", lambda *_: Scene.open(place.scene))
+    track("tiny", tmp_path / "out", board=board)
+    assert written(place.export) == before
+
+
+def test_results_do_not_hinder(out: Path, board: Path) -> None:
+    """The board holds results beside the description; the command leaves them alone."""
+    results = Results.of(
+        Method(name="sift", config={}, weights_sha256=None),
+        DatasetId(name="town-11", track="uav-sim", sha256="ab", map_conditions=()),
+        "none",
+        [scored_query("a", 0.1)],
+    )
+    path = board / "tiny" / "results" / "none" / "town-11" / "sift.json.xz"
+    write_compact(path, results)
+    before = path.read_bytes()
+    track("tiny", out, board=board, update=True)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.thorough
+def test_a_track_is_rendered_and_rendered_again_alike(tmp_path: Path) -> None:
+    """A fresh render on this machine reproduces the recorded digest."""
+    sessions = [
+        {"name": "map", "condition": "summer-noon", "flight": "nadir", "role": "map", "frames": 6},
+        {"name": "same", "condition": "summer-noon", "flight": "nadir", "role": "query"},
+    ]
+    board = write_board(tmp_path, "park")
+    config = {"area": 120, "size": 160, "spp": 1, "frames": 2, "sessions": sessions}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
+    first = track("tiny", tmp_path / "first", board=board, update=True)
+    second = track("tiny", tmp_path / "second", board=board)
+    assert first.places[0].sha256 == second.places[0].sha256
+    assert second.places[0].same is True

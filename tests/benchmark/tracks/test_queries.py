@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
+from benchmark.tracks.queries import read_queries
+from scene.errors import InputError
+
+HEAD = "name,condition,flight,part,overlap,scale,angle_deg,days\n"
+ROWS = [
+    QueryRow("snow/images/000001.jpg", "snow-noon", "snow", "park", Difficulty(0.5, 1.25, 12.3, 9)),
+    QueryRow(
+        "snow/images/000002.jpg", "snow-noon", "snow", "park", Difficulty(0, None, None, None)
+    ),
+]
+
+
+def test_what_was_written_is_read(tmp_path: Path) -> None:
+    write_queries(tmp_path / "q.csv", ROWS)
+    assert list(read_queries(tmp_path / "q.csv")) == ROWS
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("a,snow,f,park,1.5,1,1,1", "overlap '1.5' is no number from 0 to 1"),
+        ("a,snow,f,park,,1,1,1", "overlap is empty"),
+        ("a,snow,f,park,0.5,-1,1,1", "scale '-1'"),
+        ("a,snow,f,park,0.5,nan,1,1", "scale 'nan'"),
+        ("a,snow,f,park,0.5,1,181,1", "angle_deg '181' is no number from 0 to 180"),
+        ("a,snow,f,park,0.5,1,1,200", "days '200' is no number from 0 to 182"),
+        ("a,snow,f,park,0.5,1,1", "expected 8 columns, got 7"),
+        (",snow,f,park,0.5,1,1,1", "name '' is no name"),
+        ("a,changed,f,park,0.5,1,1,1", "no condition can be called 'changed'"),
+        ("a,all,f,park,0.5,1,1,1", "no condition can be called 'all'"),
+        ("a,snow,f,all,0.5,1,1,1", "no part can be called 'all'"),
+        ("b,snow,f,park,0.5,1,1,1", "query b is listed twice"),
+    ],
+)
+def test_the_line_is_named(line: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "q.csv"
+    path.write_text(f"{HEAD}b,snow,f,park,0.5,1,1,1\n{line}\n")
+    with pytest.raises(InputError, match=r"q\.csv:3: ") as raised:
+        read_queries(path)
+    assert says in str(raised.value)
+
+
+def test_no_query_and_no_column(tmp_path: Path) -> None:
+    path = tmp_path / "q.csv"
+    path.write_text(HEAD)
+    with pytest.raises(InputError, match="lists no query"):
+        read_queries(path)
+    path.write_text("name,condition\n")
+    with pytest.raises(InputError, match="lacks the column flight, part"):
+        read_queries(path)

@@ -1,0 +1,187 @@
+"""The three numbers of the covariance of poses by alignment, from scenes, and what it is worth.
+
+    python -m tests.benchmarks.covariance SCENE [SCENE ...] [--method objconnect]
+        [--start error=3m,5deg] [--cache CACHE]
+
+Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
+queries of many conditions. ``covariance_factor``, ``covariance_power`` and ``covariance_floor``
+make the errors most likely, if these follow a Student distribution of eight degrees of freedom;
+they are then scaled so that 95 % of the errors lie in the 95 % ellipsoid. Printed are the three,
+and for each condition the normalised errors squared (NEES) with them, with those that the method
+has now, and with the covariance as it is measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+import baselines.featuremetric.localizer as featuremetric
+from baselines.featuremetric.attempt import Attempt, calibrated
+from baselines.featuremetric.options import SearchOptions
+from benchmark.datasets.dataset import Dataset
+from benchmark.datasets.open import open_datasets
+from benchmark.registry import create
+from benchmark.starts import Start, parse_start
+from benchmark.uncertainty import _CHI2_95
+from scene.geometry.pose import Pose
+from scene.localizer import Estimate, Status
+from scene.runtime.progress import progress_bar
+
+# Degrees of freedom of the errors: fewer than infinitely many, as some poses are wrong by far more.
+_TAIL: Final = 8.0
+
+
+class Numbers(NamedTuple):
+    """The options of ``SearchOptions`` of the same names, without ``covariance_``."""
+
+    factor: float
+    power: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Accepted poses, N in all.
+
+    Attributes:
+        conditions: of their queries.
+        errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
+        covariances: (N, 6, 6) as the alignments measure them.
+        curvature: (N,) of their costs, as shares of Gauss and Newton's.
+        depth: (N,) metres to the points.
+        false: (N,) whether they are wrong by more than 5 m or 10 degrees.
+    """
+
+    conditions: NDArray[np.str_]
+    errors: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+    curvature: NDArray[np.float64]
+    depth: NDArray[np.float64]
+    false: NDArray[np.bool_]
+
+    def calibrated(self, numbers: Numbers) -> NDArray[np.float64]:
+        """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
+        factor = numbers.factor * self.curvature**-numbers.power
+        floor = numbers.floor * np.repeat([np.ones_like(self.depth), self.depth], 3, axis=0).T
+        return factor[:, None, None] * self.covariances + floor[..., None] ** 2 * np.eye(6)
+
+    def nees(self, numbers: Numbers) -> NDArray[np.float64]:
+        """Return the normalised errors squared (N,) with these numbers."""
+        whitened = np.linalg.solve(self.calibrated(numbers), self.errors[..., None])
+        return np.asarray((self.errors * whitened[..., 0]).sum(-1))
+
+
+def calibrate(answers: Answers) -> Numbers:
+    """Return the numbers with which the covariances are right."""
+
+    def unlikeliness(logarithms: NDArray[np.float64]) -> float:
+        numbers = Numbers(*np.exp(logarithms).tolist())
+        volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
+        tail = np.log1p(answers.nees(numbers) / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
+        return float(volume + tail)
+
+    begin = np.log([2.0, 0.5, 1e-4])
+    found = minimize(unlikeliness, begin, method="Nelder-Mead", options={"maxiter": 2000})
+    numbers = Numbers(*np.exp(found.x).tolist())
+    scale = float(np.quantile(answers.nees(numbers), 0.95)) / _CHI2_95
+    return Numbers(numbers.factor * scale, numbers.power, numbers.floor * scale**0.5)
+
+
+def main() -> None:
+    """Localize the queries of all scenes, and print the numbers."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", type=Path, nargs="+", metavar="SCENE")
+    parser.add_argument("--method", default="objconnect")
+    parser.add_argument("--start", default="error=3m,5deg", type=parse_start)
+    parser.add_argument("--cache", type=Path)
+    given = parser.parse_args()
+    cache = given.cache or Path(tempfile.mkdtemp())
+    answers = _together(
+        answer
+        for scene in given.scenes
+        for dataset in open_datasets(scene)
+        for answer in _answers(dataset, given.method, given.start, cache)
+    )
+    options = create(given.method, {}).config.search
+    found = calibrate(answers)
+    now = Numbers(options.covariance_factor, options.covariance_power, options.covariance_floor)
+    for name, value in found._asdict().items():
+        print(f"covariance_{name} {value:.3g}")
+    for title, numbers in (("found", found), ("now", now), ("measured", Numbers(1.0, 0.0, 0.0))):
+        _table(title, answers, answers.nees(numbers))
+
+
+_Answer = tuple[str, Estimate, Attempt, Pose]
+"""Condition, estimate, what it is of, and the true pose."""
+
+
+def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterator[_Answer]:
+    """Yield the accepted poses of a data set's queries that come from an alignment."""
+    localizer = create(method, {})
+    localizer.prepare(dataset.load_map(), dataset.images, cache)
+    load = start.loader(dataset, dataset.load_map(), cache)
+    last: list[Attempt] = []
+
+    def measured(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
+        last[:] = [attempt]
+        plain = {"covariance_factor": 1.0, "covariance_power": 0.0, "covariance_floor": 0.0}
+        return calibrated(attempt, options.model_copy(update=plain))
+
+    with (
+        patch.object(featuremetric, "calibrated", measured),
+        progress_bar(f"{dataset.name} {method}", len(dataset.queries)) as advance,
+    ):
+        for done, query in enumerate(dataset.queries, 1):
+            last.clear()
+            answer = localizer.localize(load(query))
+            if answer.status is Status.OK and answer.covariance is not None and last:
+                yield query.condition, answer, last[0], query.reference
+            advance(done)
+
+
+def _together(answers: Iterable[_Answer]) -> Answers:
+    conditions, errors, covariances, curvature, depth, false = [], [], [], [], [], []
+    for condition, estimate, attempt, truth in answers:
+        assert estimate.cam_from_world is not None and attempt.spread is not None
+        metres, degrees = (float(each) for each in estimate.cam_from_world.error_to(truth))
+        conditions.append(condition)
+        errors.append((truth @ estimate.cam_from_world.inverse()).log().numpy())
+        covariances.append(estimate.covariance)
+        curvature.append(float(attempt.spread.curvature[0]))
+        depth.append(float(attempt.spread.depth[0]))
+        false.append(metres > 5 or degrees > 10)
+    return Answers(
+        np.array(conditions),
+        np.array(errors),
+        np.array(covariances),
+        np.array(curvature),
+        np.array(depth),
+        np.array(false),
+    )
+
+
+def _table(title: str, answers: Answers, nees: NDArray[np.float64]) -> None:
+    """Print the NEES of each condition and of all, as Markdown."""
+    print(f"\n| {title} | poses | mean NEES | % in the 95 % ellipsoid | false fixes |")
+    print("|---|--:|--:|--:|--:|")
+    for condition in ["all", *np.unique(answers.conditions)]:
+        chosen = (answers.conditions == condition) | (condition == "all")
+        values, false = nees[chosen], answers.false[chosen]
+        print(
+            f"| {condition} | {len(values)} | {values.mean():.1f} | "
+            f"{100 * (values <= _CHI2_95).mean():.1f} | {false.sum()} |"
+        )
+
+
+if __name__ == "__main__":
+    main()
