@@ -220,8 +220,12 @@ def _parts(file: h5py.File) -> dict[str, str]:
     return {str(part): str(digest) for part, digest in parts.items()}
 
 
-def read_album(path: Path, sha256: str) -> Album | None:
+def read_album(path: Path, *digests: str) -> Album | None:
     """Read the album of a data set; None where it is missing or of another data set.
+
+    Args:
+        path: the file.
+        digests: digests of the data set, one for each of its renders.
 
     Raises:
         InputError: the file is damaged.
@@ -230,7 +234,8 @@ def read_album(path: Path, sha256: str) -> Album | None:
         return None
     try:
         with h5py.File(path, "r") as file:
-            if attribute(file, "dataset_sha256") != sha256:
+            sha256 = str(attribute(file, "dataset_sha256"))
+            if sha256 not in digests:
                 return None
             neighbours = {
                 str(attribute(part, "name")): Neighbour(

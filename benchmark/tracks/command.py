@@ -18,10 +18,12 @@ from benchmark.tracks.description import (
     write_track,
 )
 from benchmark.tracks.difficulty import measure, write_queries
+from benchmark.tracks.renders import difference, read_render, render_of, write_render
 from mapping.build import build_map
 from scene.bundle.scene import Scene
 from scene.exports.export import export
 from scene.storage.outputs import check_output_folder, check_outputs
+from scene.storage.packed import SUFFIX
 from simulate.command import finished_scene, simulate
 from simulate.config import SimulateConfig
 
@@ -42,7 +44,9 @@ class PlaceReport:
         export: folder of its tree of Extended CMU Seasons; None for places without streets.
         queries: number of queries.
         sha256: digest of the data set.
-        recorded: digest that the track records; None where it records none.
+        recorded: digests of the renders that the track records; empty where it records none.
+        unlike: how this render differs from the recorded one by more than rounding; empty where
+            it does not.
     """
 
     dataset: str
@@ -50,20 +54,25 @@ class PlaceReport:
     export: Path | None
     queries: int
     sha256: str
-    recorded: str | None
+    recorded: tuple[str, ...]
+    unlike: str = ""
 
     @property
     def same(self) -> bool | None:
-        """Return whether the data set is the recorded one; None where none is recorded."""
-        return None if self.recorded is None else self.sha256 == self.recorded
+        """Return whether the data set is the recorded one, or differs by rounding only; None where
+        none is recorded."""
+        return not self.unlike if self.recorded else None
 
     def text(self) -> str:
         """Return one line for a person."""
-        said = {
-            None: "not recorded yet",
-            True: "as recorded",
-            False: f"NOT the recorded {(self.recorded or '')[:_SHOWN]}",
-        }[self.same]
+        if not self.recorded:
+            said = "not recorded yet"
+        elif self.sha256 in self.recorded:
+            said = "as recorded"
+        elif not self.unlike:
+            said = f"like the recorded {self.recorded[0][:_SHOWN]} but for rounding"
+        else:
+            said = f"NOT the recorded {self.recorded[0][:_SHOWN]} ({self.unlike})"
         return f"{self.dataset}: {self.queries} queries, data set {self.sha256[:_SHOWN]}, {said}"
 
 
@@ -100,8 +109,7 @@ class TrackReport:
         elif self.differing:
             lines.append(
                 f"Note: {results} cannot be compared with results on these scenes: evaluate every "
-                "method that you compare on the same render. Renders differ in single bits between "
-                "kinds of processors and versions of libraries."
+                "method that you compare on the same render."
             )
         return "\n".join(lines)
 
@@ -114,8 +122,9 @@ class TrackReport:
                 "export": None if place.export is None else str(place.export),
                 "queries": place.queries,
                 "sha256": place.sha256,
-                "recorded": place.recorded,
+                "recorded": list(place.recorded),
                 "same": place.same,
+                "unlike": place.unlike,
             }
             for place in self.places
         ]
@@ -150,7 +159,7 @@ def track(
         cluster: cluster that renders and extracts features instead, see
             ``scene.runtime.cluster.worker_pool``.
         board: folder of all tracks.
-        update: whether to record these digests, and how hard each query is, in the board.
+        update: whether to record these renders, and how hard each query is, in the board.
 
     Raises:
         InputError: there is no such track or place, the description is wrong, a folder holds
@@ -160,28 +169,48 @@ def track(
     wanted = [(place, _configuration(chosen, place)) for place in chosen.chosen(tuple(places))]
     check_output_folder(out, [board])
     if update:
-        check_outputs([board / name / DESCRIPTION, *(_queries(board, name, p) for p, _ in wanted)])
+        files = [_queries, _render]
+        check_outputs(
+            [board / name / DESCRIPTION, *(of(board, name, p) for p, _ in wanted for of in files)]
+        )
     for place, config in wanted:
         finished_scene(out / place.dataset, config)  # a wrong folder is told before hours of work
-    made = tuple(_make(place, config, out, jobs, cluster) for place, config in wanted)
+    made = tuple(
+        _make(place, config, out, _render(board, name, place), jobs, cluster)
+        for place, config in wanted
+    )
     written = _record(name, board, made) if update else ()
     return TrackReport(name, board, made, written)
 
 
 def _record(name: str, board: Path, made: Sequence[PlaceReport]) -> tuple[Path, ...]:
-    """Write the digests of places and the difficulty of their queries into the board."""
-    written = []
+    """Write the renders of places and the difficulty of their queries into the board.
+
+    The digest of a render that differs from the recorded one by rounding joins the recorded ones.
+    """
+    written: list[Path] = []
+    renders = {}
     for place in made:
-        written.append(_queries(board, name, place))
-        write_queries(written[-1], measure(Scene.open(place.scene)))
+        if place.same:
+            renders[place.dataset] = tuple(dict.fromkeys([*place.recorded, place.sha256]))
+            continue
+        scene = Scene.open(place.scene)
+        renders[place.dataset] = (place.sha256,)
+        queries, render = _queries(board, name, place), _render(board, name, place)
+        write_queries(queries, measure(scene))
+        write_render(render, render_of(scene))
+        written += [queries, render]
     # Read again: another run may have recorded other places meanwhile.
-    digests = {place.dataset: place.sha256 for place in made}
-    write_track(load_track(name, board).with_digests(digests), board)
+    write_track(load_track(name, board).with_renders(renders), board)
     return (*written, board / name / DESCRIPTION)
 
 
 def _queries(board: Path, name: str, place: Place | PlaceReport) -> Path:
     return board / name / "queries" / f"{place.dataset}.csv"
+
+
+def _render(board: Path, name: str, place: Place | PlaceReport) -> Path:
+    return board / name / "renders" / f"{place.dataset}.json{SUFFIX}"
 
 
 def _configuration(track: Track, place: Place) -> SimulateConfig:
@@ -190,9 +219,14 @@ def _configuration(track: Track, place: Place) -> SimulateConfig:
 
 
 def _make(
-    place: Place, config: SimulateConfig, out: Path, jobs: int, cluster: str | None
+    place: Place,
+    config: SimulateConfig,
+    out: Path,
+    record: Path,
+    jobs: int,
+    cluster: str | None,
 ) -> PlaceReport:
-    """Render, map and export a place, each unless it was done before."""
+    """Render, map and export a place, each unless it was done before, and compare it."""
     path = out / place.dataset
     scene = simulate(config, path, jobs, cluster)
     if not _is_mapped(scene):
@@ -201,13 +235,17 @@ def _make(
     if tree is not None and not is_cmu(tree):
         export(path, _TREE, tree)
     dataset = open_scene(path)
+    unlike = ""
+    if place.renders and dataset.sha256 not in place.renders:
+        unlike = difference(read_render(record), render_of(scene))
     return PlaceReport(
         dataset=place.dataset,
         scene=path,
         export=tree,
         queries=len(dataset.queries),
         sha256=dataset.sha256,
-        recorded=place.sha256,
+        recorded=place.renders,
+        unlike=unlike,
     )
 
 

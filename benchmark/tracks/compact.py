@@ -123,8 +123,8 @@ def store(targets: Mapping[Path, Results]) -> list[Path]:
 def _require_recorded(track: Track, run: Results, file: Path) -> None:
     """Refuse results of another data set than the track's."""
     (place,) = track.chosen((run.dataset.name,))
-    if place.sha256 != run.dataset.sha256:
-        was = "none" if place.sha256 is None else place.sha256[:12]
+    if run.dataset.sha256 not in place.renders:
+        was = ", ".join(digest[:12] for digest in place.renders) or "none"
         raise InputError(
             f"{file} is of another {place.dataset} ({run.dataset.sha256[:12]}) than the track "
             f"{track.name} records ({was}): see objconnect track --update"

@@ -1,11 +1,12 @@
 """The description of a track: the places that are rendered, the starts and the methods.
 
-A track is the folder ``leaderboard/<track>/``. Its ``track.yaml`` is read here; ``queries/`` and
-``results/`` beside it are what the track was measured to be.
+A track is the folder ``leaderboard/<track>/``. Its ``track.yaml`` is read here; ``renders/``,
+``queries/`` and ``results/`` beside it are what the track was measured to be.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -23,6 +24,7 @@ BOARD: Final = SHIPPED.with_name("leaderboard")
 DESCRIPTION: Final = "track.yaml"
 
 _Name = Annotated[str, Field(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$", max_length=100)]
+_Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 _Words = Annotated[str, Field(min_length=1, max_length=300)]
 
 
@@ -33,13 +35,14 @@ class Place(Config):
         dataset: name of the scene's folder and of the data set.
         preset: kind of place.
         seed: random seed of the place.
-        sha256: digest of the data set once it was rendered and mapped; None before.
+        renders: digests of the data set as it was rendered and mapped, one for each kind of
+            machine: all are alike (``benchmark.tracks.renders``). Empty before the first render.
     """
 
     dataset: _Name
     preset: _Name
     seed: int = Field(ge=0)
-    sha256: str | None = Field(None, pattern=r"^[0-9a-f]{64}$")
+    renders: tuple[_Digest, ...] = ()
 
 
 class Track(Config):
@@ -83,10 +86,10 @@ class Track(Config):
                 )
         return tuple(place for place in self.places if not names or place.dataset in names)
 
-    def with_digests(self, digests: dict[str, str]) -> Track:
-        """Return the track with the digests of some places, by data set."""
+    def with_renders(self, renders: Mapping[str, tuple[str, ...]]) -> Track:
+        """Return the track with the digests of the renders of some places, by data set."""
         places = tuple(
-            place.model_copy(update={"sha256": digests.get(place.dataset, place.sha256)})
+            place.model_copy(update={"renders": renders.get(place.dataset, place.renders)})
             for place in self.places
         )
         return self.model_copy(update={"places": places})

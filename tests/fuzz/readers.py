@@ -38,6 +38,7 @@ from benchmark.starts import parse_start
 from benchmark.tracks.compact import write_compact
 from benchmark.tracks.description import Track
 from benchmark.tracks.queries import read_queries
+from benchmark.tracks.renders import Render, RenderedFrame, read_render, write_render
 from ingest.control_points import read_control_points
 from ingest.photographs import Flight, FlightImage, _look_at
 from ingest.positions import _read as read_positions
@@ -181,6 +182,10 @@ def _results(folder: Path) -> None:
     gate = load(ROOT / "tests/data/gate-baseline/gate/sift.json")
     few = Results.of(gate.method, gate.dataset, gate.start, gate.queries[:3], 1.5, 99.0)
     few.write(folder / "results.json")
+    frame = RenderedFrame(
+        name="a.jpg", camera="PINHOLE", cam_from_world=(1.0,) * 12, blocks=(99.0,) * 64
+    )
+    write_render(folder / "render.json.xz", Render(frames=(frame,), map_points=9))
     write_compact(folder / "results.json.xz", few)
     results = json.loads((folder / "results.json").read_text())
     level = {"prior_t_m": 1, "prior_r_deg": 2, "queries": 9, "failed": 1, "fallback": 0}
@@ -451,6 +456,7 @@ READERS: dict[str, Reader] = {
         {
             "results.json": ("json", lambda f: load(f / "results.json")),
             "results.json.xz": ("bytes", lambda f: load(f / "results.json.xz")),
+            "render.json.xz": ("bytes", lambda f: read_render(f / "render.json.xz")),
             "basin.json": ("json", lambda f: load_basin(f / "basin.json").text()),
             "journal": ("text", _read_journal),
         },

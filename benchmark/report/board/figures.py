@@ -33,7 +33,7 @@ def track_figures(board: TrackBoard) -> dict[str, Any]:
         "conditions": conditions(board.queries),
         "methods": board.track.methods,
         "missing": board.missing,
-        "datasets": [[place.dataset, place.sha256] for place in board.track.places],
+        "datasets": [[place.dataset, ", ".join(place.renders)] for place in board.track.places],
         "queries": _listed(board),
         "starts": [
             {

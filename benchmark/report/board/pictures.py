@@ -52,7 +52,7 @@ class Pictures:
         found: dict[int, list[int | None]] = {}
         for place in board.track.places:
             path = board.folder / _FOLDER / f"{place.dataset}.h5"
-            if place.sha256 is None or (album := read_album(path, place.sha256)) is None:
+            if (album := read_album(path, *place.renders)) is None:
                 continue
             for k, query in enumerate(board.queries):
                 if query.dataset == place.dataset and query.row.name in album.entries:
@@ -90,7 +90,7 @@ def keep_pictures(results: Sequence[Path], track: Path) -> list[Path]:
     for place in board.track.places:
         names = _hardest(board, place.dataset)
         for folder in results if names else ():
-            whole = place.sha256 and read_album(folder / place.dataset / ALBUM, place.sha256)
+            whole = read_album(folder / place.dataset / ALBUM, *place.renders)
             if whole:
                 target = track / _FOLDER / f"{place.dataset}.h5"
                 check_outputs([target], results, within=track)

@@ -177,10 +177,10 @@ def _results_path(folder: Path, method: str) -> Path | None:
 
 def _read(path: Path, start: str, place: Place) -> Results:
     results = load(path)
-    if place.sha256 is not None and results.dataset.sha256 != place.sha256:
+    if place.renders and results.dataset.sha256 not in place.renders:
         raise InputError(
             f"results {path} are of data set {results.dataset.sha256[:12]}, but the track's "
-            f"{place.dataset} is {place.sha256[:12]}: evaluate again on the track's data"
+            f"{place.dataset} is {place.renders[0][:12]}: evaluate again on the track's data"
         )
     if results.start != start:
         raise InputError(f"results {path} are from start {results.start}, not {start}")

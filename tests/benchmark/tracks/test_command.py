@@ -15,6 +15,7 @@ from benchmark.tracks import command
 from benchmark.tracks.command import track
 from benchmark.tracks.compact import write_compact
 from benchmark.tracks.description import load_track
+from benchmark.tracks.renders import difference, read_render, render_of
 from scene.bundle.scene import Scene, finish_scene
 from scene.errors import InputError
 from simulate.config import SimulateConfig
@@ -59,15 +60,17 @@ def test_a_finished_place_is_compared_and_left_alone(out: Path, board: Path) -> 
     assert written(out) | written(board) == before
     (place,) = report.places
     assert place.sha256 == open_scene(out / "town-11").sha256
-    assert (place.queries, place.recorded, place.same, place.export) == (7, None, None, None)
+    assert (place.queries, place.recorded, place.same, place.export) == (7, (), None, None)
     assert report.text() == f"town-11: 7 queries, data set {place.sha256[:12]}, not recorded yet"
 
 
 def test_what_is_recorded(out: Path, board: Path) -> None:
     report = track("tiny", out, board=board, update=True)
     table = board / "tiny" / "queries" / "town-11.csv"
-    assert report.written == (table, board / "tiny" / "track.yaml")
-    assert load_track("tiny", board).places[0].sha256 == report.places[0].sha256
+    render = board / "tiny" / "renders" / "town-11.json.xz"
+    assert report.written == (table, render, board / "tiny" / "track.yaml")
+    assert difference(read_render(render), render_of(Scene.open(out / "town-11"))) == ""
+    assert load_track("tiny", board).places[0].renders == (report.places[0].sha256,)
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
     (dataset,) = open_datasets(out / "town-11")
@@ -84,20 +87,36 @@ def test_what_is_recorded(out: Path, board: Path) -> None:
     assert again.as_dict()["differing"] == []
 
 
-def test_another_render_is_named(out: Path, board: Path) -> None:
-    """One pixel of one photograph differs; the results of that place can not be compared."""
-    track("tiny", out, board=board, update=True)
-    recorded = load_track("tiny", board).places[0].sha256
-    assert recorded is not None
+def test_a_render_of_another_machine_is_the_same_data_set(out: Path, board: Path) -> None:
+    """Its bytes differ and its pictures do not: results on both can be compared."""
+    first = track("tiny", out, board=board, update=True).places[0].sha256
     photograph = next((out / "town-11" / "sessions").rglob("*.jpg"))
     photograph.write_bytes(photograph.read_bytes() + b"\0")
     report = track("tiny", out, board=board)
+    assert report.differing == ()
+    assert report.text().endswith(f", like the recorded {first[:12]} but for rounding")
+    before = written(board / "tiny" / "renders") | written(board / "tiny" / "queries")
+    track("tiny", out, board=board, update=True)
+    assert written(board / "tiny" / "renders") | written(board / "tiny" / "queries") == before
+    second = report.places[0].sha256
+    assert load_track("tiny", board).places[0].renders == (first, second)
+    assert track("tiny", out, board=board).text().endswith(", as recorded")
+
+
+def test_another_render_is_named(out: Path, board: Path) -> None:
+    """A photograph shows something else; the results of that place can not be compared."""
+    track("tiny", out, board=board, update=True)
+    (recorded,) = load_track("tiny", board).places[0].renders
+    one, other, *_ = sorted((out / "town-11" / "sessions").rglob("*.jpg"))
+    one.write_bytes(other.read_bytes())
+    report = track("tiny", out, board=board)
     assert report.differing == ("town-11",)
     first, note = report.text().splitlines()
-    assert first.endswith(f"NOT the recorded {recorded[:12]}")
+    name = one.relative_to(out / "town-11" / "sessions")
+    assert f"NOT the recorded {recorded[:12]} ({name} differs by " in first
     assert note.startswith(f"Note: the results of town-11 in {board / 'tiny'} cannot be compared")
     assert report.as_dict()["places"][0]["same"] is False
-    assert load_track("tiny", board).places[0].sha256 == recorded, "nothing is recorded unasked"
+    assert load_track("tiny", board).places[0].renders == (recorded,), "nothing is recorded unasked"
     renewed = track("tiny", out, board=board, update=True)
     assert "earlier data sets" in renewed.text().splitlines()[-1]
     assert track("tiny", out, board=board).differing == ()

@@ -164,7 +164,7 @@ def test_xz_makes_an_ordinary_file_of_it(results: Results, tmp_path: Path) -> No
 def track(tmp_path: Path) -> Path:
     folder = tmp_path / "board" / "parks"
     folder.mkdir(parents=True)
-    place = {"dataset": "park-1", "preset": "park", "seed": 1, "sha256": DIGEST}
+    place = {"dataset": "park-1", "preset": "park", "seed": 1, "renders": [DIGEST]}
     lists: dict[str, Any] = {"places": [place], "starts": ["none"], "methods": ["sift"]}
     description = {"name": "parks", "title": "Parks", "config": "uav-seasons", **lists}
     (folder / "track.yaml").write_text(yaml.safe_dump(description))

@@ -55,20 +55,21 @@ def test_the_headline_cells_are_large_enough() -> None:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    recorded = TRACK.with_digests({"park-1": "0" * 63 + "a"})
-    assert [place.sha256 for place in recorded.places] == ["0" * 63 + "a", None]
+    recorded = TRACK.with_renders({"park-1": ("0" * 63 + "a", "b" * 64)})
+    assert [len(place.renders) for place in recorded.places] == [2, 0]
     for track in (TRACK, recorded):
         write_track(track, tmp_path)
         assert load_track("tiny", tmp_path) == track
     text = (tmp_path / "tiny" / "track.yaml").read_text()
-    assert f"- {{dataset: park-1, preset: park, seed: 1, sha256: {'0' * 63}a}}\n" in text, "a line"
+    digests = f"{'0' * 63}a, {'b' * 64}"
+    assert f"  renders: [{digests}]\n" in text, "a line"
 
 
 def test_digests_of_digits_are_words(tmp_path: Path) -> None:
     """YAML would read them as a number."""
     for digest in ("1" * 64, "0" * 64, "1" * 20 + "e" + "1" * 43):
-        write_track(TRACK.with_digests({"park-1": digest}), tmp_path)
-        assert load_track("tiny", tmp_path).places[0].sha256 == digest
+        write_track(TRACK.with_renders({"park-1": (digest,)}), tmp_path)
+        assert load_track("tiny", tmp_path).places[0].renders == (digest,)
 
 
 def test_places_by_name() -> None:
@@ -86,7 +87,7 @@ def test_places_by_name() -> None:
         ("dataset: b", "dataset: park-1", "two places have one name"),
         ("dataset: b", "dataset: ../b", "places.1.dataset"),
         ("seed: 2", "seed: -2", "places.1.seed"),
-        ("sha256: null", "sha256: abc", "places.0.sha256"),
+        ("renders: []", "renders: [abc]", "places.0.renders.0"),
         ("title: Two", "colour: red\ntitle: Two", "unknown key 'colour'"),
         ("title: Two parks", "", "missing key 'title'"),
     ],

@@ -32,7 +32,7 @@ def write_board(
     for preset, seed in places:
         dataset = f"{preset}-{seed}"
         sha256 = hashlib.sha256(dataset.encode()).hexdigest()
-        described.append(Place(dataset=dataset, preset=preset, seed=seed, sha256=sha256))
+        described.append(Place(dataset=dataset, preset=preset, seed=seed, renders=(sha256,)))
         rows = _rows(rng, preset, each)
         write_queries(track / "queries" / f"{dataset}.csv", rows)
         identity = DatasetId(

@@ -275,7 +275,7 @@ def test_worst_queries_have_pictures_where_an_album_is_kept(
     scene = write_scene(tmp_path / "hamlet")
     path = run(scene, tmp_path / "results", "sift", NONE)
     results = load(path)
-    place = Place(dataset="hamlet", preset="town", seed=1, sha256=results.dataset.sha256)
+    place = Place(dataset="hamlet", preset="town", seed=1, renders=(results.dataset.sha256,))
     track = Track(
         name="one", title="One", config="x", places=(place,), starts=("none",), methods=("sift",)
     )

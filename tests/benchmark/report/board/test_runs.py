@@ -121,7 +121,7 @@ def test_tracks_with_results_come_first(made: Path) -> None:
 
 def test_other_data_are_refused(made: Path) -> None:
     track = load_track(NAME, made)
-    write_track(track.with_digests({"town-1": "0" * 64}), made)
+    write_track(track.with_renders({"town-1": ("0" * 64,)}), made)
     with pytest.raises(InputError, match=r"sift\.json are of data set .* town-1 is 000000000000"):
         read_boards(made)
 

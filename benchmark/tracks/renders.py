@@ -1,0 +1,153 @@
+"""The record of a place's render, by which a render of another machine is known to be like it.
+
+Renders differ in single bits between kinds of processors and versions of libraries, so digests
+tell only equal ones. The record keeps what a photograph shows in few numbers: its camera, its pose
+and mean brightness in blocks. Two renders are alike where these agree and the map is as large.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from scene.bundle.manifest import read_json
+from scene.bundle.scene import Scene
+from scene.config import Config
+from scene.runtime.progress import progress_bar
+from scene.storage.atomic import atomic_write
+from scene.storage.images import read_rgb
+from scene.storage.packed import pack
+
+# Blocks per side of a photograph, and decimals of their brightness.
+_BLOCKS: Final = 8
+_DECIMALS: Final = 1
+# Decimals of poses: micrometres.
+_POSE_DECIMALS: Final = 6
+
+
+class RenderedFrame(Config):
+    """A frame of a render.
+
+    Attributes:
+        name: image name, relative to the scene's ``sessions`` folder.
+        camera: camera model, size and parameters, in words.
+        cam_from_world: first three rows of the pose, row by row.
+        blocks: mean brightness of 8 x 8 blocks, row by row, grey levels.
+    """
+
+    name: str
+    camera: str
+    cam_from_world: tuple[float, ...] = Field(min_length=12, max_length=12)
+    blocks: tuple[float, ...] = Field(min_length=_BLOCKS**2, max_length=_BLOCKS**2)
+
+
+class Render(Config):
+    """What a rendered and mapped place looks like.
+
+    Attributes:
+        frames: frames of all sessions.
+        map_points: number of points of the map.
+    """
+
+    frames: tuple[RenderedFrame, ...] = Field(min_length=1)
+    map_points: int = Field(ge=0)
+
+
+class Likeness(Config):
+    """Limits within which two renders are alike.
+
+    With kernels of another instruction set, renders of a park differ by up to 0.02 grey levels in
+    blocks of the same size; a car of another place changes a block by several.
+
+    Attributes:
+        brightness: largest difference of a block, grey levels.
+        position_m: largest difference of a number of a pose, metres or none.
+        map_share: largest difference of the number of points of the map, as a share.
+    """
+
+    brightness: float = Field(0.5, gt=0)
+    position_m: float = Field(1e-5, gt=0)
+    map_share: float = Field(0.02, gt=0)
+
+
+LIKENESS: Final = Likeness()
+"""The default limits."""
+
+
+def render_of(scene: Scene) -> Render:
+    """Return the record of a rendered and mapped scene.
+
+    Raises:
+        InputError: a list, a photograph or the map is missing or damaged.
+    """
+    frames = []
+    sessions = [scene.frames(name) for name in scene.sessions]
+    with progress_bar("record of the render", sum(map(len, sessions))) as advance:
+        for session in sessions:
+            poses = session.cam_from_world
+            for name, camera, pose in zip(session.names, session.cameras, poses, strict=True):
+                rows = np.round(pose[:3].ravel(), _POSE_DECIMALS).tolist()
+                blocks = _blocks(read_rgb(scene.images_root / name))
+                frame = RenderedFrame(
+                    name=name, camera=str(camera), cam_from_world=rows, blocks=blocks
+                )
+                frames.append(frame)
+                advance(len(frames))
+    return Render(frames=tuple(frames), map_points=len(scene.sparse_map().xyz))
+
+
+def write_render(path: Path, render: Render) -> None:
+    """Write a record compressed, atomically; its name ends in ``.json.xz``.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    with atomic_write(path) as partial:
+        partial.write_bytes(pack(render.model_dump_json()))
+
+
+def read_render(path: Path) -> Render:
+    """Read what ``write_render`` wrote.
+
+    Raises:
+        InputError: the file is missing, damaged or no such record.
+    """
+    return read_json(path, Render, "record of a render")
+
+
+def difference(recorded: Render, render: Render, limits: Likeness = LIKENESS) -> str:
+    """Describe in words why two renders are not alike; the text is empty when they are."""
+    names, others = ([frame.name for frame in each.frames] for each in (recorded, render))
+    if names != others:
+        return "other frames"
+    for before, now in zip(recorded.frames, render.frames, strict=True):
+        if before.camera != now.camera:
+            return f"another camera of {now.name}"
+    poses, moved = (_numbers(each, "cam_from_world") for each in (recorded, render))
+    apart = np.abs(moved - poses).max(1)
+    if apart.max() > limits.position_m:
+        return f"another pose of {names[int(apart.argmax())]}"
+    blocks, seen = (_numbers(each, "blocks") for each in (recorded, render))
+    brighter = np.abs(seen - blocks).max(1)
+    if brighter.max() > limits.brightness:
+        worst = int(brighter.argmax())
+        return f"{names[worst]} differs by {brighter[worst]:.1f} grey levels"
+    if abs(render.map_points - recorded.map_points) > limits.map_share * recorded.map_points:
+        return f"a map of {render.map_points} points, not {recorded.map_points}"
+    return ""
+
+
+def _blocks(rgb: NDArray[np.uint8]) -> tuple[float, ...]:
+    """Return the mean brightness of the blocks of a photograph (H, W, 3)."""
+    grey = rgb.astype(np.float32).mean(-1)
+    means = cv2.resize(grey, (_BLOCKS, _BLOCKS), interpolation=cv2.INTER_AREA)
+    return tuple(np.round(means.astype(np.float64).ravel(), _DECIMALS).tolist())
+
+
+def _numbers(render: Render, field: str) -> NDArray[np.float64]:
+    return np.array([getattr(frame, field) for frame in render.frames], np.float64)
