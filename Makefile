@@ -152,6 +152,27 @@ $(call learned,connected): $(call learned,objects) $(call changed,$(CONNECTED))
 	mkdir -p $(@D)
 	$(BIN)/python -m objconnect.constellation_training $(CONNECTED:%=$(W)/changed-%) --weights $< --out $@
 
+# The three learned methods on equal terms: the features of objconnect to begin with, the same places over
+# the year from above and along streets, the same steps. `make equal` makes them.
+SEASONS := town-1201 suburb-1211 park-1221 park-1222 farmland-1241 industrial-1231 street-1251 street-1252
+EQUAL := pixloc d2net objconnect
+FEATURES_ALONE := network={segmentation: none, attention: false, object_graph: false, scene_graph: false}
+
+.PHONY: equal
+equal: $(EQUAL:%=$(W)/equal-%/weights.safetensors)
+
+$(W)/season-%/scene.json: | libraries
+	$(BIN)/objconnect simulate --config configs/train/$(if $(filter street-%,$*),street,seasons).yaml \
+	  --preset $(firstword $(subst -, ,$*)) --seed $(lastword $(subst -, ,$*)) --out $(@D)
+
+$(call learned,shared): $(call learned,objconnect)
+	$(BIN)/python -m objconnect.as_pixloc $< $@
+
+$(W)/equal-%/weights.safetensors: $(call learned,shared) $(SEASONS:%=$(W)/season-%/scene.json)
+	$(BIN)/objconnect train $* $(SEASONS:%=--data $(W)/season-%) --config configs/train/equal.yaml \
+	  --set weights=$< $(if $(filter objconnect,$*),--set '$(FEATURES_ALONE)') \
+	  $(if $(PHOTOS),--set 'photographs=[$(PHOTOS)]') --out $(@D)
+
 # Maps with their photographs: what places on small things are learned from.
 MAPPED := map-1001 map-1002 map-1003
 

@@ -77,8 +77,15 @@ def test_the_wheel_holds_every_file(wheel: Path) -> None:
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    tracks = {path.relative_to(ROOT).as_posix() for path in (ROOT / BOARD).glob("*/track.yaml")}
-    assert "leaderboard/uav-seasons/track.yaml" in tracks
+    tracks = {
+        path.relative_to(ROOT).as_posix()
+        for pattern in ("*/track.yaml", "*/renders/*.json.xz")
+        for path in (ROOT / BOARD).glob(pattern)
+    }
+    assert {
+        "leaderboard/uav-seasons/track.yaml",
+        "leaderboard/uav-small/renders/small-1.json.xz",
+    } <= tracks
     lie |= tracks
     assert {"benchmark/report/templates/view.js", "baselines/pixloc/pixloc.safetensors"} <= lie
     with zipfile.ZipFile(wheel) as archive:

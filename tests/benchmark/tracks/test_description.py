@@ -23,7 +23,7 @@ TRACK = Track(
 
 
 def test_which_there_are() -> None:
-    assert TRACKS == ["street-seasons", "uav-seasons"]
+    assert TRACKS == ["street-seasons", "uav-seasons", "uav-small"]
 
 
 @pytest.mark.parametrize("name", TRACKS)
@@ -104,7 +104,8 @@ def test_a_wrong_description(old: str, new: str, says: str, tmp_path: Path) -> N
 
 def test_an_unknown_track(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match="no track of the name 'uav'; there are street-seasons, uav-seasons"
+        InputError,
+        match="no track of the name 'uav'; there are street-seasons, uav-seasons, uav-small",
     ):
         load_track("uav")
     for name in ("tiny", "", "..", "../tracks/tiny"):
