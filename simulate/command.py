@@ -50,13 +50,16 @@ from simulate.flight.clearance import check_flight
 from simulate.flight.gimbal import velocities
 from simulate.look.conditions import condition
 from simulate.place.change import ChangedWorld, changed_worlds, every_object
-from simulate.place.presets import preset
+from simulate.place.presets import SITE, preset
+from simulate.place.surveyed import load_surveyed, save_surveyed
 from simulate.place.world import World, WorldObject
 from simulate.planner import plan_session
 from simulate.render.disk import bytes_needed, require_space
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from simulate.render.remote import frame_files, render_remotely
+from simulate.twin.build import build_site
+from simulate.twin.report import PLACE, REPORT, SiteReport
 
 _CONFIG = f"{TEMPORARY_PREFIX}config.json"
 _RENDERED = f"{TEMPORARY_PREFIX}rendered"
@@ -89,7 +92,9 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     finished = finished_scene(out, config)
     if finished is not None:
         return finished
-    base = preset(config.preset)(config.seed, config.area)
+    if config.preset == SITE and cluster is not None:
+        raise InputError("a site is rendered on this machine alone: leave --cluster out")
+    base, report = _base(config, out)
     worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
     # All flights are planned before anything is rendered, because one may be impossible.
@@ -101,9 +106,12 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     pixels_per_frame = max(camera.width * camera.height for camera in cameras)
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
     unfinished.begin()
+    if report is not None:
+        save_surveyed(out / PLACE, base)
+        write_json(out / REPORT, report)
     with _renderer(jobs, cluster) as renderer:
         for name, session, flight in zip(names, config.sessions, planned, strict=True):
-            _make_session(out / "sessions", name, session, config, flight, renderer)
+            _make_session(out, name, session, config, flight, renderer)
     write_json(out / "objects.json", _objects(base, every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
     scene = Scene(out, _manifest(config, worlds))
@@ -113,6 +121,15 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     scene = finish_scene(out, scene.manifest.model_copy(update=pixels))
     unfinished.end()
     return scene
+
+
+def _base(config: SimulateConfig, out: Path) -> tuple[World, SiteReport | None]:
+    """Return the place, and what was found of a site unless its folder holds that already."""
+    if config.site is None:
+        return preset(config.preset)(config.seed, config.area), None
+    if (out / REPORT).is_file():  # written after the place
+        return load_surveyed(out / PLACE, config.seed), None
+    return build_site(config.site, config.area, config.origin, config.seed, out)
 
 
 @contextmanager
@@ -175,6 +192,8 @@ def finished_scene(out: Path, config: SimulateConfig) -> Scene | None:
 
 def _plain(config: SimulateConfig) -> dict[str, Any]:
     plain: dict[str, Any] = config.model_dump(mode="json")
+    if config.site is None:
+        del plain["site"]  # scenes of other presets stay what they were
     return plain
 
 
@@ -240,10 +259,11 @@ def render_job(
     session: SessionConfig,
     poses: NDArray[np.float64],
     first_new_id: int = 0,
+    prepared: Path | None = None,
 ) -> RenderJob:
     """Return the render job of a session, whose poses (N, 4, 4) become frames 0 to N - 1.
 
-    ``first_new_id`` is that of the session's changed world.
+    ``first_new_id`` is that of the session's changed world; ``prepared`` is the file of a site.
     """
     pinhole, lens = rendered_through(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
@@ -255,6 +275,7 @@ def render_job(
         origin=config.origin,
         change=session.world_change,
         first_new_id=first_new_id,
+        prepared=prepared,
         camera=pinhole,
         lens=lens,
         samples=config.spp,
@@ -264,7 +285,7 @@ def render_job(
 
 
 def _make_session(
-    root: Path,
+    out: Path,
     name: str,
     session: SessionConfig,
     config: SimulateConfig,
@@ -272,13 +293,14 @@ def _make_session(
     renderer: _Renderer,
 ) -> None:
     """Render and pack a session, unless its ``frames.h5``, which is written last, exists."""
-    folder = root / name
+    folder = out / "sessions" / name
     rendered = folder / _RENDERED
     if (folder / "frames.h5").is_file():
         shutil.rmtree(rendered, ignore_errors=True)  # left by a run that was killed
         return
     poses = planned.poses
-    job = render_job(config, session, poses, planned.first_new_id)
+    prepared = None if config.site is None else (out / PLACE).resolve()
+    job = render_job(config, session, poses, planned.first_new_id, prepared)
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)

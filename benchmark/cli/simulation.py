@@ -12,7 +12,7 @@ from benchmark.cli.options import ClusterAddress, Json, options_of
 from benchmark.cli.output import Summary, emit
 from scene.exports.formats import FORMATS
 from simulate.config import SimulateConfig
-from simulate.place.presets import PRESETS
+from simulate.place.presets import PRESETS, SITE
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -28,7 +28,7 @@ Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)
     "frames",
     "size",
     "spp",
-    metavars={"preset": listed(PRESETS)},
+    metavars={"preset": f"{listed(PRESETS)[:-1]}|{SITE}>"},
 )
 # More than six parameters: each is an option or argument of the command.
 def simulate(
@@ -43,6 +43,36 @@ def simulate(
             "of QGroundControl). ROLE is map or query; by default the first flight builds the map "
             "and the others are queries. CHANGE says what has changed since the place was built, "
             "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
+        ),
+    ] = None,
+    from_scene: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="SCENE",
+            help="Scene with depth, exact or from dense, that the preset site is made of.",
+        ),
+    ] = None,
+    ortho: Annotated[
+        Path | None,
+        typer.Option(metavar="TIF", help="Orthophoto that the preset site is made of, with --dsm."),
+    ] = None,
+    dsm: Annotated[
+        Path | None, typer.Option(metavar="TIF", help="Surface model of the preset site.")
+    ] = None,
+    classes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TIF",
+            help="Classes of the surface of the preset site; by default they are found.",
+        ),
+    ] = None,
+    taken: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="When the photographs of the preset site were taken, such as "
+            "2026-07-01T10:30:00Z: shadows in them are softened. By default the time of --from.",
         ),
     ] = None,
     config: Annotated[
@@ -72,11 +102,15 @@ def simulate(
     interrupted run goes on where it stopped. Run map on the scene next.
     """
     from mapping.build import build_map as build
+    from scene.bundle.manifest import read_json
     from scene.exports.export import export as write
     from scene.storage.outputs import require_empty
     from simulate.command import simulate as run
+    from simulate.twin.report import REPORT, SiteReport
 
-    wanted = SimulateConfig.load(config, settings | {"sessions": session})
+    site = {"ortho": ortho, "dsm": dsm, "scene": from_scene, "classes": classes, "taken": taken}
+    sited = {f"site.{name}": value for name, value in site.items()}
+    wanted = SimulateConfig.load(config, settings | sited | {"sessions": session})
     target = None if file_format is None else out.with_name(f"{out.name}-{file_format}")
     if target is not None and file_format is not None:
         FORMATS.load(file_format)
@@ -84,6 +118,10 @@ def simulate(
     scene = run(wanted, out, jobs, cluster)
     text = f"{scene.path}: {', '.join(scene.sessions)}"
     values: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
+    if wanted.site is not None:
+        report = read_json(out / REPORT, SiteReport, "report of the site")
+        text = "\n".join((text, report.text()))
+        values["site"] = report.model_dump(mode="json")
     if target is not None and file_format is not None:
         if not scene.map_path.is_dir():
             build(out)
