@@ -12,18 +12,10 @@ from simulate.place.world import World
 
 Float = NDArray[np.float32]
 
-# Share of the snow that stays on each class of surface; slope and shelter are in the imagery.
-_SNOW_KEPT: dict[str, float] = {
-    "grass": 1.0,
-    "pavement": 0.4,  # streets, which are cleared, and open ground, which is not
-    "building": 0.95,
-    "tree": 0.6,
-    "water": 0.0,
-}
 _SEALED = ("pavement",)
 _WET_DARKENING: dict[str, float] = {"pavement": 0.5, "grass": 0.4, "building": 0.35, "tree": 0.25}
 _SNOW_RGB = np.array([0.74, 0.77, 0.82], np.float32)
-_OPAQUE = 0.93  # of deep snow
+_OPAQUE, _ON_CROWNS = 0.93, 0.75  # share of a surface that deep snow hides
 _STRIP = 1024  # rows that are painted at once
 _LINEAR = np.where(
     np.arange(256) <= 10,
@@ -82,15 +74,13 @@ def _drift(world: World, n: int) -> Float:
 def _lay_snow(
     albedo: Float,
     labels: NDArray[np.uint8],
-    lies: NDArray[np.uint8],
+    kept: NDArray[np.uint8],
     drift: Float,
     amount: float,
 ) -> None:
     """Cover the albedo (h, n, 3) of some rows, as ``simulate.look.ground.bake`` covers ground."""
-    kept = _table(_SNOW_KEPT)[labels]
-    cover = np.clip(kept * np.float32(amount * 4.2) - 1.4 + 1.5 * drift, 0, 1)
-    cover *= np.where(labels == CLASSES["tree"], np.float32(0.75), np.float32(1))
-    cover *= lies / np.float32(255)
+    cover = np.clip(kept * np.float32(amount * 4.2 / 255) - 1.4 + 1.5 * drift, 0, 1)
+    cover *= np.where(labels == CLASSES["tree"], np.float32(_ON_CROWNS), np.float32(1))
     white = _SNOW_RGB * (1 + 0.07 * drift)[..., None]
     albedo += (_OPAQUE * cover)[..., None] * (white - albedo)
 

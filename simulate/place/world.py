@@ -160,7 +160,7 @@ class Imagery:
 
     Attributes:
         albedo: Albedo (n, n, 3) uint8, coded as sRGB, in the season of the orthophoto.
-        snow: Share of the snow that its slope and its shelter let lie, (n, n) uint8 of 255.
+        snow: Share of the snow that stays by class, slope and shelter, (n, n) uint8 of 255.
         season: Name of the season that it shows.
     """
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.look.conditions import Condition
 from simulate.twin.classes import WATER
 
 Float = NDArray[np.float32]
@@ -21,24 +22,44 @@ _STOPS = np.array(
 )  # fmt: skip
 _DARKEST, _BRIGHTEST = 0.008, 0.85  # albedo of real surfaces
 _MOST_GAIN = 5.0  # shadows are brightened by at most this factor
+_WALL, _WALL_M = 0.6, 1.0  # less upright normals are walls, whose colours are blurred so far
 _SEAM_M = 0.4  # the edge of a shadow is as soft as this
 _FEWEST = 200  # cells of a class in the sun and in the shade from which its gain is measured
 
 
-def reflectance(rgb: Float, mean_albedo: float) -> Float:
+def reflectance(rgb: Float, shown_in: Condition, mean_albedo: float | None = None) -> Float:
     """Undo a camera's tone curve and exposure.
 
     Args:
         rgb: colours (n, n, 3) in 0..255.
-        mean_albedo: the mean albedo of the place.
+        shown_in: the condition in which the renderer shows these colours again.
+        mean_albedo: the mean albedo of the place, which then decides how bright it is.
 
     Returns:
         Linear albedo (n, n, 3).
     """
     table = np.exp2(np.interp(np.arange(256) / 255, _SHOWN, _STOPS)).astype(np.float32)
     linear = table[np.clip(np.rint(rgb), 0, 255).astype(np.uint8)]
-    linear *= np.float32(mean_albedo / float(linear.mean()))
+    share = 1 / _brightness(shown_in) if mean_albedo is None else mean_albedo / linear.mean()
+    linear *= np.float32(share)
     return np.clip(linear, _DARKEST, _BRIGHTEST, out=linear)
+
+
+def _brightness(light: Condition) -> float:
+    """Return the exposed value of level, white ground in a condition."""
+    sky = light.sky.strength * (sum(light.sky.zenith) + sum(light.sky.horizon)) / 6
+    sun = light.sun.watts * np.sin(np.radians(light.sun.elevation)) / np.pi
+    return float(2**light.exposure * (sun + sky))
+
+
+def even_walls(albedo: Float, upright: Float, cell_m: float) -> Float:
+    """Blur the colours (n, n, 3) of walls, of which an orthophoto shows single pixels.
+
+    ``upright`` (n, n) is 1 where the surface is level and 0 on walls.
+    """
+    wall = np.clip((_WALL - upright) / 0.2, 0, 1)[..., None]
+    albedo += wall * (cv2.GaussianBlur(albedo, (0, 0), _WALL_M / cell_m) - albedo)
+    return albedo
 
 
 def soften_shadows(

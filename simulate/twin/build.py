@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scene.errors import InputError
 from scene.geo.rasters import Raster
 from scene.geometry.geodesy import Geodetic
+from simulate.look.conditions import condition
 from simulate.look.ground import srgb
 from simulate.look.sun import sun_position
 from simulate.place.surveyed import surveyed_ground
 from simulate.place.world import MIRRORED_M, Heightfield, Imagery, World
-from simulate.twin.albedo import reflectance, soften_shadows
-from simulate.twin.classes import NAMES, classify, from_mask
+from simulate.twin.albedo import even_walls, reflectance, soften_shadows
+from simulate.twin.classes import CROWN, LOW, NAMES, PAVED, ROOF, WATER, classify, from_mask
 from simulate.twin.options import SiteConfig, digests
 from simulate.twin.report import SiteReport
 from simulate.twin.sampling import Cells, colours, heights, known_square, labels
@@ -31,8 +32,12 @@ _MOST_TEXELS, _LEAST_TEXEL_M = 6144, 0.05
 _MOST_NODES, _LEAST_SPACING_M = 1601, 0.2
 _SAID_HOLES = 0.005  # holes of a larger share are told
 _SHELTER_M, _SHELTER_RISE_M = 2.5, 4.0  # how far and how high what keeps snow off stands
-_SHELTERED = 0.6  # share of the snow that a high wall keeps off
+_SHELTERED = 0.4  # share of the snow that a high wall keeps off
 _SNOW_FROM, _SNOW_TO = 0.35, 0.75  # uprightness of normals on which no snow lies, and all
+_ON_TWIGS = 0.55  # share of the snow that lies on the steep sides of crowns
+# Share of the snow that stays by class. Streets are cleared, open ground is not; both are PAVED.
+_KEPT = {LOW: 1.0, PAVED: 0.3, ROOF: 1.0, CROWN: 0.85, WATER: 0.0}
+_STANDS_M, _ON_THINGS = 0.6, 0.9  # cars and other things keep their snow on cleared ground
 _LOWEST_SUN = 3.0  # degrees; with a lower sun, nothing is known of the shade
 
 
@@ -90,7 +95,8 @@ def _build(
         classes={name: round(float((found == k).mean()), 4) for k, name in NAMES.items()},
     )
     albedo, report = _albedo(site, files, origin, (rgb, fine, found), report)
-    snow = _where_snow_lies(surface, grids.nodes.spacing_m)
+    lies = _finer(_where_snow_lies(surface, grids.nodes.spacing_m), n)
+    snow = _kept_snow(lies, found, fine - _finer(bare, n))
     world = World(
         seed=seed,
         area_m=float(area_m),
@@ -98,9 +104,7 @@ def _build(
         roads=(),
         ground=surveyed_ground(found, texel_m),
         objects=(),
-        imagery=Imagery(
-            srgb(albedo), np.rint(255 * _finer(snow, n)).astype(np.uint8), site.season
-        ),
+        imagery=Imagery(srgb(albedo), np.rint(255 * snow).astype(np.uint8), site.season),
         bare=Heightfield(bare.astype(float), grids.nodes.spacing_m),
         margin_m=grids.margin_m,
         level_m=float(np.median(bare)),
@@ -176,7 +180,8 @@ def _albedo(
 ) -> tuple[Float, SiteReport]:
     """Return the albedo of a place of colours, heights and labels, with its shadows softened."""
     rgb, surface, found = place
-    albedo = reflectance(rgb, site.albedo)
+    albedo = reflectance(rgb, condition(f"{site.season}-noon", origin), site.albedo)
+    albedo = even_walls(albedo, steepness(surface, report.texel_m), report.texel_m)
     if files.taken is None:
         return albedo, report
     sun = sun_position(files.taken, origin)
@@ -184,7 +189,6 @@ def _albedo(
         return albedo, report
     lit = sunlit(surface, report.texel_m, sun.azimuth, sun.elevation)
     albedo, gain = soften_shadows(albedo, found, lit, report.texel_m)
-    albedo *= np.float32(site.albedo / float(albedo.mean()))
     said = {
         "sun": (round(sun.azimuth, 2), round(sun.elevation, 2)),
         "shade": round(1 - float(lit.mean()), 4),
@@ -204,6 +208,21 @@ def _where_snow_lies(surface: Float, spacing_m: float) -> Float:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     rise = np.clip((cv2.dilate(surface, disc) - surface) / _SHELTER_RISE_M, 0, 1)
     return np.asarray(lies * (1 - _SHELTERED * rise), np.float32)
+
+
+def _kept_snow(lies: Float, found: NDArray[np.uint8], above: Float) -> Float:
+    """Return the share of the snow that stays on each texel, (n, n).
+
+    Args:
+        lies: Share by slope and shelter.
+        found: Classes.
+        above: Height above the ground, metres.
+    """
+    kept = np.zeros(max(_KEPT) + 1, np.float32)
+    kept[list(_KEPT)] = list(_KEPT.values())
+    share = kept[found]
+    share[(found == PAVED) & (above > _STANDS_M)] = _ON_THINGS
+    return np.asarray(share * np.where(found == CROWN, np.maximum(lies, _ON_TWIGS), lies))
 
 
 def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:

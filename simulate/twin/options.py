@@ -29,7 +29,8 @@ class SiteConfig(Config):
         taken: time of the photographs, such as 2026-07-01T10:30:00Z; it tells where the sun stood,
             so that shadows in the orthophoto are softened. None takes the time of the scene.
         season: season that the orthophoto shows.
-        albedo: mean share of the light that the site reflects in the orthophoto.
+        albedo: mean share of the light that the site reflects. None makes the twin as bright at
+            noon in summer as the orthophoto is.
         most_holes: largest share of the place that may be without data; holes are closed.
         sha256: digests of the files. They are computed when left out, so that a scene records the
             very site it was made of.
@@ -42,7 +43,7 @@ class SiteConfig(Config):
     undulation: float = 0.0
     taken: datetime | None = None
     season: str = "summer"
-    albedo: float = Field(0.12, gt=0, le=0.6)
+    albedo: float | None = Field(None, gt=0, le=0.6)
     most_holes: float = Field(0.3, ge=0, lt=1)
     sha256: dict[str, str] = {}
 
