@@ -126,7 +126,7 @@ def _of_site(values: dict[str, Any]) -> dict[str, Any]:
     from simulate.twin.source import extent  # late, because it loads torch
 
     site = SiteConfig.model_validate(values["site"])
-    found = extent(site)
+    found = extent(site, sized="area" in values)
     return {"area": found.side_m, "origin": found.origin} | values | {"site": site}
 
 

@@ -93,11 +93,14 @@ def _water(rgb: Float, soft: Float, surface: Float, above: Float, cell_m: float)
     north, east = np.gradient(smooth, cell_m)
     level = (np.hypot(north, east) < _LEVEL) & (np.abs(surface - smooth) < 0.1)
     bluish = soft[..., 2] > soft[..., 0] * np.float32(1.06)
-    dark = calm & level & bluish & (mean < _DARK) & (above < 0.5)
+    like = bluish & (value < _DARK) & (above < 0.5)
     side = 2 * max(1, round(0.5 * _NARROWEST_WATER_M / cell_m)) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    wide = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_OPEN, disc)
-    return _patches(wide > 0, _LEAST_WATER_M2, cell_m)
+    sure = (like & calm & level & (mean < _DARK)).astype(np.uint8)
+    wide = _patches(cv2.morphologyEx(sure, cv2.MORPH_OPEN, disc) > 0, _LEAST_WATER_M2, cell_m)
+    # Along the shore it is neither calm nor level within the distance of the comparison.
+    shore = cv2.dilate(wide.astype(np.uint8), disc, iterations=2)
+    return np.asarray(wide | (like & (shore > 0)))
 
 
 def _patches(mask: Mask, least_m2: float, cell_m: float) -> Mask:

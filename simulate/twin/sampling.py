@@ -2,7 +2,8 @@
 
 The grid is centred on the world's origin, with rows from south to north. The world is
 east-north-up, so it is turned against the raster by the convergence of the meridians, and the earth
-curves away from its plane; both are exact to well under a millimetre (``scene.geo.local``).
+curves away from its plane (``scene.geo.local``). Between pixels, values are interpolated at steps
+of 1/32 of a pixel.
 """
 
 from __future__ import annotations

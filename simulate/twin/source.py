@@ -64,11 +64,15 @@ def opened(site: SiteConfig, beside: Path) -> Iterator[Files]:
         yield Files(colours, heights, site.taken or taken, notes)
 
 
-def extent(site: SiteConfig) -> Extent:
-    """Return the origin and the side of a site whose configuration gives neither.
+def extent(site: SiteConfig, sized: bool = False) -> Extent:
+    """Return the origin and the side of a site whose configuration does not give both.
 
     The world of a scene stays as it is. That of two rasters has its origin on the ground, in the
     middle of what both cover.
+
+    Args:
+        site: Its files.
+        sized: Whether the configuration gives the side, so that none has to be found.
 
     Raises:
         InputError: The rasters cannot be used or do not overlap, or the site is too small.
@@ -79,7 +83,7 @@ def extent(site: SiteConfig) -> Extent:
     colours, heights = _rasters(site)
     origin = _middle(colours, heights, site.undulation)
     side_m = 2 * known_square((colours, heights), origin)
-    if side_m < _LEAST_M:
+    if side_m < _LEAST_M and not sized:
         raise InputError(
             f"{site.ortho} and {site.dsm} show a square of {max(side_m, 0):.0f} m in common: a "
             f"place has {_LEAST_M:.0f} m or more"
