@@ -105,4 +105,3 @@ def _ratios(shown: Season, wanted: Season) -> Float:
 
 def _foliage(season: Season) -> NDArray[np.float64]:
     return np.asarray(0.6 * np.array(season.leaf) + 0.4 * np.array(season.leaf_tip))
-

@@ -7,6 +7,7 @@ from typing import Final
 from zipfile import BadZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.storage.atomic import atomic_write
@@ -15,7 +16,7 @@ from simulate.place.world import Ground, Heightfield, Imagery, World
 _GREY: Final = 128  # tone of ground cover that has no parcels
 
 
-def surveyed_ground(labels: np.ndarray, texel_m: float) -> Ground:
+def surveyed_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:
     """Return the ground cover of a surveyed place from its labels (n, n) uint8."""
     tone = np.broadcast_to(np.uint8(_GREY), labels.shape)
     return Ground(texel_m, labels, tone, ())

@@ -12,8 +12,8 @@ from simulate.twin.classes import WATER
 Float = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# The tone curve of the renderer (AgX, base contrast): display value of grey, and log2 of the scene's
-# value that gives it. Cameras' curves are alike. Rendering applies it again.
+# The tone curve of the renderer (AgX, base contrast): display value of grey, and log2 of the value
+# in the scene that gives it. Cameras' curves are alike. Rendering applies it again.
 _SHOWN = np.linspace(0, 1, 33)
 _STOPS = np.array(
     [-10, -7.766, -6.884, -6.198, -5.644, -5.174, -4.768, -4.407, -4.092, -3.806, -3.535, -3.295,

@@ -229,7 +229,8 @@ def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:
     notes = list(files.notes)
     if report.holes > _SAID_HOLES:
         notes.append(
-            f"holes: {100 * report.holes:.1f} % of the place had no data and were closed from around"
+            f"holes: {100 * report.holes:.1f} % of the place had no data and were closed from "
+            "around"
         )
     if report.sun is None:
         notes.append(

@@ -23,7 +23,7 @@ NAMES: Final = {LOW: "low vegetation", PAVED: "ground", WATER: "water", ROOF: "r
 _HIGH_M = 1.8  # above the ground: what stands this high is a building or a tree
 _GREEN = 0.035  # excess of green over red and blue, as a share of their sum
 _SCALE_M = 0.6  # colours and heights are compared over this distance
-# A crown deviates by at least the first from a plane (m); by the second, also where it is but faintly
+# A crown deviates from a plane by at least the first (m), and by the second where it is but faintly
 # green, as dry or brown leaves are.
 _PLANE_M, _ROUGH_M, _FAINT = 0.2, 0.5, 0.015
 _LEVEL = 0.06  # slope of water
@@ -69,8 +69,8 @@ def from_mask(mask: Labels, found: Labels) -> Labels:
     strange = set(np.unique(mask).tolist()) - {0, *NAMES}
     if strange:
         raise InputError(
-            f"the mask of classes has the value {min(strange)}: use 1 (low vegetation), 4 (ground), "
-            "8 (water), 16 (building), 17 (tree), and 0 where it is not known"
+            f"the mask of classes has the value {min(strange)}: use 1 (low vegetation), 4 "
+            "(ground), 8 (water), 16 (building), 17 (tree), and 0 where it is not known"
         )
     return np.where(mask > 0, mask, found).astype(np.uint8)
 

@@ -45,7 +45,7 @@ class SiteConfig(Config):
     season: str = "summer"
     albedo: float | None = Field(None, gt=0, le=0.6)
     most_holes: float = Field(0.3, ge=0, lt=1)
-    sha256: dict[str, str] = {}
+    sha256: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod

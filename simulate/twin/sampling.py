@@ -66,7 +66,7 @@ def heights(raster: Raster, origin: Geodetic, cells: Cells, undulation: float) -
     for x, y, plane in _places(patch, local, cells):
         above = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderValue=np.nan)
         parts.append(cells.height + above + (zero + undulation - plane))
-    return np.concatenate(parts).astype(np.float32)
+    return np.asarray(np.concatenate(parts), np.float32)
 
 
 def labels(raster: Raster, origin: Geodetic, cells: Cells) -> NDArray[np.uint8]:
@@ -74,7 +74,7 @@ def labels(raster: Raster, origin: Geodetic, cells: Cells) -> NDArray[np.uint8]:
     patch, local = _around(raster, origin, cells, means=False)
     values = np.nan_to_num(patch.values[0])
     parts = [cv2.remap(values, x, y, cv2.INTER_NEAREST) for x, y, _ in _places(patch, local, cells)]
-    return np.concatenate(parts).astype(np.uint8)
+    return np.asarray(np.concatenate(parts), np.uint8)
 
 
 def known_square(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:

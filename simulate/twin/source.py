@@ -149,8 +149,8 @@ def _surveyed_by(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
     centres = _centres(scene)
     if len(centres) < _FEWEST:
         raise InputError(
-            f"{scene.path} has {len(centres)} photographs in its map, {_FEWEST} are the fewest that "
-            "show a site: photograph more of it"
+            f"{scene.path} has {len(centres)} photographs in its map, {_FEWEST} are the fewest "
+            "that show a site: photograph more of it"
         )
     spread = np.linalg.svd(centres[:, :2] - centres[:, :2].mean(0), compute_uv=False)
     notes = []
@@ -163,11 +163,8 @@ def _surveyed_by(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
     times = [
         float(time)
         for session in scene.sessions
-        for name, time in zip(
-            scene.frames(session).names, scene.frames(session).time, strict=True
-        )
+        for name, time in zip(scene.frames(session).names, scene.frames(session).time, strict=True)
         if name in mapped and np.isfinite(time)
     ]
     taken = datetime.fromtimestamp(float(np.median(times)), UTC) if times else None
     return tuple(notes), taken
-

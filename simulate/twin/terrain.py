@@ -91,7 +91,7 @@ def sunlit(surface: Float, spacing_m: float, azimuth: float, elevation: float) -
     steps = min(int(np.ceil(tallest / rise / spacing_m)), len(surface))
     lit = np.ones(surface.shape, bool)
     for k in range(1, steps + 1):
-        shift = np.float32([[1, 0, -k * east], [0, 1, -k * north]])
+        shift = np.array([[1, 0, -k * east], [0, 1, -k * north]], np.float32)
         towards = cv2.warpAffine(
             surface, shift, surface.shape[::-1], borderMode=cv2.BORDER_REPLICATE
         )

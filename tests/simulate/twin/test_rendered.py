@@ -46,8 +46,9 @@ def twin(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
     def make(folder: Path) -> None:
         (folder / "rasters").mkdir()
-        simulate(config(folder / "rasters", position_jitter_m=0, attitude_jitter_deg=0),
-                 folder / "twin")
+        simulate(
+            config(folder / "rasters", position_jitter_m=0, attitude_jitter_deg=0), folder / "twin"
+        )
 
     return Scene.open(made_once(tmp_path_factory, "twin", make) / "twin")
 
@@ -78,7 +79,9 @@ def test_the_truth_is_valid(twin: Scene) -> None:
     assert report.ok, report.text()
 
 
-@pytest.mark.parametrize(("session", "frame"), [("again", 1), ("leafoff-noon-wet-oblique-query", 0)])
+@pytest.mark.parametrize(
+    ("session", "frame"), [("again", 1), ("leafoff-noon-wet-oblique-query", 0)]
+)
 def test_depth_is_what_rays_meet(twin: Scene, session: str, frame: int) -> None:
     """Rays are followed over triangles of the test's own: above them before, on them at the end."""
     world = load_surveyed(twin.path / PLACE, 0)

@@ -28,8 +28,17 @@ from simulate.twin.sampling import Cells, colours, heights
 from simulate.twin.source import extent
 from simulate.twin.terrain import close_holes, ground_below, sunlit
 from tests.simulate.twin.made_site import (
-    HOUSE, ORIGIN, PIXEL_M, POND, ROOF_M, TREES, classes, ground, height, rasters,
-)  # fmt: skip
+    HOUSE,
+    ORIGIN,
+    PIXEL_M,
+    POND,
+    ROOF_M,
+    TREES,
+    classes,
+    ground,
+    height,
+    rasters,
+)
 
 AREA = 120.0
 
