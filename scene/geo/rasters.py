@@ -7,6 +7,7 @@ pixel's centre (``AREA_OR_POINT=Point``), which GDAL shifts.
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator
@@ -34,6 +35,7 @@ _MOST_BLOCK_BYTES = 1 << 29
 _MOST_PATCH_PIXELS = 1 << 28
 # Pixels that are read at once to form means.
 _READ_PIXELS = 1 << 22
+_SILENT: Final = logging.NullHandler()
 # Rows and columns of the tiles of the files that we write.
 _TILE = 256
 
@@ -230,6 +232,8 @@ def _means(pixels: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
 def _opened(path: Path, kind: Kind) -> Iterator[Any]:
     """Open a GeoTIFF; errors of the block are reported like those of opening it."""
     rasterio = import_extra("rasterio", "geo", "a GeoTIFF")
+    # GDAL's warnings about a damaged file would be printed beside our one line.
+    logging.getLogger("rasterio").addHandler(_SILENT)
     require_readable(path, kind)
     try:
         # GDAL would read the names of other formats and of networks as well.

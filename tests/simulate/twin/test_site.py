@@ -73,7 +73,7 @@ def clear(x: np.ndarray, y: np.ndarray, metres: float) -> np.ndarray:
 def test_what_is_sampled_lies_where_proj_says(tmp_path: Path, crs: str) -> None:
     """Point by point, through exact coordinates and a bilinear interpolation of the test's own."""
     files = rasters(tmp_path, crs)
-    axis = np.linspace(-65, 65, 131)
+    axis = np.linspace(-65, 65, 261)  # finer than two pixels, of which means are read
     cells = Cells(axis, 3.0)
     z = heights(Raster.open(files[1], "surface model"), ORIGIN, cells, 0.0)
     rgb = colours(Raster.open(files[0], "orthophoto"), ORIGIN, cells)
@@ -82,7 +82,7 @@ def test_what_is_sampled_lies_where_proj_says(tmp_path: Path, crs: str) -> None:
         model, box = file.read(1).astype(float), file.bounds
     with rasterio.open(files[0]) as file:
         photo = file.read().astype(float)
-    for row, column in np.random.default_rng(0).integers(0, 131, (300, 2)):
+    for row, column in np.random.default_rng(0).integers(0, 261, (300, 2)):
         point = np.array([axis[column], axis[row], z[row, column]])
         east, north, up = projection.from_geodetic(geodetic_from_enu(point, ORIGIN))
         u, v = (east - box.left) / PIXEL_M - 0.5, (box.top - north) / PIXEL_M - 0.5
