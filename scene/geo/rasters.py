@@ -35,7 +35,6 @@ _MOST_BLOCK_BYTES = 1 << 29
 _MOST_PATCH_PIXELS = 1 << 28
 # Pixels that are read at once to form means.
 _READ_PIXELS = 1 << 22
-_SILENT: Final = logging.NullHandler()
 # Rows and columns of the tiles of the files that we write.
 _TILE = 256
 
@@ -233,7 +232,7 @@ def _opened(path: Path, kind: Kind) -> Iterator[Any]:
     """Open a GeoTIFF; errors of the block are reported like those of opening it."""
     rasterio = import_extra("rasterio", "geo", "a GeoTIFF")
     # GDAL's warnings about a damaged file would be printed beside our one line.
-    logging.getLogger("rasterio").addHandler(_SILENT)
+    logging.getLogger("rasterio").setLevel(logging.ERROR)
     require_readable(path, kind)
     try:
         # GDAL would read the names of other formats and of networks as well.
