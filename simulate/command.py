@@ -83,6 +83,10 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
         InputError: ``out`` holds something else, cannot be written or is written by another run,
             rendering failed, or there is no such cluster.
     """
+    if config.site is not None and config.site.scene is not None:
+        own = config.site.scene.resolve()
+        if out.resolve().is_relative_to(own):
+            raise InputError(f"{out} lies in the scene of the site: choose a folder outside it")
     with write_lock(out):
         return _simulate(config, out, jobs, cluster)
 

@@ -75,11 +75,6 @@ class SiteConfig(Config):
         SEASONS.load(name)
         return name
 
-    def paths(self) -> list[Path]:
-        """Return the files and folders that the site is read from."""
-        given = (self.ortho, self.dsm, self.scene, self.classes)
-        return [path for path in given if path is not None]
-
 
 def digests(values: dict[str, Any]) -> dict[str, str]:
     """Return the SHA-256 of the files of a site by field; that of a scene is of its manifest.

@@ -3,6 +3,7 @@
     python -m tests.benchmarks.site cross MAP QUERIES --out OUT  # queries in the map of another
     python -m tests.benchmarks.site compare REAL TWIN             # colours, classes
     python -m tests.benchmarks.site strip REAL TWIN --out JPG     # photographs beside each other
+    python -m tests.benchmarks.site classes REAL                  # classes, without a twin
 
 Both scenes have the same sessions and the same world. The folder of ``cross`` is a scene that
 ``evaluate`` reads; its photographs are links.
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,9 @@ from scene.bundle.scene import Scene, finish_scene
 from scene.storage.images import read_rgb
 from simulate.place.surveyed import load_surveyed
 from simulate.place.world import World
+from simulate.twin.build import build_site
 from simulate.twin.classes import CROWN, LOW, NAMES, PAVED, ROOF, WATER
+from simulate.twin.options import SiteConfig
 from simulate.twin.report import PLACE
 from tests.benchmarks.orthophoto import _link
 
@@ -42,13 +46,20 @@ _FACES_UP = 30  # of 127: what looks aside is no surface of a model from above
 def main() -> None:
     """Run one of the comparisons."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("cross", "compare", "strip"))
+    parser.add_argument("what", choices=("cross", "compare", "strip", "classes"))
     parser.add_argument("first", type=Path)
-    parser.add_argument("second", type=Path)
+    parser.add_argument("second", type=Path, nargs="?")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--frame", type=int, default=8)
     given = parser.parse_args()
-    first, second = Scene.open(given.first), Scene.open(given.second)
+    first = Scene.open(given.first)
+    if given.what == "classes":
+        site = SiteConfig(scene=given.first)
+        area_m = first.manifest.config["area"]
+        world, _ = build_site(site, area_m, first.manifest.origin, 0, Path(tempfile.gettempdir()))
+        compare_classes(first, world)
+        return
+    second = Scene.open(given.second)
     if given.what == "cross":
         cross(first, second, given.out)
     elif given.what == "strip":

@@ -9,6 +9,7 @@ import pytest
 from scene.bundle.manifest import Splits, write_json
 from scene.bundle.scene import Scene, finish_scene
 from scene.errors import InputError
+from simulate.command import simulate
 from simulate.config import SimulateConfig
 from simulate.twin.build import build_site
 from simulate.twin.options import SiteConfig
@@ -48,6 +49,13 @@ def test_a_town_becomes_a_site(rendered: Scene, tmp_path: Path) -> None:
     assert sorted(off)[len(off) // 2] < 0.02
     assert report.sun is not None and report.sun[1] == pytest.approx(65, abs=2)
     assert not list(tmp_path.iterdir()), "the fused files were temporary"
+
+
+def test_a_twin_does_not_lie_in_its_scene(rendered: Scene) -> None:
+    config = SimulateConfig.load(None, {"preset": "site", "site.scene": rendered.path})
+    with pytest.raises(InputError, match="lies in the scene of the site"):
+        simulate(config, rendered.path / "twin")
+    assert not (rendered.path / "twin").exists()
 
 
 def test_few_photographs_are_refused(rendered_copy: Path, tmp_path: Path) -> None:
