@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import rasterio  # noqa: F401  it sets variables of the environment when it is first imported
 
 from scene.bundle.manifest import Splits, write_json
 from scene.bundle.scene import Scene, finish_scene
@@ -67,18 +68,17 @@ def test_few_photographs_are_refused(rendered_copy: Path, tmp_path: Path) -> Non
 
 def test_a_single_line_is_said(rendered_copy: Path, tmp_path: Path) -> None:
     scene = Scene.open(rendered_copy)
-    frames = scene.frames("summer-noon-nadir-map")
+    every, frames = scene.splits.map, scene.frames("summer-noon-nadir-map")
     east = frames.poses.centre().numpy()[:, 0]
     # The lines of the survey run north; that of the middle is nearest to x = 0.
     order = sorted(range(len(east)), key=lambda k: abs(east[k] - east[0]))
     line = tuple(frames.names[k] for k in order if abs(east[k] - east[0]) < 5)
     assert 3 <= len(line) < 8
     site = SiteConfig(scene=with_map(rendered_copy, line))
-    monkey = pytest.MonkeyPatch()
-    with monkey.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulate.twin.source._FEWEST", 3)
         with opened(site, tmp_path) as files:
             assert [note.partition(":")[0] for note in files.notes] == ["thin coverage"]
-    whole = SiteConfig(scene=with_map(rendered_copy, scene.splits.map))
+    whole = SiteConfig(scene=with_map(rendered_copy, every))
     with opened(whole, tmp_path) as files:
         assert files.notes == ()
