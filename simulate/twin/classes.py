@@ -76,7 +76,7 @@ def from_mask(mask: Labels, found: Labels) -> Labels:
 
 
 def _excess_green(rgb: Float) -> Float:
-    """Return by how much green exceeds the mean of red and blue, as a share of their sum, (n, n)."""
+    """Return how far green exceeds the mean of red and blue, as a share of their sum, (n, n)."""
     red, green, blue = np.moveaxis(rgb, -1, 0)
     total = np.maximum(red + green + blue, np.float32(0.05))
     return np.asarray((2 * green - red - blue) / total, np.float32)
