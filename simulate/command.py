@@ -43,6 +43,7 @@ from scene.storage.images import Exif, write_jpeg
 from scene.storage.locks import write_lock
 from scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
+from simulate.base_place import base_place, check_site, keep_site, site_file
 from simulate.camera.lens import rendered_through
 from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
@@ -50,16 +51,12 @@ from simulate.flight.clearance import check_flight
 from simulate.flight.gimbal import velocities
 from simulate.look.conditions import condition
 from simulate.place.change import ChangedWorld, changed_worlds, every_object
-from simulate.place.presets import SITE, preset
-from simulate.place.surveyed import load_surveyed, save_surveyed
 from simulate.place.world import World, WorldObject
 from simulate.planner import plan_session
 from simulate.render.disk import bytes_needed, require_space
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from simulate.render.remote import frame_files, render_remotely
-from simulate.twin.build import build_site
-from simulate.twin.report import PLACE, REPORT, SiteReport
 
 _CONFIG = f"{TEMPORARY_PREFIX}config.json"
 _RENDERED = f"{TEMPORARY_PREFIX}rendered"
@@ -83,10 +80,7 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
         InputError: ``out`` holds something else, cannot be written or is written by another run,
             rendering failed, or there is no such cluster.
     """
-    if config.site is not None and config.site.scene is not None:
-        own = config.site.scene.resolve()
-        if out.resolve().is_relative_to(own):
-            raise InputError(f"{out} lies in the scene of the site: choose a folder outside it")
+    check_site(config, out, cluster)
     with write_lock(out):
         return _simulate(config, out, jobs, cluster)
 
@@ -96,9 +90,7 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     finished = finished_scene(out, config)
     if finished is not None:
         return finished
-    if config.preset == SITE and cluster is not None:
-        raise InputError("a site is rendered on this machine alone: leave --cluster out")
-    base, report = _base(config, out)
+    base, report = base_place(config, out)
     worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
     # All flights are planned before anything is rendered, because one may be impossible.
@@ -111,8 +103,7 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
     unfinished.begin()
     if report is not None:
-        save_surveyed(out / PLACE, base)
-        write_json(out / REPORT, report)
+        keep_site(out, base, report)
     with _renderer(jobs, cluster) as renderer:
         for name, session, flight in zip(names, config.sessions, planned, strict=True):
             _make_session(out, name, session, config, flight, renderer)
@@ -125,15 +116,6 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     scene = finish_scene(out, scene.manifest.model_copy(update=pixels))
     unfinished.end()
     return scene
-
-
-def _base(config: SimulateConfig, out: Path) -> tuple[World, SiteReport | None]:
-    """Return the place, and what was found of a site unless its folder holds that already."""
-    if config.site is None:
-        return preset(config.preset)(config.seed, config.area), None
-    if (out / REPORT).is_file():  # written after the place
-        return load_surveyed(out / PLACE, config.seed), None
-    return build_site(config.site, config.area, config.origin, config.seed, out)
 
 
 @contextmanager
@@ -303,8 +285,7 @@ def _make_session(
         shutil.rmtree(rendered, ignore_errors=True)  # left by a run that was killed
         return
     poses = planned.poses
-    prepared = None if config.site is None else (out / PLACE).resolve()
-    job = render_job(config, session, poses, planned.first_new_id, prepared)
+    job = render_job(config, session, poses, planned.first_new_id, site_file(config, out))
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)

@@ -19,6 +19,38 @@ app = typer.Typer(rich_markup_mode=None)
 Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)]
 
 
+SiteScene = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        metavar="SCENE",
+        help="Scene with depth, exact or from dense, that the preset site is made of.",
+    ),
+]
+SiteOrthophoto = Annotated[
+    Path | None,
+    typer.Option(metavar="TIF", help="Orthophoto that the preset site is made of, with --dsm."),
+]
+SiteSurface = Annotated[
+    Path | None, typer.Option(metavar="TIF", help="Surface model of the preset site.")
+]
+SiteClasses = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="TIF",
+        help="Classes of the surface of the preset site; by default they are found.",
+    ),
+]
+SiteTime = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME",
+        help="When the photographs of the preset site were taken, such as 2026-07-01T10:30:00Z: "
+        "shadows in them are softened. By default the time of --from.",
+    ),
+]
+
+
 @app.command()
 @options_of(
     SimulateConfig,
@@ -45,36 +77,11 @@ def simulate(
             "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
         ),
     ] = None,
-    from_scene: Annotated[
-        Path | None,
-        typer.Option(
-            "--from",
-            metavar="SCENE",
-            help="Scene with depth, exact or from dense, that the preset site is made of.",
-        ),
-    ] = None,
-    ortho: Annotated[
-        Path | None,
-        typer.Option(metavar="TIF", help="Orthophoto that the preset site is made of, with --dsm."),
-    ] = None,
-    dsm: Annotated[
-        Path | None, typer.Option(metavar="TIF", help="Surface model of the preset site.")
-    ] = None,
-    classes: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="TIF",
-            help="Classes of the surface of the preset site; by default they are found.",
-        ),
-    ] = None,
-    taken: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME",
-            help="When the photographs of the preset site were taken, such as "
-            "2026-07-01T10:30:00Z: shadows in them are softened. By default the time of --from.",
-        ),
-    ] = None,
+    from_scene: SiteScene = None,
+    ortho: SiteOrthophoto = None,
+    dsm: SiteSurface = None,
+    classes: SiteClasses = None,
+    taken: SiteTime = None,
     config: Annotated[
         Path | None,
         typer.Option(

@@ -154,7 +154,7 @@ def test_an_interrupted_twin_goes_on_from_its_own_place(
     (out / "scene.json").unlink()
     (out / ".objconnect-config.json").write_text(made.model_dump_json())
     shutil.rmtree(out / "sessions" / "again")
-    monkeypatch.setattr("simulate.command.build_site", None)
+    monkeypatch.setattr("simulate.base_place.build_site", None)
     again = simulate(made, out)
     assert again.manifest.pixels_sha256 == twin.manifest.pixels_sha256
 
