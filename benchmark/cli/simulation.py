@@ -19,6 +19,17 @@ app = typer.Typer(rich_markup_mode=None)
 Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)]
 
 
+Sessions = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
+        help="A flight under a condition, such as winter-dusk:oblique; repeat the option for "
+        "several. FLIGHT is nadir, grid, oblique, corridor, free, street or plan=FILE (a plan "
+        "of QGroundControl). ROLE is map or query; by default the first flight builds the map "
+        "and the others are queries. CHANGE says what has changed since the place was built, "
+        "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
+    ),
+]
 SiteScene = Annotated[
     Path | None,
     typer.Option(
@@ -66,17 +77,7 @@ SiteTime = Annotated[
 def simulate(
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
     settings: dict[str, Any],
-    session: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
-            help="A flight under a condition, such as winter-dusk:oblique; repeat the option for "
-            "several. FLIGHT is nadir, grid, oblique, corridor, free, street or plan=FILE (a plan "
-            "of QGroundControl). ROLE is map or query; by default the first flight builds the map "
-            "and the others are queries. CHANGE says what has changed since the place was built, "
-            "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
-        ),
-    ] = None,
+    session: Sessions = None,
     from_scene: SiteScene = None,
     ortho: SiteOrthophoto = None,
     dsm: SiteSurface = None,
