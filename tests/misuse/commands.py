@@ -421,6 +421,15 @@ COMMANDS: dict[str, Row] = {
         },
         work=("simulate.command.render",),
     ),
+    "simulate:from": Row(
+        {
+            **dict.fromkeys((*SIMULATED, *SITE), FLAG),
+            "out": out_folder("out", "*").sound(),
+            "preset": values("site"),
+            "from_scene": folder("hamlet", MANIFEST),
+        },
+        work=("simulate.command.base_place",),
+    ),
     "simulate:plan": Row(
         {
             "out": out_folder("out", "*").sound(),
