@@ -43,6 +43,7 @@ from scene.storage.images import Exif, write_jpeg
 from scene.storage.locks import write_lock
 from scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
+from simulate.base_place import base_place, check_site, keep_site, site_file
 from simulate.camera.lens import rendered_through
 from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
@@ -50,7 +51,6 @@ from simulate.flight.clearance import check_flight
 from simulate.flight.gimbal import velocities
 from simulate.look.conditions import condition
 from simulate.place.change import ChangedWorld, changed_worlds, every_object
-from simulate.place.presets import preset
 from simulate.place.world import World, WorldObject
 from simulate.planner import plan_session
 from simulate.render.disk import bytes_needed, require_space
@@ -80,6 +80,7 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
         InputError: ``out`` holds something else, cannot be written or is written by another run,
             rendering failed, or there is no such cluster.
     """
+    check_site(config, out, cluster)
     with write_lock(out):
         return _simulate(config, out, jobs, cluster)
 
@@ -89,7 +90,7 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     finished = finished_scene(out, config)
     if finished is not None:
         return finished
-    base = preset(config.preset)(config.seed, config.area)
+    base, report = base_place(config, out)
     worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
     # All flights are planned before anything is rendered, because one may be impossible.
@@ -101,9 +102,11 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
     pixels_per_frame = max(camera.width * camera.height for camera in cameras)
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
     unfinished.begin()
+    if report is not None:
+        keep_site(out, base, report)
     with _renderer(jobs, cluster) as renderer:
         for name, session, flight in zip(names, config.sessions, planned, strict=True):
-            _make_session(out / "sessions", name, session, config, flight, renderer)
+            _make_session(out, name, session, config, flight, renderer)
     write_json(out / "objects.json", _objects(base, every_object(base, worlds)))
     write_json(out / "splits.json", _splits(out, config))
     scene = Scene(out, _manifest(config, worlds))
@@ -175,6 +178,8 @@ def finished_scene(out: Path, config: SimulateConfig) -> Scene | None:
 
 def _plain(config: SimulateConfig) -> dict[str, Any]:
     plain: dict[str, Any] = config.model_dump(mode="json")
+    if config.site is None:
+        del plain["site"]  # scenes of other presets stay what they were
     return plain
 
 
@@ -240,10 +245,11 @@ def render_job(
     session: SessionConfig,
     poses: NDArray[np.float64],
     first_new_id: int = 0,
+    prepared: Path | None = None,
 ) -> RenderJob:
     """Return the render job of a session, whose poses (N, 4, 4) become frames 0 to N - 1.
 
-    ``first_new_id`` is that of the session's changed world.
+    ``first_new_id`` is that of the session's changed world; ``prepared`` is the file of a site.
     """
     pinhole, lens = rendered_through(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
@@ -255,6 +261,7 @@ def render_job(
         origin=config.origin,
         change=session.world_change,
         first_new_id=first_new_id,
+        prepared=prepared,
         camera=pinhole,
         lens=lens,
         samples=config.spp,
@@ -264,7 +271,7 @@ def render_job(
 
 
 def _make_session(
-    root: Path,
+    out: Path,
     name: str,
     session: SessionConfig,
     config: SimulateConfig,
@@ -272,13 +279,13 @@ def _make_session(
     renderer: _Renderer,
 ) -> None:
     """Render and pack a session, unless its ``frames.h5``, which is written last, exists."""
-    folder = root / name
+    folder = out / "sessions" / name
     rendered = folder / _RENDERED
     if (folder / "frames.h5").is_file():
         shutil.rmtree(rendered, ignore_errors=True)  # left by a run that was killed
         return
     poses = planned.poses
-    job = render_job(config, session, poses, planned.first_new_id)
+    job = render_job(config, session, poses, planned.first_new_id, site_file(config, out))
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)

@@ -26,7 +26,8 @@ from simulate.flight.config import (
 from simulate.flight.site import MAX_PHOTOGRAPHS
 from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
-from simulate.place.presets import preset
+from simulate.place.presets import SITE, preset
+from simulate.twin.options import SiteConfig
 
 # The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
@@ -118,11 +119,22 @@ def _usual(preset: str) -> dict[str, Any]:
     }
 
 
+def _of_site(values: dict[str, Any]) -> dict[str, Any]:
+    """Add area and origin of a site that says neither, or one of them."""
+    if values.get("site") is None or {"area", "origin"} <= values.keys():
+        return values
+    from simulate.twin.source import extent  # late, because it loads torch
+
+    site = SiteConfig.model_validate(values["site"])
+    found = extent(site, sized="area" in values)
+    return {"area": found.side_m, "origin": found.origin} | values | {"site": site}
+
+
 class SimulateConfig(Config):
     """A scene: a place, a camera, and flights over it.
 
     The preset street has its own defaults for area, frames and sessions, which are drives with two
-    cameras.
+    cameras. The preset site is a real place, of the files that ``site`` names.
 
     Attributes:
         preset: kind of place, such as town or farmland.
@@ -150,6 +162,7 @@ class SimulateConfig(Config):
         sensor: effects of lens and sensor on the photographs.
         jpeg_quality: quality of the JPEGs.
         origin: geodetic coordinates of the world's origin.
+        site: files of the preset site, from which area and origin follow where they are left out.
     """
 
     preset: str = "town"
@@ -181,18 +194,22 @@ class SimulateConfig(Config):
     sensor: SensorConfig = SensorConfig()
     jpeg_quality: int = Field(95, ge=1, le=100)
     origin: Geodetic = PLACE
+    site: SiteConfig | None = None
 
     @model_validator(mode="before")
     @classmethod
     def _usual_values(cls, values: object) -> object:
         if not isinstance(values, dict) or not isinstance(values.get("preset"), str):
             return values
+        if values["preset"] == SITE:
+            return _of_site(values)
         return _usual(values["preset"]) | values
 
     @field_validator("preset")
     @classmethod
     def _known_preset(cls, name: str) -> str:
-        preset(name)
+        if name != SITE:
+            preset(name)
         return name
 
     @field_validator("sessions", mode="before")
@@ -205,6 +222,14 @@ class SimulateConfig(Config):
             _session_from_words(item, first=k == 0) if isinstance(item, str) else item
             for k, item in enumerate(sessions)
         )
+
+    @model_validator(mode="after")
+    def _site_is_given(self) -> SimulateConfig:
+        if self.preset == SITE and self.site is None:
+            raise ValueError("the preset site needs --from SCENE, or --ortho and --dsm")
+        if self.preset != SITE and self.site is not None:
+            raise ValueError(f"files of a site are for the preset site, not for {self.preset}")
+        return self
 
     @model_validator(mode="after")
     def _map_exists(self) -> SimulateConfig:

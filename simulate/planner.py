@@ -63,7 +63,7 @@ def plan_session(
     flight = session.flight
     site = FlightSite(
         area_m=config.area,
-        ground_height=world.terrain.height,
+        ground_height=world.footing.height,
         camera=camera,
         usual=config.map_plan if session.role == "map" else config.query_plan,
         wind=Wind(config.position_jitter_m, config.attitude_jitter_deg),

@@ -42,6 +42,7 @@ ROOMS = {
     "look": {"place"},
     "flight": {"place"},
     "camera": set(),
+    "twin": {"place", "look"},
     "render": {"place", "look", "camera"},
 }
 # Libraries that one module or room alone may speak to.

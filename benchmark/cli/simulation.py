@@ -12,11 +12,54 @@ from benchmark.cli.options import ClusterAddress, Json, options_of
 from benchmark.cli.output import Summary, emit
 from scene.exports.formats import FORMATS
 from simulate.config import SimulateConfig
-from simulate.place.presets import PRESETS
+from simulate.place.presets import PRESETS, SITE
 
 app = typer.Typer(rich_markup_mode=None)
 
 Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)]
+
+
+Sessions = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
+        help="A flight under a condition, such as winter-dusk:oblique; repeat the option for "
+        "several. FLIGHT is nadir, grid, oblique, corridor, free, street or plan=FILE (a plan "
+        "of QGroundControl). ROLE is map or query; by default the first flight builds the map "
+        "and the others are queries. CHANGE says what has changed since the place was built, "
+        "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
+    ),
+]
+SiteScene = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        metavar="SCENE",
+        help="Scene with depth, exact or from dense, that the preset site is made of.",
+    ),
+]
+SiteOrthophoto = Annotated[
+    Path | None,
+    typer.Option(metavar="TIF", help="Orthophoto that the preset site is made of, with --dsm."),
+]
+SiteSurface = Annotated[
+    Path | None, typer.Option(metavar="TIF", help="Surface model of the preset site.")
+]
+SiteClasses = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="TIF",
+        help="Classes of the surface of the preset site; by default they are found.",
+    ),
+]
+SiteTime = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME",
+        help="When the photographs of the preset site were taken, such as 2026-07-01T10:30:00Z: "
+        "shadows in them are softened. By default the time of --from.",
+    ),
+]
 
 
 @app.command()
@@ -28,23 +71,18 @@ Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)
     "frames",
     "size",
     "spp",
-    metavars={"preset": listed(PRESETS)},
+    metavars={"preset": f"{listed(PRESETS)[:-1]}|{SITE}>"},
 )
 # More than six parameters: each is an option or argument of the command.
 def simulate(
     out: Annotated[Path, typer.Option(metavar="SCENE", help="Folder of the scene.")],
     settings: dict[str, Any],
-    session: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
-            help="A flight under a condition, such as winter-dusk:oblique; repeat the option for "
-            "several. FLIGHT is nadir, grid, oblique, corridor, free, street or plan=FILE (a plan "
-            "of QGroundControl). ROLE is map or query; by default the first flight builds the map "
-            "and the others are queries. CHANGE says what has changed since the place was built, "
-            "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
-        ),
-    ] = None,
+    session: Sessions = None,
+    from_scene: SiteScene = None,
+    ortho: SiteOrthophoto = None,
+    dsm: SiteSurface = None,
+    classes: SiteClasses = None,
+    taken: SiteTime = None,
     config: Annotated[
         Path | None,
         typer.Option(
@@ -72,11 +110,15 @@ def simulate(
     interrupted run goes on where it stopped. Run map on the scene next.
     """
     from mapping.build import build_map as build
+    from scene.bundle.manifest import read_json
     from scene.exports.export import export as write
     from scene.storage.outputs import require_empty
     from simulate.command import simulate as run
+    from simulate.twin.report import REPORT, SiteReport
 
-    wanted = SimulateConfig.load(config, settings | {"sessions": session})
+    site = {"ortho": ortho, "dsm": dsm, "scene": from_scene, "classes": classes, "taken": taken}
+    sited = {f"site.{name}": value for name, value in site.items()}
+    wanted = SimulateConfig.load(config, settings | sited | {"sessions": session})
     target = None if file_format is None else out.with_name(f"{out.name}-{file_format}")
     if target is not None and file_format is not None:
         FORMATS.load(file_format)
@@ -84,6 +126,10 @@ def simulate(
     scene = run(wanted, out, jobs, cluster)
     text = f"{scene.path}: {', '.join(scene.sessions)}"
     values: dict[str, Any] = {"scene": str(scene.path), "sessions": list(scene.sessions)}
+    if wanted.site is not None:
+        report = read_json(out / REPORT, SiteReport, "report of the site")
+        text = "\n".join((text, report.text()))
+        values["site"] = report.model_dump(mode="json")
     if target is not None and file_format is not None:
         if not scene.map_path.is_dir():
             build(out)

@@ -7,6 +7,7 @@ pixel's centre (``AREA_OR_POINT=Point``), which GDAL shifts.
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator
@@ -230,6 +231,8 @@ def _means(pixels: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
 def _opened(path: Path, kind: Kind) -> Iterator[Any]:
     """Open a GeoTIFF; errors of the block are reported like those of opening it."""
     rasterio = import_extra("rasterio", "geo", "a GeoTIFF")
+    # GDAL's warnings about a damaged file would be printed beside our one line.
+    logging.getLogger("rasterio").setLevel(logging.ERROR)
     require_readable(path, kind)
     try:
         # GDAL would read the names of other formats and of networks as well.

@@ -48,12 +48,12 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     rng = np.random.default_rng([seed, 1])
     n = len(ground.labels)
     across = n * ground.texel_m
-    broad = _noise(rng, n, across / 40.0)
-    blotch = 0.6 * _noise(rng, n, across / 9.0) + 0.4 * _noise(rng, n, across / 2.2)
-    grain = 0.4 * _noise(rng, n, across / 1.1) + 0.4 * _noise(rng, n, across / 0.5)
-    grain += 0.4 * _grain(rng, n)
+    broad = noise(rng, n, across / 40.0)
+    blotch = 0.6 * noise(rng, n, across / 9.0) + 0.4 * noise(rng, n, across / 2.2)
+    fine = 0.4 * noise(rng, n, across / 1.1) + 0.4 * noise(rng, n, across / 0.5)
+    fine += 0.4 * grain(rng, n)
     spots = _spots(rng, n, across / 0.5) - _spots(rng, n, across / 0.8)
-    drift = 0.45 * broad + 0.4 * blotch + 0.15 * grain
+    drift = 0.45 * broad + 0.4 * blotch + 0.15 * fine
     tone = ground.tone.astype(np.float32) / 255.0 - 0.5
 
     size = max(CLASSES.values()) + 1
@@ -68,7 +68,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
     labels = ground.labels
     # The second colour of a class appears where the ground is worn, and more in some parcels.
     worn = np.clip(0.5 + 0.55 * broad + 0.35 * blotch + 0.9 * tone, 0, 1)
-    value = 1 + soft[labels] * (0.6 * broad + blotch) + sharp[labels] * grain + 0.22 * tone
+    value = 1 + soft[labels] * (0.6 * broad + blotch) + sharp[labels] * fine + 0.22 * tone
     value *= np.maximum(1 + single[labels] * spots, 0.3)
     value *= 1 - _furrows(ground, tone)
     albedo = colour[labels]
@@ -86,7 +86,7 @@ def bake(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
         cover = np.clip(kept * condition.season.snow * 4.2 - 1.4 + 1.5 * drift, 0, 1)
         white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
         albedo += (0.93 * cover)[..., None] * (white - albedo)
-    return _srgb(albedo)
+    return srgb(albedo)
 
 
 def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]:
@@ -100,14 +100,14 @@ def mirror(ground: Ground, condition: Condition, seed: int) -> NDArray[np.uint8]
         return standing
     rng = np.random.default_rng([seed, 2])
     across = n * ground.texel_m
-    hollows = 0.6 * _noise(rng, n, across / 7.0) + 0.4 * _noise(rng, n, across / 2.0)
+    hollows = 0.6 * noise(rng, n, across / 7.0) + 0.4 * noise(rng, n, across / 2.0)
     puddles = np.clip((hollows - 0.35) / 0.08, 0, 1)
     sealed = np.isin(ground.labels, [CLASSES[c] for c in _SEALED])
     film = sealed * condition.weather.wet * (0.25 + 0.75 * puddles)
     return np.maximum(standing, np.asarray(255 * film, np.uint8))
 
 
-def _noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
+def noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
     """Return smooth noise (n, n): mean 0, standard deviation about 0.5, ``cells`` cells a side."""
     m = int(np.clip(round(cells), 2, n)) + 3
     coarse = rng.standard_normal((m, m), np.float32)
@@ -117,10 +117,10 @@ def _noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32
 
 def _spots(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
     """Return bumps (n, n) about 1 high in a tenth of ``cells``^2 cells, and 0 elsewhere."""
-    return np.asarray(np.clip(2.5 * _noise(rng, n, cells) - 1.2, 0, 1.5))
+    return np.asarray(np.clip(2.5 * noise(rng, n, cells) - 1.2, 0, 1.5))
 
 
-def _grain(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
+def grain(rng: np.random.Generator, n: int) -> NDArray[np.float32]:
     """Return white noise (n, n), tiled from a patch. The period is not visible at this scale."""
     tile = rng.standard_normal((509, 509), np.float32) * np.float32(0.5)
     repeat = -(-n // 509)
@@ -200,7 +200,7 @@ def _marking_mask(ground: Ground) -> NDArray[np.float32]:
     return mask.astype(np.float32) / 255.0
 
 
-def _srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+def srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Convert linear values 0..1 of any shape to sRGB bytes by a table, which is fast."""
     x = np.arange(4096, dtype=np.float64) / 4095.0
     curve = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)

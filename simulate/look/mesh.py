@@ -48,6 +48,26 @@ class Mesh:
         scale = 1.0 / np.maximum(high - low, 1e-6)
         return self.scaled(scale, -0.5 * (low + high) * scale)
 
+    def triangulated(self) -> Mesh:
+        """Return the mesh with each quad cut into two triangles, from its first to its third
+        corner.
+
+        Raises:
+            ValueError: a polygon has not four corners.
+        """
+        if (self.sizes != 4).any():
+            raise ValueError("only quads can be cut into two triangles")
+        order = np.array([0, 1, 2, 0, 2, 3])
+        return Mesh(
+            vertices=self.vertices,
+            corners=self.corners.reshape(-1, 4)[:, order].ravel(),
+            sizes=np.full(2 * len(self.sizes), 3, np.int32),
+            uv=self.uv.reshape(-1, 4, 2)[:, order].reshape(-1, 2),
+            tint=np.repeat(self.tint, 2, axis=0),
+            material=np.repeat(self.material, 2),
+            materials=self.materials,
+        )
+
 
 class MeshBuilder:
     """Collects polygons and makes a ``Mesh`` of them."""

@@ -30,18 +30,25 @@ def ground_mesh(world: World, light: Condition) -> Mesh:
     axis = np.concatenate([-outside[::-1], np.linspace(-half, half, count), outside])
     x, y = np.meshgrid(axis, axis)
     beyond = np.maximum(np.maximum(np.abs(x), np.abs(y)) - half, 0.0)
-    z = world.terrain.height(x, y) * np.exp(-((beyond / 150.0) ** 2)) + _hills(x, y, beyond)
+    surface = world.terrain.height(x, y)
+    if world.bare is not None:  # what stands on a surveyed place is not repeated around it
+        surface = np.where(beyond > 0, world.bare.height(x, y), surface)
+    fade = np.exp(-((beyond / 150.0) ** 2))
+    z = world.level_m + (surface - world.level_m) * fade + _hills(x, y, beyond)
     mesh = grid_mesh(axis, axis, z, "ground")
-    mesh.uv[:] = mesh.uv / world.area_m + 0.5  # the image covers the area once
+    side_m = world.area_m + 2 * world.margin_m
+    mesh.uv[:] = mesh.uv / side_m + 0.5  # the image covers the area once
 
     middle = mesh.vertices[mesh.corners.reshape(-1, 4)].mean(1)
     country = np.abs(middle[:, :2]).max(1) > half + MIRRORED_M
     tint = mesh.tint.copy()
     away = np.abs(middle[country, :2]).max(1) - half
     tint[country] = _country(middle[country].astype(float), away.astype(float), light)
-    return replace(
+    mesh = replace(
         mesh, tint=tint, material=country.astype(np.int32), materials=("ground", "plain")
     )
+    # Walls of a surface model would be quads that are far from flat.
+    return mesh if world.imagery is None else mesh.triangulated()
 
 
 def kerbs_mesh(world: World) -> Mesh | None:

@@ -1,8 +1,9 @@
-"""The presets: kinds of places that can be built, by name."""
+"""The presets: kinds of places that can be built, by name, and the one that is surveyed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from scene.registry import Lazy, Registry
@@ -32,14 +33,25 @@ PRESETS: Final[Registry[Plan]] = Registry(
     accepts=_is_plan,
 )
 
+SITE: Final = "site"
+"""The preset of a user's own place, which is no plan: it is read from a file (``surveyed``)."""
 
-def preset(name: str) -> Callable[[int, float], World]:
+
+def preset(name: str, prepared: Path | None = None) -> Callable[[int, float], World]:
     """Return the function that builds a World from a seed and a side in metres.
 
     ``simulate.place.plan.Plan.build`` describes it. A package adds a preset by an entry point of
     the group ``objconnect.presets``: a ``simulate.place.plan.Plan``.
 
+    Args:
+        name: Name of a preset.
+        prepared: File of a surveyed place, for the preset ``SITE`` alone.
+
     Raises:
         InputError: there is no such preset, or a package's cannot be loaded.
     """
+    if name == SITE and prepared is not None:
+        from simulate.place.surveyed import load_surveyed
+
+        return lambda seed, _area_m: load_surveyed(prepared, seed)
     return PRESETS.load(name).build

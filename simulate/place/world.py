@@ -154,6 +154,21 @@ class Facade(IntEnum):
     SHOPS_WHITE_STONE = 10
 
 
+@dataclass(frozen=True)
+class Imagery:
+    """The look of a surveyed place from above, on the raster of its ``Ground``.
+
+    Attributes:
+        albedo: Albedo (n, n, 3) uint8, coded as sRGB, in the season of the orthophoto.
+        snow: Share of the snow that stays by class, slope and shelter, (n, n) uint8 of 255.
+        season: Name of the season that it shows.
+    """
+
+    albedo: NDArray[np.uint8]
+    snow: NDArray[np.uint8]
+    season: str
+
+
 Roof = Literal["gable", "hip", "flat"]
 Roofing = Literal["tile", "slate", "metal", "flat"]
 
@@ -215,7 +230,14 @@ class WorldObject:
 class World:
     """A place: `area_m` metres a side, centred on the origin, east-north-up, Z up.
 
-    Its surroundings do not overlap and cover the place, or there are none.
+    Its surroundings do not overlap and cover the place, or there are none. The last four belong to
+    surveyed places, whose terrain is the surface with all that stands on it.
+
+    Attributes:
+        imagery: What a surveyed place looks like.
+        bare: Its ground without what stands on it, from which altitudes of flights count.
+        margin_m: Width of the strip around the place that terrain and ground cover, too, metres.
+        level_m: Height of the country around, metres.
     """
 
     seed: int
@@ -226,6 +248,15 @@ class World:
     objects: tuple[WorldObject, ...]
     kerbs: tuple[Kerb, ...] = ()
     surroundings: tuple[Surroundings, ...] = ()
+    imagery: Imagery | None = None
+    bare: Heightfield | None = None
+    margin_m: float = 0.0
+    level_m: float = 0.0
+
+    @property
+    def footing(self) -> Heightfield:
+        """Return the ground from which altitudes of flights count."""
+        return self.terrain if self.bare is None else self.bare
 
 
 def polyline_points(

@@ -29,6 +29,7 @@ from simulate.look.materials import build_materials
 from simulate.look.mesh import Mesh
 from simulate.look.plants import fence_mesh, hedge_mesh
 from simulate.look.props import shape_mesh
+from simulate.look.surveyed import bake_surveyed, mirror_surveyed
 from simulate.look.terrain import ground_mesh, kerbs_mesh
 from simulate.look.wires import wire_mesh
 from simulate.place.change import changed_world
@@ -61,7 +62,7 @@ def main(chunk_path: str) -> None:
     if job.board is not None:
         _build_board(job.board)
     else:
-        base = preset(job.preset)(job.seed, job.area_m)
+        base = preset(job.preset, job.prepared)(job.seed, job.area_m)
         world = changed_world(base, job.change, job.first_new_id).world
         light = condition(job.condition, job.origin)
         _build_scene(world, light)
@@ -116,8 +117,11 @@ def _claim_stdout() -> TextIO:
 def _build_scene(world: World, light: Condition) -> None:
     """Add the world under a condition to an empty Blender file."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    albedo = ground.bake(world.ground, light, world.seed)
-    mirror = ground.mirror(world.ground, light, world.seed)
+    if world.imagery is None:
+        albedo = ground.bake(world.ground, light, world.seed)
+        mirror = ground.mirror(world.ground, light, world.seed)
+    else:
+        albedo, mirror = bake_surveyed(world, light), mirror_surveyed(world, light)
     materials = build_materials(bpy.data, light, albedo, mirror)
     # Meshes come first, because adding a material to a mesh takes time for every existing object.
     surfaces = [

@@ -33,6 +33,7 @@ class RenderJob(BaseModel):
     - ``samples`` is the number of paths per pixel before denoising.
     - ``origin`` is the geodetic origin, from which the position of the sun follows.
     - ``change`` and ``first_new_id`` make the world, as ``simulate.place.change.changed_world``.
+    - ``prepared`` is the file of a surveyed place, which is read instead of built.
     - ``lens`` is the camera of the photographs as ``str(scene.geometry.camera.Camera)``, when it is
       not the pinhole ``camera``, which then covers its view.
     - ``travel`` is how far the camera of a frame moves, in world metres, while its rows are read
@@ -48,6 +49,7 @@ class RenderJob(BaseModel):
     origin: Geodetic = PLACE
     change: Change = Change()
     first_new_id: int = Field(default=0, ge=0)
+    prepared: Path | None = None
     camera: PinholeCamera
     lens: str | None = None
     board: Board | None = None

@@ -76,7 +76,7 @@ def rendering(
     process finishes frames in the order of their numbers.
     """
     condition(job.condition, job.origin)
-    preset(job.preset)
+    preset(job.preset, job.prepared)
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
     if not missing:

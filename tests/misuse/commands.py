@@ -93,6 +93,20 @@ ORTHOPHOTO: dict[str, Argument] = {
     "tilt": real("20", "0"),
 }
 
+SIMULATED = (
+    *("out", "preset", "seed", "config", "area", "session", "frames", "size", "spp", "jobs"),
+    *("cluster", "file_format", "as_json"),
+)
+SITE: dict[str, Argument] = {
+    "from_scene": FLAG,
+    "ortho": file("site/ortho.tif", "bytes"),
+    "dsm": file("site/dsm.tif", "bytes"),
+    "classes": file("site/classes.tif", "bytes"),
+    "taken": values(
+        "2026-07-01T10:30:00Z", "", "noon", "2026-07-01T10:30:00", "2026-13-01T10:30:00Z"
+    ),
+}
+
 # What results say of themselves that no figure follows from.
 RETOLD = ("sift.json:no_schema", "sift.json:name_is_path")
 
@@ -390,8 +404,31 @@ COMMANDS: dict[str, Row] = {
             "cluster": CLUSTER,
             "file_format": choice("tum"),
             "as_json": FLAG,
+            **dict.fromkeys(SITE, FLAG),
         },
         work=("simulate.command.render",),
+    ),
+    "simulate:site": Row(
+        {
+            **dict.fromkeys(SIMULATED, FLAG),
+            **SITE,
+            "out": out_folder("out", "*").sound(),
+            "preset": values("site"),
+            "area": values("120", "2000"),
+            "size": integer("64").sound(),
+            "spp": integer("1").sound(),
+            "frames": integer("2").sound(),
+        },
+        work=("simulate.command.render",),
+    ),
+    "simulate:from": Row(
+        {
+            **dict.fromkeys((*SIMULATED, *SITE), FLAG),
+            "out": out_folder("out", "*").sound(),
+            "preset": values("site"),
+            "from_scene": folder("hamlet", MANIFEST),
+        },
+        work=("simulate.command.base_place",),
     ),
     "simulate:plan": Row(
         {
@@ -410,6 +447,7 @@ COMMANDS: dict[str, Row] = {
             "cluster": FLAG,
             "file_format": FLAG,
             "as_json": FLAG,
+            **dict.fromkeys(SITE, FLAG),
         },
         work=("simulate.command.render",),
     ),

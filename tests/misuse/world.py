@@ -9,8 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import rasterio
 import torch
 from PIL import Image
+from rasterio.transform import from_origin
 
 from baselines.checkpoint import write_weights
 from baselines.training.config import TrainConfig
@@ -24,6 +26,8 @@ from scene.bundle.manifest import Objects, SceneObject, write_json
 from scene.bundle.scene import Scene, finish_scene
 from scene.bundle.supplement import AddedPoint, Supplement
 from scene.config import load_config
+from scene.geo.crs import Projection
+from scene.geo.rasters import Grid, Patch, raster_writer
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from scene.maps.features import Features, write_features
@@ -59,6 +63,7 @@ def make(root: Path) -> None:
     _cmu(root)
     (root / "rasters").mkdir()
     READERS["rasters"].make(root / "rasters")
+    _site(root / "site")
     _tables(root / "tables")
     _configs(root / "configs")
     _masks(root / "masks", Scene.open(root / "hamlet").sparse_map().names)
@@ -147,6 +152,23 @@ def _photographs(folder: Path) -> None:
         write_photograph(
             folder / f"p{k}.jpg", noise, Exif(position, time=TAKEN, focal_35mm=30.0), 90
         )
+
+
+def _site(folder: Path) -> None:
+    """An orthophoto, a surface model and classes of a place that is just large enough."""
+    folder.mkdir()
+    grid = Grid(Projection("EPSG:32632"), 424_000.0, 5_205_650.0, (2.0, 2.0), 66, 66)
+    grey = np.random.default_rng(0).uniform(60, 62, (3, 66, 66)).astype(np.float32)
+    with raster_writer(folder / "ortho.tif", "orthophoto", grid) as put:
+        put(Patch(grid, grey))
+    with raster_writer(folder / "dsm.tif", "surface model", grid) as put:
+        put(Patch(grid, 340 + grey[:1]))
+    size = {"driver": "GTiff", "count": 1, "dtype": "uint8", "width": 66, "height": 66}
+    place = from_origin(grid.left, grid.top, *grid.pixel)
+    with rasterio.open(
+        folder / "classes.tif", "w", crs="EPSG:32632", transform=place, **size
+    ) as file:
+        file.write(np.full((1, 66, 66), 4, np.uint8))
 
 
 def _tables(folder: Path) -> None:

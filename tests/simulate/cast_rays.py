@@ -25,7 +25,8 @@ PIXELS = 1000
 
 def main(job_path: str, out: str) -> None:
     job = RenderJob.model_validate_json(Path(job_path).read_text())
-    _build_scene(preset(job.preset)(job.seed, job.area_m), condition(job.condition))
+    place = preset(job.preset, job.prepared)(job.seed, job.area_m)
+    _build_scene(place, condition(job.condition))
     graph = bpy.context.evaluated_depsgraph_get()
     rays = pinhole_rays(job.camera) if job.lens is None else _lens_rays(job.lens)
     height, width = rays.shape[:2]

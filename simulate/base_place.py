@@ -1,0 +1,54 @@
+"""The place of a scene before any change: built from its preset, or that of a site."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scene.bundle.manifest import write_json
+from scene.errors import InputError
+from simulate.config import SimulateConfig
+from simulate.place.presets import preset
+from simulate.place.surveyed import load_surveyed, save_surveyed
+from simulate.place.world import World
+from simulate.twin.build import build_site
+from simulate.twin.report import PLACE, REPORT, SiteReport
+
+
+def check_site(config: SimulateConfig, out: Path, cluster: str | None) -> None:
+    """Check that a site can be rendered into a folder; other places always can.
+
+    Raises:
+        InputError: The folder lies in the scene that the site is made of, or a cluster is to
+            render.
+    """
+    if config.site is None:
+        return
+    if cluster is not None:
+        raise InputError("a site is rendered on this machine alone: leave --cluster out")
+    scene = config.site.scene
+    if scene is not None and out.resolve().is_relative_to(scene.resolve()):
+        raise InputError(f"{out} lies in the scene of the site: choose a folder outside it")
+
+
+def base_place(config: SimulateConfig, out: Path) -> tuple[World, SiteReport | None]:
+    """Return the place, and what was found of a site unless its folder holds that already.
+
+    Raises:
+        InputError: The place cannot be built.
+    """
+    if config.site is None:
+        return preset(config.preset)(config.seed, config.area), None
+    if (out / REPORT).is_file():  # written after the place
+        return load_surveyed(out / PLACE, config.seed), None
+    return build_site(config.site, config.area, config.origin, config.seed, out)
+
+
+def keep_site(out: Path, place: World, report: SiteReport) -> None:
+    """Write a site's place and what was found of it into the folder of the scene."""
+    save_surveyed(out / PLACE, place)
+    write_json(out / REPORT, report)
+
+
+def site_file(config: SimulateConfig, out: Path) -> Path | None:
+    """Return the file that rendering processes read the place of a site from, else None."""
+    return None if config.site is None else (out / PLACE).resolve()

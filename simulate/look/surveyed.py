@@ -1,0 +1,107 @@
+"""The albedo image of a surveyed place under a condition: its orthophoto in another season."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.bundle.labels import CLASSES
+from simulate.look.conditions import SEASONS, Condition, Season
+from simulate.look.ground import grain, noise, srgb
+from simulate.place.world import World
+
+Float = NDArray[np.float32]
+
+_SEALED = ("pavement",)
+_WET_DARKENING: dict[str, float] = {"pavement": 0.5, "grass": 0.4, "building": 0.35, "tree": 0.25}
+_SNOW_RGB = np.array([0.74, 0.77, 0.82], np.float32)
+_OPAQUE, _ON_CROWNS = 0.93, 0.75  # share of a surface that deep snow hides
+_STRIP = 1024  # rows that are painted at once
+_LINEAR = np.where(
+    np.arange(256) <= 10,
+    np.arange(256) / 255 / 12.92,
+    ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4,
+).astype(np.float32)
+
+
+def bake_surveyed(world: World, condition: Condition) -> NDArray[np.uint8]:
+    """Return the albedo (n, n, 3) uint8 sRGB of a surveyed place; row 0 is south.
+
+    Vegetation and ground get the colours of the season by the ratio to those of the season that
+    the orthophoto shows, so that what it shows in detail remains. Crowns that lose their leaves are
+    coloured like twigs and litter; their shape stays.
+    """
+    imagery = world.imagery
+    assert imagery is not None
+    labels, n = world.ground.labels, len(world.ground.labels)
+    ratio = _ratios(SEASONS.load(imagery.season), condition.season)
+    ratio *= (1 - condition.weather.wet * _table(_WET_DARKENING))[:, None]
+    drift = _drift(world, n) if condition.season.snow > 0 else None
+    out = np.empty((n, n, 3), np.uint8)
+    for first in range(0, n, _STRIP):
+        rows = slice(first, first + _STRIP)
+        albedo = _LINEAR[imagery.albedo[rows]] * ratio[labels[rows]]
+        if drift is not None:
+            _lay_snow(albedo, labels[rows], imagery.snow[rows], drift[rows], condition.season.snow)
+        out[rows] = srgb(albedo)
+    return out
+
+
+def mirror_surveyed(world: World, condition: Condition) -> NDArray[np.uint8]:
+    """Return how much a surveyed place reflects like a mirror, (n, n) uint8 from 0 to 255."""
+    labels = world.ground.labels
+    standing = np.where(labels == CLASSES["water"], 255, 0).astype(np.uint8)
+    if condition.weather.wet == 0:
+        return standing
+    rng = np.random.default_rng([world.seed, 2])
+    across = len(labels) * world.ground.texel_m
+    hollows = noise(rng, len(labels), across / 4.0)
+    puddles = np.clip((hollows - 0.5) / 0.1, 0, 1)
+    sealed = np.isin(labels, [CLASSES[name] for name in _SEALED])
+    film = sealed * condition.weather.wet * (0.15 + 0.6 * puddles)
+    return np.maximum(standing, np.asarray(255 * film, np.uint8))
+
+
+def _drift(world: World, n: int) -> Float:
+    """Return how unevenly snow lies, (n, n): mean 0."""
+    rng = np.random.default_rng([world.seed, 1])
+    across = n * world.ground.texel_m
+    broad = noise(rng, n, across / 40.0)
+    blotch = 0.6 * noise(rng, n, across / 9.0) + 0.4 * noise(rng, n, across / 2.2)
+    return np.asarray(0.45 * broad + 0.4 * blotch + 0.06 * grain(rng, n), np.float32)
+
+
+def _lay_snow(
+    albedo: Float,
+    labels: NDArray[np.uint8],
+    kept: NDArray[np.uint8],
+    drift: Float,
+    amount: float,
+) -> None:
+    """Cover the albedo (h, n, 3) of some rows, as ``simulate.look.ground.bake`` covers ground."""
+    cover = np.clip(kept * np.float32(amount * 4.2 / 255) - 1.4 + 1.5 * drift, 0, 1)
+    cover *= np.where(labels == CLASSES["tree"], np.float32(_ON_CROWNS), np.float32(1))
+    white = _SNOW_RGB * (1 + 0.07 * drift)[..., None]
+    albedo += (_OPAQUE * cover)[..., None] * (white - albedo)
+
+
+def _table(values: dict[str, float]) -> Float:
+    """Return a table by label; labels without a value have 0."""
+    table = np.zeros(max(CLASSES.values()) + 1, np.float32)
+    for name, value in values.items():
+        table[CLASSES[name]] = value
+    return table
+
+
+def _ratios(shown: Season, wanted: Season) -> Float:
+    """Return by label the factor (labels, 3) from the colours of one season to another's."""
+    table = np.ones((max(CLASSES.values()) + 1, 3), np.float32)
+    for name in ("grass", "pavement"):
+        before, after = (np.mean(season.ground[name], axis=0) for season in (shown, wanted))
+        table[CLASSES[name]] = after / before
+    table[CLASSES["tree"]] = _foliage(wanted) / _foliage(shown)
+    return table
+
+
+def _foliage(season: Season) -> NDArray[np.float64]:
+    return np.asarray(0.6 * np.array(season.leaf) + 0.4 * np.array(season.leaf_tip))

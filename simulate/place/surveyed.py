@@ -1,0 +1,75 @@
+"""Surveyed places on disk: what the rendering processes read instead of building a place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.errors import InputError
+from scene.storage.atomic import atomic_write
+from simulate.place.world import Ground, Heightfield, Imagery, World
+
+_GREY: Final = 128  # tone of ground cover that has no parcels
+
+
+def surveyed_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:
+    """Return the ground cover of a surveyed place from its labels (n, n) uint8."""
+    tone = np.broadcast_to(np.uint8(_GREY), labels.shape)
+    return Ground(texel_m, labels, tone, ())
+
+
+def save_surveyed(path: Path, world: World) -> None:
+    """Write a surveyed place, whole or not at all.
+
+    Raises:
+        WriteError: The file cannot be written.
+    """
+    assert world.imagery is not None and world.bare is not None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(
+            file,
+            area_m=world.area_m,
+            margin_m=world.margin_m,
+            level_m=world.level_m,
+            spacing_m=world.terrain.spacing_m,
+            surface=world.terrain.nodes.astype(np.float32),
+            bare=world.bare.nodes.astype(np.float32),
+            texel_m=world.ground.texel_m,
+            labels=world.ground.labels,
+            albedo=world.imagery.albedo,
+            snow=world.imagery.snow,
+            season=world.imagery.season,
+        )
+
+
+def load_surveyed(path: Path, seed: int) -> World:
+    """Read a surveyed place. The seed decides how snow and puddles lie.
+
+    Raises:
+        InputError: The file is missing or damaged.
+    """
+    try:
+        with np.load(path) as file:
+            spacing_m = float(file["spacing_m"])
+            return World(
+                seed=seed,
+                area_m=float(file["area_m"]),
+                terrain=Heightfield(file["surface"].astype(float), spacing_m),
+                roads=(),
+                ground=surveyed_ground(file["labels"], float(file["texel_m"])),
+                objects=(),
+                imagery=Imagery(file["albedo"], file["snow"], str(file["season"])),
+                bare=Heightfield(file["bare"].astype(float), spacing_m),
+                margin_m=float(file["margin_m"]),
+                level_m=float(file["level_m"]),
+            )
+    except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
+        raise InputError(
+            f"surveyed place {path} is missing or damaged ({error}): remove the scene and make it "
+            "again"
+        ) from None

@@ -1,0 +1,239 @@
+"""A surveyed place from its rasters: surface, ground, classes, albedo, and where snow can lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.errors import InputError
+from scene.geo.rasters import Raster
+from scene.geometry.geodesy import Geodetic
+from simulate.look.conditions import condition
+from simulate.look.ground import srgb
+from simulate.look.sun import sun_position
+from simulate.place.surveyed import surveyed_ground
+from simulate.place.world import MIRRORED_M, Heightfield, Imagery, World
+from simulate.twin.albedo import even_walls, reflectance, soften_shadows
+from simulate.twin.classes import CROWN, LOW, NAMES, PAVED, ROOF, WATER, classify, from_mask
+from simulate.twin.options import SiteConfig, digests
+from simulate.twin.report import SiteReport
+from simulate.twin.sampling import Cells, colours, heights, known_square, labels
+from simulate.twin.source import Files, opened
+from simulate.twin.terrain import close_holes, ground_below, steepness, sunlit
+
+Float = NDArray[np.float32]
+
+# Level of detail: the larger the place, the coarser are its texture and its surface.
+_MOST_TEXELS, _LEAST_TEXEL_M = 6144, 0.05
+_MOST_NODES, _LEAST_SPACING_M = 1601, 0.2
+_SAID_HOLES = 0.005  # holes of a larger share are told
+_SHELTER_M, _SHELTER_RISE_M = 2.5, 4.0  # how far and how high what keeps snow off stands
+_SHELTERED = 0.4  # share of the snow that a high wall keeps off
+_SNOW_FROM, _SNOW_TO = 0.35, 0.75  # uprightness of normals on which no snow lies, and all
+_ON_TWIGS = 0.55  # share of the snow that lies on the steep sides of crowns
+# Share of the snow that stays by class. Streets are cleared, open ground is not; both are PAVED.
+_KEPT = {LOW: 1.0, PAVED: 0.3, ROOF: 1.0, CROWN: 0.85, WATER: 0.0}
+_STANDS_M, _ON_THINGS = 0.6, 0.9  # cars and other things keep their snow on cleared ground
+_LOWEST_SUN = 3.0  # degrees; with a lower sun, nothing is known of the shade
+
+
+class _Grids(NamedTuple):
+    """The two grids on which a place is known: of the surface's nodes, and of the texture."""
+
+    nodes: Cells
+    texels: Cells
+    margin_m: float
+
+
+def build_site(
+    site: SiteConfig, area_m: float, origin: Geodetic, seed: int, beside: Path
+) -> tuple[World, SiteReport]:
+    """Build the place of a site.
+
+    Args:
+        site: Its files.
+        area_m: Side of the place, metres.
+        origin: Origin of its world, in its middle.
+        seed: Seed of snow and puddles.
+        beside: Folder beside which temporary files are written.
+
+    Raises:
+        InputError: A file cannot be used or has changed, rasters do not overlap, or too much of the
+            place has no data.
+    """
+    if digests(site.model_dump()) != site.sha256:
+        raise InputError("a file of the site is no longer the scene's: restore it")
+    with opened(site, beside) as files:
+        return _build(site, files, area_m, origin, seed)
+
+
+def _build(
+    site: SiteConfig, files: Files, area_m: float, origin: Geodetic, seed: int
+) -> tuple[World, SiteReport]:
+    grids = _grids(files, area_m, origin)
+    surface = heights(files.heights, origin, grids.nodes, site.undulation)
+    rgb = colours(files.colours, origin, grids.texels)
+    holes = _holes(surface, rgb, grids, site.most_holes)
+    surface, _ = close_holes(surface, grids.nodes.spacing_m)
+    rgb, _ = close_holes(rgb, grids.texels.spacing_m)
+    bare = ground_below(surface, grids.nodes.spacing_m)
+    n, texel_m = len(rgb), grids.texels.spacing_m
+    fine = _finer(surface, n)
+    found = classify(rgb, fine, _finer(bare, n), texel_m)
+    if site.classes is not None:
+        mask = labels(Raster.open(site.classes, "orthophoto"), origin, grids.texels)
+        found = from_mask(mask, found)
+    report = SiteReport(
+        texel_m=round(texel_m, 4),
+        spacing_m=round(grids.nodes.spacing_m, 4),
+        margin_m=round(grids.margin_m, 2),
+        holes=round(holes, 4),
+        classes={name: round(float((found == k).mean()), 4) for k, name in NAMES.items()},
+    )
+    albedo, report = _albedo(site, files, origin, (rgb, fine, found), report)
+    lies = _finer(_where_snow_lies(surface, grids.nodes.spacing_m), n)
+    snow = _kept_snow(lies, found, fine - _finer(bare, n))
+    world = World(
+        seed=seed,
+        area_m=float(area_m),
+        terrain=Heightfield(surface.astype(float), grids.nodes.spacing_m),
+        roads=(),
+        ground=surveyed_ground(found, texel_m),
+        objects=(),
+        imagery=Imagery(srgb(albedo), np.rint(255 * snow).astype(np.uint8), site.season),
+        bare=Heightfield(bare.astype(float), grids.nodes.spacing_m),
+        margin_m=grids.margin_m,
+        level_m=float(np.median(bare)),
+    )
+    return world, report.model_copy(update={"notes": _notes(files, report)})
+
+
+def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
+    """Choose the grids of a place and of as much of what is around it as is known."""
+    rasters = (files.colours, files.heights)
+    known_m = known_square(rasters, origin)
+    if known_m <= 0:
+        raise InputError(
+            f"{files.colours.path.name} and {files.heights.path.name} do not both show the origin "
+            f"at latitude {origin.latitude:.5f}, longitude {origin.longitude:.5f}: give others, or "
+            "leave the origin out"
+        )
+    margin_m = float(np.clip(known_m - 0.5 * area_m, 0.0, MIRRORED_M))
+    half_m = 0.5 * area_m + margin_m
+    pixel, step = max(files.colours.grid.pixel), max(files.heights.grid.pixel)
+    texels = round(2 * half_m / max(pixel, _LEAST_TEXEL_M, 2 * half_m / _MOST_TEXELS))
+    nodes = round(2 * half_m / max(step, _LEAST_SPACING_M, 2 * half_m / (_MOST_NODES - 1))) + 1
+    half_texel = half_m / texels
+    height = _level(files.heights, origin)
+    return _Grids(
+        Cells(np.linspace(-half_m, half_m, nodes), height),
+        Cells(np.linspace(-half_m + half_texel, half_m - half_texel, texels), height),
+        margin_m,
+    )
+
+
+def _level(raster: Raster, origin: Geodetic) -> float:
+    """Return the rough height of the surface above the origin, metres; heights are near enough."""
+    box = raster.grid.box
+    coarse = raster.patch(box, max(box.right - box.left, box.top - box.bottom) / 32).values
+    known = coarse[np.isfinite(coarse)]
+    return float(np.median(known)) - origin.altitude if known.size else 0.0
+
+
+def _holes(surface: Float, rgb: Float, grids: _Grids, most: float) -> float:
+    """Return the share of the place itself that has no data.
+
+    Raises:
+        InputError: It is larger than ``most``.
+    """
+    shares = []
+    for values, cells in ((surface, grids.nodes), (rgb[..., 0], grids.texels)):
+        inside = np.abs(cells.axis) <= -cells.axis[0] - grids.margin_m
+        shares.append(float((~np.isfinite(values[np.ix_(inside, inside)])).mean()))
+    if max(shares) > most:
+        what = ("surface model", "orthophoto")[int(np.argmax(shares))]
+        raise InputError(
+            f"{100 * max(shares):.0f} % of the place have no data in the {what}, at most "
+            f"{100 * most:.0f} % can be closed: choose a smaller --area, or photograph more of it"
+        )
+    return max(shares)
+
+
+def _finer(values: Float, n: int) -> Float:
+    """Interpolate values at nodes (m, m) to the texels (n, n) between them."""
+    m = len(values)
+    at = ((np.arange(n, dtype=np.float32) + 0.5) / n * (m - 1)).astype(np.float32)
+    x, y = np.meshgrid(at, at)
+    return np.asarray(cv2.remap(values, x, y, cv2.INTER_LINEAR))
+
+
+def _albedo(
+    site: SiteConfig,
+    files: Files,
+    origin: Geodetic,
+    place: tuple[Float, Float, NDArray[np.uint8]],
+    report: SiteReport,
+) -> tuple[Float, SiteReport]:
+    """Return the albedo of a place of colours, heights and labels, with its shadows softened."""
+    rgb, surface, found = place
+    albedo = reflectance(rgb, condition(f"{site.season}-noon", origin), site.albedo)
+    albedo = even_walls(albedo, steepness(surface, report.texel_m), report.texel_m)
+    if files.taken is None:
+        return albedo, report
+    sun = sun_position(files.taken, origin)
+    if sun.elevation < _LOWEST_SUN:
+        return albedo, report
+    lit = sunlit(surface, report.texel_m, sun.azimuth, sun.elevation)
+    albedo, gain = soften_shadows(albedo, found, lit, report.texel_m)
+    said = {
+        "sun": (round(sun.azimuth, 2), round(sun.elevation, 2)),
+        "shade": round(1 - float(lit.mean()), 4),
+        "gain": round(gain, 3),
+    }
+    return albedo, report.model_copy(update=said)
+
+
+def _where_snow_lies(surface: Float, spacing_m: float) -> Float:
+    """Return the share of the snow that lies at the nodes of a surface, (n, n).
+
+    Nothing lies on walls, and less beside what stands higher.
+    """
+    up = cv2.erode(steepness(surface, spacing_m), np.ones((2, 2), np.uint8))
+    lies = np.clip((up - _SNOW_FROM) / (_SNOW_TO - _SNOW_FROM), 0, 1)
+    side = 2 * max(1, round(_SHELTER_M / spacing_m)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    rise = np.clip((cv2.dilate(surface, disc) - surface) / _SHELTER_RISE_M, 0, 1)
+    return np.asarray(lies * (1 - _SHELTERED * rise), np.float32)
+
+
+def _kept_snow(lies: Float, found: NDArray[np.uint8], above: Float) -> Float:
+    """Return the share of the snow that stays on each texel, (n, n).
+
+    Args:
+        lies: Share by slope and shelter.
+        found: Classes.
+        above: Height above the ground, metres.
+    """
+    kept = np.zeros(max(_KEPT) + 1, np.float32)
+    kept[list(_KEPT)] = list(_KEPT.values())
+    share = kept[found]
+    share[(found == PAVED) & (above > _STANDS_M)] = _ON_THINGS
+    return np.asarray(share * np.where(found == CROWN, np.maximum(lies, _ON_TWIGS), lies))
+
+
+def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:
+    notes = list(files.notes)
+    if report.holes > _SAID_HOLES:
+        notes.append(
+            f"holes: {100 * report.holes:.1f} % of the place had no data and were closed from "
+            "around"
+        )
+    if report.sun is None:
+        notes.append(
+            "shadows of the orthophoto remain: say by --taken when its photographs were taken"
+        )
+    return tuple(notes)

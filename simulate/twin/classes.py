@@ -1,0 +1,136 @@
+"""Classes of a site's surface, from its colours, its height above the ground and its roughness."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.bundle.labels import CLASSES
+from scene.errors import InputError
+
+Float = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Labels = NDArray[np.uint8]
+
+LOW, PAVED, WATER, ROOF, CROWN = (
+    CLASSES[name] for name in ("grass", "pavement", "water", "building", "tree")
+)
+NAMES: Final = {LOW: "low vegetation", PAVED: "ground", WATER: "water", ROOF: "roof", CROWN: "tree"}
+
+_HIGH_M = 1.8  # above the ground: what stands this high is a building or a tree
+_GREEN = 0.035  # excess of green over red and blue, as a share of their sum
+_SCALE_M = 0.6  # colours and heights are compared over this distance
+# A crown deviates from a plane by at least the first (m), and by the second where it is but faintly
+# green, as dry or brown leaves are.
+_PLANE_M, _ROUGH_M, _FAINT = 0.2, 0.5, 0.015
+_LEVEL = 0.06  # slope of water
+_DARK = 0.34  # brightest water, of 1
+_CALM = 0.045  # deviation of the brightness of water
+_LEAST_WATER_M2, _LEAST_M2 = 120.0, 6.0  # smaller patches belong to what is around them
+_NARROWEST_WATER_M = 2.5
+
+
+def classify(rgb: Float, surface: Float, ground: Float, cell_m: float) -> Labels:
+    """Tell water, vegetation, ground, roofs and crowns apart.
+
+    Args:
+        rgb: colours (n, n, 3) in 0..255.
+        surface: heights (n, n), metres.
+        ground: heights of the ground (n, n), metres.
+        cell_m: side of a cell, metres.
+
+    Returns:
+        Labels (n, n) of ``scene.bundle.labels.CLASSES``.
+    """
+    sigma = max(_SCALE_M / cell_m, 0.6)
+    soft = cv2.GaussianBlur(rgb, (0, 0), sigma) / np.float32(255)
+    excess = _excess_green(soft)
+    green = excess > _GREEN
+    above = surface - ground
+    labels = np.where(green, LOW, PAVED).astype(np.uint8)
+    labels[_water(rgb, soft, surface, above, cell_m)] = WATER
+    high = _patches(above > _HIGH_M, _LEAST_M2, cell_m)
+    rough = _roughness(above, high, cell_m)
+    leafy = (green & (rough > _PLANE_M)) | ((excess > _FAINT) & (rough > _ROUGH_M))
+    crown = _majority(leafy, high, cell_m)
+    labels[high] = np.where(crown, CROWN, ROOF)[high]
+    return labels
+
+
+def from_mask(mask: Labels, found: Labels) -> Labels:
+    """Return the classes of a given mask, and those that were found where it is 0.
+
+    Raises:
+        InputError: The mask has other values.
+    """
+    strange = set(np.unique(mask).tolist()) - {0, *NAMES}
+    if strange:
+        raise InputError(
+            f"the mask of classes has the value {min(strange)}: use 1 (low vegetation), 4 "
+            "(ground), 8 (water), 16 (building), 17 (tree), and 0 where it is not known"
+        )
+    return np.where(mask > 0, mask, found).astype(np.uint8)
+
+
+def _excess_green(rgb: Float) -> Float:
+    """Return how far green exceeds the mean of red and blue, as a share of their sum, (n, n)."""
+    red, green, blue = np.moveaxis(rgb, -1, 0)
+    total = np.maximum(red + green + blue, np.float32(0.05))
+    return np.asarray((2 * green - red - blue) / total, np.float32)
+
+
+def _water(rgb: Float, soft: Float, surface: Float, above: Float, cell_m: float) -> Mask:
+    """Return what is dark, calm, level and wide, and not green, (n, n)."""
+    value = rgb.mean(-1) / np.float32(255)
+    sigma = 1.5 / cell_m
+    mean = cv2.GaussianBlur(value, (0, 0), sigma)
+    spread = cv2.GaussianBlur(value * value, (0, 0), sigma) - mean * mean
+    calm = np.sqrt(np.maximum(spread, 0)) < _CALM
+    smooth = cv2.GaussianBlur(surface, (0, 0), sigma)
+    north, east = np.gradient(smooth, cell_m)
+    level = (np.hypot(north, east) < _LEVEL) & (np.abs(surface - smooth) < 0.1)
+    bluish = soft[..., 2] > soft[..., 0] * np.float32(1.06)
+    like = bluish & (value < _DARK) & (above < 0.5)
+    side = 2 * max(1, round(0.5 * _NARROWEST_WATER_M / cell_m)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    sure = (like & calm & level & (mean < _DARK)).astype(np.uint8)
+    wide = _patches(cv2.morphologyEx(sure, cv2.MORPH_OPEN, disc) > 0, _LEAST_WATER_M2, cell_m)
+    # Along the shore it is neither calm nor level within the distance of the comparison.
+    shore = cv2.dilate(wide.astype(np.uint8), disc, iterations=2)
+    return np.asarray(wide | (like & (shore > 0)))
+
+
+def _patches(mask: Mask, least_m2: float, cell_m: float) -> Mask:
+    """Keep the connected patches of at least an area."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    keep = stats[:count, cv2.CC_STAT_AREA] * cell_m**2 >= least_m2
+    keep[0] = False
+    return np.asarray(keep[labels])
+
+
+def _roughness(above: Float, high: Mask, cell_m: float) -> Float:
+    """Return how far heights are from a plane around them, (n, n) metres, 0 outside of ``high``.
+
+    Only heights of ``high`` count, so that the edge of a flat roof is not rough.
+    """
+    weight = high.astype(np.float32)
+    sigma = 1.0 / cell_m
+
+    def mean(values: Float) -> Float:
+        total = cv2.GaussianBlur(values * weight, (0, 0), sigma)
+        return np.asarray(total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3))
+
+    # A plane survives two means: its first differs from it at the edge as much as its second.
+    once = mean(above)
+    return np.asarray(mean(np.abs(above - once)) * weight)
+
+
+def _majority(mask: Mask, among: Mask, cell_m: float) -> Mask:
+    """Return what most of the cells of ``among`` within some metres are, (n, n)."""
+    sigma = 1.2 / cell_m
+    weight = cv2.GaussianBlur(among.astype(np.float32), (0, 0), sigma)
+    share = cv2.GaussianBlur((mask & among).astype(np.float32), (0, 0), sigma)
+    return np.asarray(share > 0.5 * weight)

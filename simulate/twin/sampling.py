@@ -1,0 +1,128 @@
+"""Rasters of a coordinate reference system, sampled on a square grid of the world.
+
+The grid is centred on the world's origin, with rows from south to north. The world is
+east-north-up, so it is turned against the raster by the convergence of the meridians, and the earth
+curves away from its plane (``scene.geo.local``). Between pixels, values are interpolated at steps
+of 1/32 of a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.geo.local import LocalProjection, world_from
+from scene.geo.rasters import Box, Patch, Raster
+from scene.geometry.geodesy import Geodetic
+
+Array = NDArray[np.float64]
+Float = NDArray[np.float32]
+
+_ROWS = 256  # rows of the grid whose places are computed at once
+_MARGIN = 3.0  # pixels of the raster around the grid
+
+
+class Cells(NamedTuple):
+    """The positions along both axes of a square grid in the world, and their height.
+
+    Attributes:
+        axis: positions (n,), metres from the origin.
+        height: rough height of the surface above the origin, metres.
+    """
+
+    axis: Array
+    height: float
+
+    @property
+    def spacing_m(self) -> float:
+        """Return the distance between positions, metres."""
+        return float(self.axis[1] - self.axis[0])
+
+
+def colours(raster: Raster, origin: Geodetic, cells: Cells) -> Float:
+    """Return the colours of an orthophoto at a grid, (n, n, 3) in 0..255, NaN where unknown."""
+    patch, local = _around(raster, origin, cells)
+    bands = np.ascontiguousarray(np.moveaxis(patch.values, 0, -1))
+    parts = [
+        cv2.remap(bands, x, y, cv2.INTER_LINEAR, borderValue=(np.nan,) * 4)
+        for x, y, _ in _places(patch, local, cells)
+    ]
+    found = np.concatenate(parts).reshape(len(cells.axis), len(cells.axis), -1)
+    return np.asarray(np.broadcast_to(found, (*found.shape[:2], 3)), np.float32)
+
+
+def heights(raster: Raster, origin: Geodetic, cells: Cells, undulation: float) -> Float:
+    """Return the world's height of a surface model at a grid, (n, n) metres, NaN where unknown."""
+    patch, local = _around(raster, origin, cells)
+    # Heights far from zero would lose millimetres between float32 numbers.
+    known = np.isfinite(patch.values)
+    zero = float(patch.values[known].mean()) if known.any() else 0.0
+    values = np.ascontiguousarray(patch.values[0] - np.float32(zero))
+    parts = []
+    for x, y, plane in _places(patch, local, cells):
+        above = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderValue=np.nan)
+        parts.append(cells.height + above + (zero + undulation - plane))
+    return np.asarray(np.concatenate(parts), np.float32)
+
+
+def labels(raster: Raster, origin: Geodetic, cells: Cells) -> NDArray[np.uint8]:
+    """Return the values of a mask at a grid, (n, n), those of the nearest pixels; 0 beyond it."""
+    patch, local = _around(raster, origin, cells, means=False)
+    values = np.nan_to_num(patch.values[0])
+    parts = [cv2.remap(values, x, y, cv2.INTER_NEAREST) for x, y, _ in _places(patch, local, cells)]
+    return np.asarray(np.concatenate(parts), np.uint8)
+
+
+def known_square(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
+    """Return the half side, metres, of the largest square around an origin inside two rasters.
+
+    It is not positive where the origin lies outside one of them.
+    """
+    return min(_reach(raster, origin) for raster in rasters)
+
+
+def _reach(raster: Raster, origin: Geodetic) -> float:
+    left, bottom, right, top = raster.grid.box
+    corners = [(left, bottom), (right, bottom), (right, top), (left, top)]
+    height = origin.altitude
+    around = world_from(
+        raster.grid.projection, origin, np.array([(*corner, height) for corner in corners])
+    )[:, :2]
+    side = np.roll(around, -1, axis=0) - around
+    outward = np.stack([side[:, 1], -side[:, 0]], -1)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    # A square of half side h touches a line of normal n at the distance h (|nx| + |ny|).
+    return float(((outward * around).sum(1) / np.abs(outward).sum(1)).min())
+
+
+def _around(
+    raster: Raster, origin: Geodetic, cells: Cells, means: bool = True
+) -> tuple[Patch, LocalProjection]:
+    """Return the pixels of a raster around a grid, and the way from the world to them."""
+    reach = float(cells.axis[-1])
+    corner = np.array([reach, reach, 50.0])
+    middle = np.array([0.0, 0.0, cells.height])
+    projection = raster.grid.projection
+    local = LocalProjection.fit(projection, origin, middle - corner, middle + corner)
+    ends = [(x, y, cells.height) for x in (-reach, reach) for y in (-reach, reach)]
+    at = local.coordinates(np.array(ends))
+    margin = _MARGIN * max(raster.grid.pixel)
+    (left, bottom, _), (right, top, _) = at.min(0) - margin, at.max(0) + margin
+    box = Box(float(left), float(bottom), float(right), float(top))
+    return raster.patch(box, cells.spacing_m if means else 0.0), local
+
+
+def _places(
+    patch: Patch, local: LocalProjection, cells: Cells
+) -> Iterator[tuple[Float, Float, Array]]:
+    """Yield OpenCV's columns and rows of some rows of the grid, and the height of its plane."""
+    for first in range(0, len(cells.axis), _ROWS):
+        east, north = np.meshgrid(cells.axis, cells.axis[first : first + _ROWS])
+        at = local.coordinates(np.stack([east, north, np.full_like(east, cells.height)], -1))
+        column, row = patch.grid.columns_rows(at[..., 0], at[..., 1])
+        # The centre of OpenCV's first pixel is (0, 0).
+        yield (column - 0.5).astype(np.float32), (row - 0.5).astype(np.float32), at[..., 2]

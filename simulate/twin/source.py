@@ -1,0 +1,170 @@
+"""Where a site comes from: two GeoTIFFs, or a scene whose photographs are fused to such files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.bundle.scene import Scene
+from scene.errors import InputError
+from scene.exports import ortho
+from scene.geo.rasters import Raster
+from scene.geometry.geodesy import Geodetic
+from scene.storage.scratch import scratch
+from simulate.twin.options import SiteConfig
+from simulate.twin.sampling import known_square
+
+_FEWEST = 8  # photographs that show a site
+# Photographs lie on one line when they leave it by less than this share of its length.
+_THIN = 0.12
+_COARSE = 64  # cells a side of the surface model whose median is the height of the ground
+_LEAST_M, _MOST_M = 120.0, 2000.0
+
+
+class Files(NamedTuple):
+    """The rasters of a site, the time they show, and what is to be said of them."""
+
+    colours: Raster
+    heights: Raster
+    taken: datetime | None
+    notes: tuple[str, ...]
+
+
+class Extent(NamedTuple):
+    """The origin of a site's world, and the side of the place, metres."""
+
+    origin: Geodetic
+    side_m: float
+
+
+@contextmanager
+def opened(site: SiteConfig, beside: Path) -> Iterator[Files]:
+    """Open the rasters of a site; those of a scene are fused into a temporary folder.
+
+    Raises:
+        InputError: A raster cannot be used, or the scene has too few photographs or no depth.
+    """
+    if site.scene is None:
+        colours, heights = _rasters(site)
+        yield Files(colours, heights, site.taken, ())
+        return
+    scene = Scene.open(site.scene)
+    notes, taken = _surveyed_by(scene)
+    with scratch(beside) as folder:
+        sessions = {name: scene.frames(name) for name in scene.sessions}
+        ortho.write(scene, sessions, folder, folder)
+        colours = Raster.open(folder / ortho.ORTHOPHOTO, "orthophoto")
+        heights = Raster.open(folder / ortho.SURFACE, "surface model")
+        yield Files(colours, heights, site.taken or taken, notes)
+
+
+def extent(site: SiteConfig, sized: bool = False) -> Extent:
+    """Return the origin and the side of a site whose configuration does not give both.
+
+    The world of a scene stays as it is. That of two rasters has its origin on the ground, in the
+    middle of what both cover.
+
+    Args:
+        site: Its files.
+        sized: Whether the configuration gives the side, so that none has to be found.
+
+    Raises:
+        InputError: The rasters cannot be used or do not overlap, or the site is too small.
+    """
+    if site.scene is not None:
+        scene = Scene.open(site.scene)
+        return Extent(scene.manifest.origin, _side(scene))
+    colours, heights = _rasters(site)
+    origin = _middle(colours, heights, site.undulation)
+    side_m = 2 * known_square((colours, heights), origin)
+    if side_m < _LEAST_M and not sized:
+        raise InputError(
+            f"{site.ortho} and {site.dsm} show a square of {max(side_m, 0):.0f} m in common: a "
+            f"place has {_LEAST_M:.0f} m or more"
+        )
+    return Extent(origin, float(min(np.floor(side_m), _MOST_M)))
+
+
+def _rasters(site: SiteConfig) -> tuple[Raster, Raster]:
+    assert site.ortho is not None and site.dsm is not None
+    return Raster.open(site.ortho, "orthophoto"), Raster.open(site.dsm, "surface model")
+
+
+def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
+    """Return the middle of what two rasters cover, on the ground."""
+    box = heights.grid.box
+    step = max(box.right - box.left, box.top - box.bottom) / _COARSE
+    coarse = heights.patch(box, step).values
+    known = coarse[np.isfinite(coarse)]
+    if not known.size:
+        raise InputError(f"surface model {heights.path} has no height")
+    height = float(np.median(known))
+    corners = [(x, y, height) for x in (box.left, box.right) for y in (box.bottom, box.top)]
+    here, there = colours.grid.projection, heights.grid.projection
+    at = np.array([here.from_geodetic(there.to_geodetic(np.array(corner))) for corner in corners])
+    own = colours.grid.box
+    low = np.maximum(at.min(0)[:2], [own.left, own.bottom])
+    high = np.minimum(at.max(0)[:2], [own.right, own.top])
+    if (low >= high).any():
+        raise InputError(f"{colours.path} and {heights.path} do not overlap")
+    middle = here.to_geodetic(np.array([*(low + high) / 2, height]))
+    return middle._replace(altitude=height + undulation)
+
+
+def _centres(scene: Scene) -> NDArray[np.float64]:
+    """Return where the photographs of a scene's map were taken, (N, 3) metres."""
+    mapped = set(scene.splits.map)
+    centres = [np.empty((0, 3))]
+    for session in scene.sessions:
+        frames = scene.frames(session)
+        of_map = [name in mapped for name in frames.names]
+        centres.append(frames.poses.centre().numpy()[of_map])
+    return np.concatenate(centres)
+
+
+def _side(scene: Scene) -> float:
+    """Return the side of the square around the origin that the photographs were taken over."""
+    own = scene.manifest.config.get("area")
+    if isinstance(own, int | float):
+        return float(own)
+    east, north = _centres(scene)[:, :2].T
+    if not len(east):
+        raise InputError(f"no photograph of {scene.path} belongs to its map")
+    half = min(east.max(), -east.min(), north.max(), -north.min())
+    return float(np.clip(np.floor(2 * half), _LEAST_M, _MOST_M))
+
+
+def _surveyed_by(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
+    """Return what is to be said of the photographs of a map, and their mean time.
+
+    Raises:
+        InputError: There are too few.
+    """
+    centres = _centres(scene)
+    if len(centres) < _FEWEST:
+        raise InputError(
+            f"{scene.path} has {len(centres)} photographs in its map, {_FEWEST} are the fewest "
+            "that show a site: photograph more of it"
+        )
+    spread = np.linalg.svd(centres[:, :2] - centres[:, :2].mean(0), compute_uv=False)
+    notes = []
+    if spread[1] < _THIN * spread[0]:
+        notes.append(
+            "thin coverage: the photographs lie along one line, so surfaces beside it are known "
+            "from one side alone"
+        )
+    mapped = set(scene.splits.map)
+    times = [
+        float(time)
+        for session in scene.sessions
+        for name, time in zip(scene.frames(session).names, scene.frames(session).time, strict=True)
+        if name in mapped and np.isfinite(time)
+    ]
+    taken = datetime.fromtimestamp(float(np.median(times)), UTC) if times else None
+    return tuple(notes), taken

@@ -1,0 +1,139 @@
+"""How real a twin is: it is held against the simulated scene that it was made from.
+
+    python -m tests.benchmarks.site cross MAP QUERIES --out OUT  # queries in the map of another
+    python -m tests.benchmarks.site compare REAL TWIN             # colours, classes
+    python -m tests.benchmarks.site strip REAL TWIN --out JPG     # photographs beside each other
+    python -m tests.benchmarks.site classes REAL                  # classes, without a twin
+
+Both scenes have the same sessions and the same world. The folder of ``cross`` is a scene that
+``evaluate`` reads; its photographs are links.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from scene.bundle.manifest import Splits, write_json
+from scene.bundle.scene import Scene, finish_scene
+from scene.storage.images import read_rgb
+from simulate.place.surveyed import load_surveyed
+from simulate.place.world import World
+from simulate.twin.build import build_site
+from simulate.twin.classes import CROWN, LOW, NAMES, PAVED, ROOF, WATER
+from simulate.twin.options import SiteConfig
+from simulate.twin.report import PLACE
+from tests.benchmarks.orthophoto import _link
+
+# What the classes of a simulated place are called in a twin; others are things that stand on it.
+_TRUTH = {
+    LOW: ("grass", "field"),
+    PAVED: ("road", "pavement", "parking", "driveway", "path"),
+    WATER: ("water",),
+    ROOF: ("building",),
+    CROWN: ("tree",),
+}
+_STEP = 4  # every so many rows and columns of a photograph are compared
+_FACES_UP = 30  # of 127: what looks aside is no surface of a model from above
+
+
+def main() -> None:
+    """Run one of the comparisons."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("cross", "compare", "strip", "classes"))
+    parser.add_argument("first", type=Path)
+    parser.add_argument("second", type=Path, nargs="?")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--frame", type=int, default=8)
+    given = parser.parse_args()
+    first = Scene.open(given.first)
+    if given.what == "classes":
+        site = SiteConfig(scene=given.first)
+        area_m = first.manifest.config["area"]
+        world, _ = build_site(site, area_m, first.manifest.origin, 0, Path(tempfile.gettempdir()))
+        compare_classes(first, world)
+        return
+    second = Scene.open(given.second)
+    if given.what == "cross":
+        cross(first, second, given.out)
+    elif given.what == "strip":
+        strip(first, second, given.out, given.frame)
+    else:
+        compare_colours(first, second)
+        compare_classes(first, load_surveyed(second.path / PLACE, 0))
+
+
+def cross(mapped: Scene, queried: Scene, out: Path) -> None:
+    """Make a scene of the map of one scene and the queries of another."""
+    for session in mapped.sessions:
+        owner = queried if session in queried.splits.queries else mapped
+        shutil.copytree(
+            owner.images_root / session, out / "sessions" / session, copy_function=_link
+        )
+    shutil.copytree(mapped.map_path, out / "map", copy_function=_link)
+    shutil.copyfile(mapped.path / "objects.json", out / "objects.json")
+    splits = Splits(map=mapped.splits.map, queries=queried.splits.queries)
+    write_json(out / "splits.json", splits)
+    finish_scene(out, mapped.manifest.model_copy(update={"pixels_sha256": {}}))
+
+
+def compare_colours(real: Scene, twin: Scene) -> None:
+    """Print mean and deviation of the colours of each session."""
+    for session in real.sessions:
+        for name, scene in (("real", real), ("twin", twin)):
+            pixels = _photographs(scene, session)
+            mean, spread = pixels.mean((0, 1, 2)).round(), pixels.std((0, 1, 2)).round()
+            print(f"{session} {name}: mean {mean.tolist()}, deviation {spread.tolist()}")
+
+
+def compare_classes(real: Scene, world: World) -> None:
+    """Print which share of each true class of surfaces that face up is what in the twin."""
+    count = np.zeros((256, 256), np.int64)
+    for session in {name.split("/")[0] for name in real.splits.map}:
+        frames = real.frames(session)
+        with real.dense(session) as dense:
+            for k, camera in enumerate(frames.cameras):
+                rays = camera.unproject(camera.pixel_grid()[::_STEP, ::_STEP])[0].numpy()
+                depth, label, normal = (
+                    dense.read(layer, k)[::_STEP, ::_STEP]
+                    for layer in ("depth", "semantic", "normal")
+                )
+                pose = frames.cam_from_world[k]
+                points = (rays * depth[..., None] - pose[:3, 3]) @ pose[:3, :3]
+                within = (np.abs(points[..., :2]) < 0.5 * world.area_m).all(-1)
+                up = within & (depth > 0) & (normal[..., 2] > _FACES_UP)
+                found = world.ground.label(points[up][:, 0], points[up][:, 1])
+                np.add.at(count, (label[up], found), 1)
+    classes = real.objects.classes
+    for label, names in _TRUTH.items():
+        row = count[[classes[name] for name in names]].sum(0)
+        if row.sum():
+            shares = {NAMES[k]: f"{100 * row[k] / row.sum():.0f} %" for k in NAMES if row[k]}
+            print(f"{NAMES[label]}: {row.sum()} points, {shares}")
+
+
+def strip(real: Scene, twin: Scene, out: Path, frame: int) -> None:
+    """Draw the photographs of one exposure: real and twin in summer, twin and real in winter."""
+    summer, winter = list(real.splits.queries)
+    order = ((real, summer), (twin, summer), (twin, winter), (real, winter))
+    pictures = [_photographs(scene, session, frame)[0] for scene, session in order]
+    Image.fromarray(np.hstack(pictures)).save(out, quality=80)
+
+
+def _photographs(scene: Scene, session: str, only: int | None = None) -> NDArray[np.uint8]:
+    """Read the photographs of a session, (N, H, W, 3)."""
+    frames = scene.frames(session)
+    chosen = range(len(frames)) if only is None else [only]
+    return np.stack(
+        [read_rgb(scene.images_root / frames.names[k], frames.cameras[k]) for k in chosen]
+    )
+
+
+if __name__ == "__main__":
+    main()
