@@ -19,11 +19,11 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
 from baselines.grey_photograph import GreyPhotograph
 from baselines.plane_sweep import PlaneSweep
 from baselines.views import warp_image
+from baselines.window_sweep import WindowSweep
 from scene.config import Config
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import SparseMap
@@ -32,8 +32,8 @@ from scene.storage.lru_cache import LruCache
 
 # Photographs of the largest size for which there is room in the cache.
 _CACHED: Final = 12
-# Pixels swept at a time: windows then stay in the processor's cache.
-_CHUNK: Final = 128
+# Pixels placed at a time.
+_CHUNK: Final = 1024
 
 
 class SweepOptions(Config):
@@ -105,7 +105,7 @@ class Swept:
     Attributes:
         xyz: points (N, 3), world metres.
         sure: (N,) bool, whether two neighbours agree on the depth and on no other depth.
-        score: correlation (N,) of the neighbours.
+        score: correlation (N,) of the neighbours, 0 where it was not compared.
     """
 
     xyz: NDArray[np.float64]
@@ -143,6 +143,11 @@ class Sweeper:
             name: np.unique(image.point_rows[image.point_rows >= 0])
             for name, image in sparse_map.images.items()
         }
+        # Photographs that observe the points, in order of the points, and where each of these ends.
+        rows = np.concatenate([np.empty(0, np.int64), *self._rows.values()])
+        photographs = np.repeat(np.arange(len(self._rows)), [len(r) for r in self._rows.values()])
+        ends = np.cumsum(np.bincount(rows, minlength=len(sparse_map.xyz)))
+        self._observers = photographs[np.argsort(rows, kind="stable")], ends
 
     @torch.inference_mode()
     def __call__(
@@ -168,18 +173,20 @@ class Sweeper:
         here = self.photograph(name)
         tried = self._depths(name, here.camera, neighbours, len(xy), depths)
         others = [self.photograph(each) for each in neighbours]
-        clear = np.ones(len(xy), bool)
+        placed = np.arange(len(xy))
         smallest = min(min(each.grey.shape) for each in (here, *others))
         shrink, window = self._options.shrink, self._options.shrunk_window
         if depths is None and 1 < shrink <= smallest // window:
             tried, clear = self._near(here, xy, others, tried)
+            placed = np.flatnonzero(clear)
         pixels = torch.from_numpy(xy)
-        parts = [
-            self._placed(here, pixels[part], others, tried[part].float())
-            for part in torch.split(torch.arange(len(xy)), _CHUNK)
-        ]
-        xyz, sure, score = (torch.cat(each).numpy() for each in zip(*parts, strict=True))
-        return Swept(xyz, sure & clear, score.astype(np.float64))
+        xyz, sure = np.zeros((len(xy), 3)), np.zeros(len(xy), bool)
+        score = np.zeros(len(xy))
+        for begin in range(0, len(placed), _CHUNK):
+            part = placed[begin : begin + _CHUNK]
+            found = self._placed(here, pixels[part], others, tried[part].float())
+            xyz[part], sure[part], score[part] = (each.numpy() for each in found)
+        return Swept(xyz, sure, score)
 
     def _near(
         self,
@@ -237,9 +244,8 @@ class Sweeper:
         middle = np.median(self._map.xyz[here], axis=0) if len(here) else centre
         distance = max(float(np.linalg.norm(middle - centre)), 1e-9)
         scores, sides = {}, {}
-        for other, rows in self._rows.items():
-            shared = len(np.intersect1d(here, rows, assume_unique=True)) if other != name else 0
-            if shared < options.min_shared_points:
+        for other, shared in zip(self._rows, self._shared(here).tolist(), strict=True):
+            if other == name or shared < options.min_shared_points:
                 continue
             baseline = self._map.images[other].pose.centre().numpy() - centre
             angle = math.atan2(float(np.linalg.norm(baseline)), distance)
@@ -253,6 +259,15 @@ class Sweeper:
             chosen.append(best)
             del scores[best]
         return chosen
+
+    def _shared(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return how many of some points each photograph observes, in the order of their names."""
+        photographs, ends = self._observers
+        first = np.concatenate([[0], ends])[points]
+        counts = ends[points] - first
+        before = np.cumsum(counts) - counts
+        picked = np.repeat(first - before, counts) + np.arange(counts.sum())
+        return np.bincount(photographs[picked], minlength=len(self._rows))
 
     def _depths(
         self,
@@ -293,14 +308,8 @@ class Sweeper:
             World points (N, 3), which of them are sure (N,), and their correlation (N,).
         """
         options = self._options
-        # Rays through the corner and one pixel beside and below it: windows move with these.
-        three = xy[:, None] + xy.new_tensor([[0, 0], [1, 0], [0, 1]])
-        rays, usable = here.camera.unproject(three.flatten(0, 1))
-        rays = rays.view(*three.shape[:2], 3).float()
-        own = _normalised(_sampled(here.grey, xy[:, None] + self._window))
-        correlation = torch.stack(
-            [self._correlation(here, rays, own, depths, other) for other in others], -1
-        )
+        sweep = WindowSweep(here, xy, self._window, options.border_px)
+        correlation = torch.stack([sweep(depths, other) for other in others], -1)
         # The better half: the others may not see it.
         best_two = correlation.topk(2, -1).values
         score = best_two.mean(-1)
@@ -310,33 +319,10 @@ class Sweeper:
         inner = index.clamp(1, depths.shape[1] - 2)
         second = best_two.gather(1, index[:, None, None].expand(-1, 1, 2))[:, 0, 1]
         sure = (second > options.min_correlation) & (top > rival + options.rival_margin)
-        sure &= index == inner
-        sure &= usable.view(three.shape[:2]).all(1)
+        sure &= (index == inner) & sweep.usable
         inverse = _refined(depths, score, inner)
-        in_camera = rays[:, 0].double() / inverse[:, None].double()
+        in_camera = sweep.rays.double() / inverse[:, None].double()
         return here.pose.inverse().transform(in_camera), sure, second
-
-    def _correlation(
-        self,
-        here: GreyPhotograph,
-        rays: Tensor,
-        own: Tensor,
-        depths: Tensor,
-        other: GreyPhotograph,
-    ) -> Tensor:
-        """Correlate windows (N, P) with what another photograph shows there, (N, D)."""
-        window = self._window.float()
-        relative = (other.pose @ here.pose.inverse()).to(dtype=rays.dtype)
-        turned = rays[:, None] / depths[..., None, None] @ relative.rotation.T
-        in_camera = turned + relative.translation
-        shape = in_camera.shape[:3]
-        projected = other.camera.project(in_camera.flatten(0, 2))
-        inside = projected.valid & other.camera.contains(projected.xy, self._options.border_px)
-        corner, right, below = projected.xy.view(*shape, 2).unbind(2)
-        across = torch.stack([right - corner, below - corner], -2)
-        theirs = _normalised(_sampled(other.grey, corner[:, :, None] + window @ across))
-        correlation = torch.einsum("np,ndp->nd", own, theirs)
-        return torch.where(inside.view(shape).all(-1), correlation, -1)
 
 
 def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> float:
@@ -351,17 +337,3 @@ def _refined(depths: Tensor, score: Tensor, index: Tensor) -> Tensor:
     offset = (0.5 * (before - after) / curve).clamp(-0.5, 0.5)
     step = depths[:, 1] - depths[:, 0]
     return depths.gather(1, index[:, None])[:, 0] + offset * step
-
-
-def _sampled(grey: Tensor, xy: Tensor) -> Tensor:
-    """Sample a picture (H, W) at pixels (..., 2)."""
-    size = xy.new_tensor([grey.shape[1], grey.shape[0]])
-    grid = (2 * xy / size - 1).float().view(1, -1, xy.shape[-2], 2)
-    return grid_sample(grey[None, None], grid, align_corners=False).view(xy.shape[:-1])
-
-
-def _normalised(windows: Tensor) -> Tensor:
-    """Normalise windows (..., P) to mean zero and length one; plain ones become zero."""
-    centred = windows - windows.mean(-1, keepdim=True)
-    length = centred.norm(dim=-1, keepdim=True)
-    return torch.where(length > windows.shape[-1] ** 0.5, centred / length.clamp_min(1e-6), 0)
