@@ -76,13 +76,19 @@ class SweepOptions(Config):
         2, ge=0, description="Depths no more steps than this away are no other depth."
     )
     shrink: int = Field(
-        3,
+        4,
         ge=1,
         description="Pixels are swept in photographs made smaller by this factor first, and then "
         "near the depth found there; 1 sweeps all depths in the photographs as they are.",
     )
     shrunk_window: int = Field(
         5, ge=3, description="Side of the window in the smaller photographs, pixels."
+    )
+    plane_step_px: float = Field(
+        1.5, gt=0, description="Depths swept in them are this far apart, their pixels."
+    )
+    shrunk_correlation: float = Field(
+        0.4, description="Correlation that the second-best neighbour must exceed there."
     )
     near_steps: int = Field(
         5, ge=1, description="Depths tried to either side of the one found in them."
@@ -185,7 +191,7 @@ class Sweeper:
         for begin in range(0, len(placed), _CHUNK):
             part = placed[begin : begin + _CHUNK]
             found = self._placed(here, pixels[part], others, tried[part].float())
-            xyz[part], sure[part], score[part] = (each.numpy() for each in found)
+            xyz[part], sure[part], score[part] = found
         return Swept(xyz, sure, score)
 
     def _near(
@@ -204,23 +210,26 @@ class Sweeper:
             tried: inverse depths (N, D), the same for all pixels.
 
         Returns:
-            Those of the inverse depths (N, K) that are near the best there, and whether no depth
-            farther away fits nearly as well (N,).
+            Those of the inverse depths (N, K) that are near the best there, and whether two
+            neighbours agree on it and no depth farther away fits nearly as well (N,).
         """
         options, shrink = self._options, self._options.shrink
         small, *beside = (each.shrunk(shrink) for each in (here, *others))
         sweep = PlaneSweep(small, options.shrunk_window, options.border_px / shrink)
-        planes = tried[0, ::shrink]
-        found = [sweep(xy / shrink, planes, other) for other in beside]
-        # The better half: the others may not see it.
-        score = np.sort(np.stack(found, -1), -1)[..., -2:].mean(-1)
+        hop = max(1, round(shrink * options.plane_step_px))
+        planes = tried[0, ::hop]
+        first, second = _best_two([sweep(xy / shrink, planes, other) for other in beside])
+        score = 0.5 * (first + second)
         best = score.argmax(1)
         apart = np.abs(np.arange(len(planes)) - best[:, None]) > options.rival_steps
         rival = np.where(apart, score, -1.0).max(1)
-        clear = score.max(1) > rival + options.rival_margin
+        row = np.arange(len(best))
+        clear = score[row, best] > rival + options.rival_margin
+        clear &= second[row, best] > options.shrunk_correlation
         count = min(2 * options.near_steps + 1, tried.shape[1])
-        first = np.clip(best * shrink - options.near_steps, 0, tried.shape[1] - count)
-        return tried.gather(1, torch.from_numpy(first[:, None] + np.arange(count))), clear
+        middle = np.round(hop * _peak(score, best)).astype(int)
+        begin = np.clip(middle - options.near_steps, 0, tried.shape[1] - count)
+        return tried.gather(1, torch.from_numpy(begin[:, None] + np.arange(count))), clear
 
     def _scale(self, camera: Camera) -> float:
         """Return the scale at which photographs of a camera are read."""
@@ -301,7 +310,7 @@ class Sweeper:
         xy: Tensor,
         others: Sequence[GreyPhotograph],
         depths: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32]]:
         """Place pixels (N, 2) at the best of their inverse depths (N, D).
 
         Returns:
@@ -309,20 +318,23 @@ class Sweeper:
         """
         options = self._options
         sweep = WindowSweep(here, xy, self._window, options.border_px)
-        correlation = torch.stack([sweep(depths, other) for other in others], -1)
+        first, second = _best_two([sweep(depths, other) for other in others])
         # The better half: the others may not see it.
-        best_two = correlation.topk(2, -1).values
-        score = best_two.mean(-1)
-        top, index = score.max(1)
-        apart = (torch.arange(depths.shape[1]) - index[:, None]).abs() > options.rival_steps
-        rival = torch.where(apart, score, -1).amax(1)
-        inner = index.clamp(1, depths.shape[1] - 2)
-        second = best_two.gather(1, index[:, None, None].expand(-1, 1, 2))[:, 0, 1]
-        sure = (second > options.min_correlation) & (top > rival + options.rival_margin)
-        sure &= (index == inner) & sweep.usable
-        inverse = _refined(depths, score, inner)
+        score = 0.5 * (first + second)
+        index = score.argmax(1)
+        row = np.arange(len(index))
+        apart = np.abs(np.arange(depths.shape[1]) - index[:, None]) > options.rival_steps
+        rival = np.where(apart, score, -1.0).max(1)
+        inner = index.clip(1, depths.shape[1] - 2)
+        agreed = second[row, inner]
+        sure = agreed > options.min_correlation
+        sure &= score[row, index] > rival + options.rival_margin
+        sure &= (index == inner) & sweep.usable.numpy()
+        step = depths[:, 1] - depths[:, 0]
+        inverse = depths[:, 0] + torch.from_numpy(_peak(score, inner)) * step
         in_camera = sweep.rays.double() / inverse[:, None].double()
-        return here.pose.inverse().transform(in_camera), sure, second
+        return here.pose.inverse().transform(in_camera).numpy(), sure, agreed
+
 
 
 def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> float:
@@ -330,10 +342,19 @@ def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> 
     return 1.1 - max((abs(float(side @ other)) for other in chosen), default=0.0)
 
 
-def _refined(depths: Tensor, score: Tensor, index: Tensor) -> Tensor:
-    """Return inverse depths (N,) at the top of the parabola through the score around an index."""
-    before, at, after = (score.gather(1, (index + k)[:, None])[:, 0] for k in (-1, 0, 1))
-    curve = (before - 2 * at + after).clamp(max=-1e-6)
-    offset = (0.5 * (before - after) / curve).clamp(-0.5, 0.5)
-    step = depths[:, 1] - depths[:, 0]
-    return depths.gather(1, index[:, None])[:, 0] + offset * step
+def _best_two(found: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], ...]:
+    """Return the largest and the second largest of several arrays (N, D), value by value."""
+    first = np.maximum(found[0], found[1])
+    second = np.minimum(found[0], found[1])
+    for each in found[2:]:
+        second = np.maximum(second, np.minimum(first, each))
+        first = np.maximum(first, each)
+    return first, second
+
+
+def _peak(score: NDArray[np.float32], index: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return where the parabola through a score (N, D) around an index (N,) has its top, (N,)."""
+    row, inner = np.arange(len(index)), index.clip(1, score.shape[1] - 2)
+    before, at, after = (score[row, inner + k] for k in (-1, 0, 1))
+    curve = np.minimum(before - 2 * at + after, -1e-6)
+    return index + (0.5 * (before - after) / curve).clip(-0.5, 0.5) * (index == inner)

@@ -48,7 +48,7 @@ class WindowSweep:
         self.rays, self.usable = self._three[:, 0], usable.view(three.shape[:2]).all(1)
         self._pose, self._border = photograph.pose, border
         self._window = window.float()
-        x, y = (xy[:, None] + window).float().unbind(-1)
+        x, y = (xy[:, None] + window - 0.5).float().unbind(-1)
         own = _looked_up(photograph.grey.numpy(), x.numpy(), y.numpy())
         own -= own.mean(-1, keepdims=True)
         length = np.linalg.norm(own, axis=-1, keepdims=True)
@@ -58,7 +58,7 @@ class WindowSweep:
         # One product gives the correlation and the mean.
         self._own = np.stack([own, np.full_like(own, 1 / len(window))], -1)
 
-    def __call__(self, depths: Tensor, other: GreyPhotograph) -> Tensor:
+    def __call__(self, depths: Tensor, other: GreyPhotograph) -> NDArray[np.float32]:
         """Return the correlation (N, D) at inverse depths (N, D), evenly spaced, 1/metres.
 
         It is -1 where the other photograph does not show the window.
@@ -69,7 +69,7 @@ class WindowSweep:
             self._block(turned, relative.translation, block, other)
             for block in depths.split(_BLOCK, 1)
         ]
-        return torch.from_numpy(np.concatenate(blocks, 1))
+        return np.concatenate(blocks, 1)
 
     def _block(
         self, turned: Tensor, shift: Tensor, depths: Tensor, other: GreyPhotograph
@@ -93,13 +93,14 @@ class WindowSweep:
         corners = way[:, :, None] + reach[:, None]
         inside = other.camera.contains(corners, self._border).all(-1) & valid[:, None]
         offsets = across.transpose(1, 2) @ self._window.T
-        found = self._compared(way.numpy(), offsets.numpy(), other.grey.numpy())
+        found = self._compared((way - 0.5).numpy(), offsets.numpy(), other.grey.numpy())
         return np.where(inside.numpy(), found, np.float32(-1))
 
     def _compared(
         self, way: NDArray[np.float32], offsets: NDArray[np.float32], grey: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Return the correlation of windows with middles (N, D, 2) and offsets (N, 2, P)."""
+        """Return the correlation of windows with middles (N, D, 2), as OpenCV counts pixels, and
+        offsets (N, 2, P)."""
         found = np.empty(way.shape[:2], np.float32)
         for begin in range(0, len(way), _CHUNK):
             part = slice(begin, begin + _CHUNK)
@@ -116,11 +117,10 @@ class WindowSweep:
 def _looked_up(
     grey: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Interpolate a picture (H, W) at pixels x and y, (..., P) each."""
-    # OpenCV counts from the first pixel's centre.
-    columns, rows = ((each - 0.5).reshape(-1, each.shape[-1]) for each in (x, y))
+    """Interpolate a picture (H, W) at x and y, (..., P) each, as OpenCV counts pixels."""
+    columns, rows = (each.reshape(-1, each.shape[-1]) for each in (x, y))
     parts = [
         cv2.remap(grey, columns[some], rows[some], cv2.INTER_LINEAR)
         for some in (slice(at, at + _ROWS) for at in range(0, len(rows), _ROWS))
     ]
-    return np.concatenate(parts).reshape(x.shape)
+    return (parts[0] if len(parts) == 1 else np.concatenate(parts)).reshape(x.shape)
