@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import torch
@@ -59,7 +59,7 @@ class Alignment:
         return _WHY[code] + (f" ({int(self.seen[index])})" if code == _TOO_FEW else "")
 
 
-def align(problem: Problem) -> Alignment:
+def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     """Align queries to the points of a map.
 
     Points and poses are taken relative to the starting position, so that coordinates far from the
@@ -68,6 +68,7 @@ def align(problem: Problem) -> Alignment:
 
     Args:
         problem: B queries with one start each, or K.
+        with_covariance: whether covariances are wanted; without, none is known.
 
     Returns:
         A finite pose whatever the input: what cannot be aligned has failed, with a reason.
@@ -130,10 +131,11 @@ def align(problem: Problem) -> Alignment:
         by_level.append(local.in_world(tree_map(unflattened, pose)))
     failed = failure != _ALIGNED
     last = state.around
+    unknown = failed if with_covariance else torch.ones_like(failed)
     return Alignment(
         pose=by_level[-1],
         by_level=tuple(by_level),
-        covariance=unflattened(_covariance(last, failed, options.covariance_patch_cells)),
+        covariance=unflattened(_covariance(last, unknown, options.covariance_patch_cells)),
         cost=unflattened(torch.where(failed, torch.inf, last.mean_cost())),
         iterations=unflattened(iterations),
         seen=unflattened(seen),
@@ -141,7 +143,32 @@ def align(problem: Problem) -> Alignment:
     )
 
 
-def _covariance(around: Linearisation, failed: Tensor, patch_cells: float) -> Tensor:
-    """Return the covariances (M, 6, 6) of poses, infinite on the diagonal where they failed."""
-    unknown = torch.full((6,), torch.inf, dtype=torch.float64, device=failed.device).diag_embed()
-    return torch.where(failed[:, None, None], unknown, covariance(around, patch_cells))
+def align_closely(problem: Problem, coarse_points: int) -> Alignment:
+    """Align queries (B) from poses that are nearly right, without covariances.
+
+    Fewer points take a pose to where the finest level, with all of them, decides.
+
+    Args:
+        problem: B queries with one start each.
+        coarse_points: most points on the levels before the finest.
+    """
+    if not problem.levels[1:]:
+        return align(problem, with_covariance=False)
+    few = problem.at_levels(slice(-1)).first_points(coarse_points)
+    near = align(few, with_covariance=False)
+    finest = problem.at_levels(slice(-1, None)).starting_at(near.pose)
+    found = align(finest, with_covariance=False)
+    return replace(
+        found,
+        by_level=near.by_level + found.by_level,
+        iterations=near.iterations + found.iterations,
+        failure=torch.where(near.failed, near.failure, found.failure),
+    )
+
+
+def _covariance(around: Linearisation, unknown: Tensor, patch_cells: float) -> Tensor:
+    """Return the covariances (M, 6, 6) of poses, infinite on the diagonal where unknown (M,)."""
+    nothing = torch.full((6,), torch.inf, dtype=torch.float64, device=unknown.device).diag_embed()
+    if bool(unknown.all()):
+        return nothing.expand(len(unknown), 6, 6)
+    return torch.where(unknown[:, None, None], nothing, covariance(around, patch_cells))

@@ -32,6 +32,12 @@ class Level:
     confidence: Tensor | None = None
     reference_confidence: Tensor | None = None
 
+    def first_points(self, count: int) -> Level:
+        """Return the level with the first so many points of every query."""
+        trust = self.reference_confidence
+        trust = trust if trust is None else trust[:, :count]
+        return replace(self, reference=self.reference[:, :count], reference_confidence=trust)
+
 
 def robust_cost(squared: Tensor, scale: float) -> Tensor:
     """Return the cost of squared residuals: quadratic below ``scale``, logarithmic above.

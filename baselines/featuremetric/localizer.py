@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.align.aligner import Alignment, align
+from baselines.align.aligner import Alignment, align, align_closely
 from baselines.align.hypotheses import align_from_many
 from baselines.align.options import Options, SearchRadius
 from baselines.align.problem import Problem
@@ -347,10 +347,11 @@ class FeaturemetricLocalizer:
             problem = self._problems.build(view, maps, chosen, start, count)
         with clock.stage("alignment"):
             if many:
-                alignment = align_from_many(problem, radius, options.hypotheses)
+                compared = problem.at_levels(slice(options.compared_levels))
+                alignment = align_from_many(compared, radius, options.hypotheses)
                 problem, alignment = self._realigned(query, view, maps, problem, alignment)
             else:
-                alignment = align(problem)
+                alignment = align(problem, with_covariance=False)
             return judged(view, problem, alignment, options)
 
     def _realigned(
@@ -370,8 +371,9 @@ class FeaturemetricLocalizer:
         pose = photograph_pose(view, alignment)
         chosen = self._chosen(replace(query, prior=known_pose(pose)))
         after = self._problems.build(view, maps, chosen, pose, self.config.points)
-        # The coarsest level has no more to say of a pose that the finest one found.
-        final = align(after.finer() if after.levels[1:] else after)
+        # The coarsest level has no more to say of a pose that a finer one found.
+        finer = after.finer() if after.levels[1:] else after
+        final = align_closely(finer, self.config.search.compared_points)
         if final.failed[0]:
             return problem, alignment
         return after, replace(final, iterations=alignment.iterations + final.iterations)

@@ -216,7 +216,7 @@ def fit(problem: Problem, pose: Pose) -> float:
             reference_confidence=None if trust is None else trust[:, which],
         )
         at_pose = Problem([chosen], points[:, order], problem.intrinsics, pose, [damping], still)
-        return float(align(at_pose).cost)
+        return float(align(at_pose, with_covariance=False).cost)
 
     chance = cost(other)
     # Features that are all the same cost nothing at any pose: they tell no place from another.
