@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.align.aligner import Alignment, align, align_closely
 from baselines.align.hypotheses import _best, align_from_many, around
 from baselines.align.options import HypothesisOptions, Options, SearchRadius
 from baselines.align.problem import Problem
@@ -86,6 +87,57 @@ def test_hypotheses_that_have_met_go_on_as_one() -> None:
     found = align_from_many(Problem(problem.levels, *place, DAMPING, Options()), SearchRadius(1, 1))
     alone = problem.align(start)
     assert found.iterations.item() <= 9 * 4 + alone.iterations.item()
+
+
+def many_from(problem: Small, off: float, **options: int) -> Alignment:
+    """Align a problem from a prior that is off by so many metres and degrees."""
+    start = stacked([wrong(problem.truth, off, off, 0)])
+    place = problem.points, PINHOLE.intrinsics(), start
+    return align_from_many(
+        Problem(problem.levels, *place, DAMPING, Options()),
+        SearchRadius(8, 8),
+        HypothesisOptions(**options),
+    )
+
+
+def test_starts_are_not_refined_where_the_first_agree() -> None:
+    problem = small(0, (10, 5, 4), 2)
+    few, every = (many_from(problem, 3, first_refined=first) for first in (4, 9))
+    assert few.iterations.item() < every.iterations.item() - 4
+    assert float(few.pose.error_to(every.pose)[0]) < 0.01
+    assert float(few.pose.error_to(problem.truth)[0]) < 0.25
+
+
+def test_a_first_start_alone_agrees_with_none() -> None:
+    """The others are then refined after it, and the result is that of all at once."""
+    problem = small(0, (10, 5, 4), 2)
+    alone, every = (many_from(problem, 8, first_refined=first) for first in (1, 9))
+    assert alone.iterations.item() == every.iterations.item()
+    torch.testing.assert_close(alone.pose.matrix(), every.pose.matrix())
+
+
+def test_the_coarsest_level_looks_at_the_first_points_alone() -> None:
+    problem = small(0, (10, 5, 4), 2)
+    count = problem.points.shape[1] // 2
+    half, whole = (many_from(problem, 3, coarse_points=points) for points in (count, 2 * count))
+    assert not torch.equal(half.by_level[0].matrix(), whole.by_level[0].matrix())
+    assert half.seen.item() > count
+    assert float(half.pose.error_to(whole.pose)[0]) < 0.01
+
+
+def test_a_pose_that_is_nearly_right_is_aligned_closely_by_all_points() -> None:
+    problem = small(0, (10, 5, 4), 2)
+    start = stacked([wrong(problem.truth, 0.2, 0.1, 0)])
+    place = problem.points, PINHOLE.intrinsics(), start
+    given = Problem(problem.levels, *place, DAMPING, Options())
+    close, whole = align_closely(given, 60), align(given)
+    assert len(close.by_level) == len(given.levels)
+    assert close.seen.item() == whole.seen.item() > 60
+    assert float(close.pose.error_to(whole.pose)[0]) < 0.01
+    assert torch.isinf(close.covariance.diagonal(dim1=-2, dim2=-1)).all()
+    assert torch.isfinite(whole.covariance).all()
+    lost = given.starting_at(stacked([wrong(problem.truth, 2000, 0, 0)]))
+    assert "too few points" in align_closely(lost, 60).reason(0)
 
 
 @pytest.mark.parametrize("value", [torch.nan, 1.0])
