@@ -336,7 +336,6 @@ class Sweeper:
         return here.pose.inverse().transform(in_camera).numpy(), sure, agreed
 
 
-
 def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> float:
     """Return about 1 for a direction across those chosen, and less for one along them."""
     return 1.1 - max((abs(float(side @ other)) for other in chosen), default=0.0)
