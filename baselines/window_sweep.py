@@ -67,7 +67,7 @@ class WindowSweep:
         turned = self._three @ relative.rotation.T
         blocks = [
             self._block(turned, relative.translation, block, other)
-            for block in depths.split(_BLOCK, 1)
+            for block in torch.split(depths, _BLOCK, 1)
         ]
         return np.concatenate(blocks, 1)
 
@@ -123,4 +123,5 @@ def _looked_up(
         cv2.remap(grey, columns[some], rows[some], cv2.INTER_LINEAR)
         for some in (slice(at, at + _ROWS) for at in range(0, len(rows), _ROWS))
     ]
-    return (parts[0] if len(parts) == 1 else np.concatenate(parts)).reshape(x.shape)
+    found = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    return np.asarray(found, np.float32).reshape(x.shape)
