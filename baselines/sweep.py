@@ -356,4 +356,5 @@ def _peak(score: NDArray[np.float32], index: NDArray[np.int64]) -> NDArray[np.fl
     row, inner = np.arange(len(index)), index.clip(1, score.shape[1] - 2)
     before, at, after = (score[row, inner + k] for k in (-1, 0, 1))
     curve = np.minimum(before - 2 * at + after, -1e-6)
-    return index + (0.5 * (before - after) / curve).clip(-0.5, 0.5) * (index == inner)
+    offset = (0.5 * (before - after) / curve).clip(-0.5, 0.5)
+    return np.asarray(index + np.where(index == inner, offset, 0), np.float32)
