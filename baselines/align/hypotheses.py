@@ -244,7 +244,8 @@ def _same(aligned: Alignment, local: Local, level: Level, same_pose_cells: float
     both = seen[:, :, None] & seen[:, None]
     apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
     # NaN, hence not the same, where no point is in both pictures.
-    return apart < same_pose_cells
+    same: Tensor = apart < same_pose_cells
+    return same
 
 
 def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:
