@@ -81,6 +81,9 @@ class SweepOptions(Config):
         description="Pixels are swept in photographs made smaller by this factor first, and then "
         "near the depth found there; 1 sweeps all depths in the photographs as they are.",
     )
+    least_side_px: int = Field(
+        64, ge=8, description="Photographs are not made smaller than this on their shorter side."
+    )
     shrunk_window: int = Field(
         5, ge=3, description="Side of the window in the smaller photographs, pixels."
     )
@@ -181,9 +184,9 @@ class Sweeper:
         others = [self.photograph(each) for each in neighbours]
         placed = np.arange(len(xy))
         smallest = min(min(each.grey.shape) for each in (here, *others))
-        shrink, window = self._options.shrink, self._options.shrunk_window
-        if depths is None and 1 < shrink <= smallest // window:
-            tried, clear = self._near(here, xy, others, tried)
+        shrink = min(self._options.shrink, smallest // self._options.least_side_px)
+        if depths is None and shrink > 1:
+            tried, clear = self._near(here, xy, others, tried, shrink)
             placed = np.flatnonzero(clear)
         pixels = torch.from_numpy(xy)
         xyz, sure = np.zeros((len(xy), 3)), np.zeros(len(xy), bool)
@@ -200,6 +203,7 @@ class Sweeper:
         xy: NDArray[np.float64],
         others: Sequence[GreyPhotograph],
         tried: Tensor,
+        shrink: int,
     ) -> tuple[Tensor, NDArray[np.bool_]]:
         """Sweep smaller photographs.
 
@@ -208,12 +212,13 @@ class Sweeper:
             xy: (N, 2) its pixels.
             others: photographs beside it.
             tried: inverse depths (N, D), the same for all pixels.
+            shrink: factor by which the photographs are made smaller.
 
         Returns:
             Those of the inverse depths (N, K) that are near the best there, and whether two
             neighbours agree on it and no depth farther away fits nearly as well (N,).
         """
-        options, shrink = self._options, self._options.shrink
+        options = self._options
         small, *beside = (each.shrunk(shrink) for each in (here, *others))
         sweep = PlaneSweep(small, options.shrunk_window, options.border_px / shrink)
         hop = max(1, round(shrink * options.plane_step_px))

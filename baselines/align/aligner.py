@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import torch
@@ -140,29 +140,6 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
         iterations=unflattened(iterations),
         seen=unflattened(seen),
         failure=unflattened(failure),
-    )
-
-
-def align_closely(problem: Problem, coarse_points: int) -> Alignment:
-    """Align queries (B) from poses that are nearly right, without covariances.
-
-    Fewer points take a pose to where the finest level, with all of them, decides.
-
-    Args:
-        problem: B queries with one start each.
-        coarse_points: most points on the levels before the finest.
-    """
-    if not problem.levels[1:]:
-        return align(problem, with_covariance=False)
-    few = problem.at_levels(slice(-1)).first_points(coarse_points)
-    near = align(few, with_covariance=False)
-    finest = problem.at_levels(slice(-1, None)).starting_at(near.pose)
-    found = align(finest, with_covariance=False)
-    return replace(
-        found,
-        by_level=near.by_level + found.by_level,
-        iterations=near.iterations + found.iterations,
-        failure=torch.where(near.failed, near.failure, found.failure),
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.align.aligner import Alignment, align, align_closely
+from baselines.align.aligner import Alignment, align
 from baselines.align.hypotheses import align_from_many
 from baselines.align.options import Options, SearchRadius
 from baselines.align.problem import Problem
@@ -373,7 +373,7 @@ class FeaturemetricLocalizer:
         after = self._problems.build(view, maps, chosen, pose, self.config.points)
         # The coarsest level has no more to say of a pose that a finer one found.
         finer = after.finer() if after.levels[1:] else after
-        final = align_closely(finer, self.config.search.compared_points)
+        final = align(finer, with_covariance=False)
         if final.failed[0]:
             return problem, alignment
         return after, replace(final, iterations=alignment.iterations + final.iterations)

@@ -113,8 +113,7 @@ class SearchOptions(Config):
     compared_points: int = Field(
         512,
         ge=10,
-        description="Points by which several starts are compared; on the finest level the best is "
-        "aligned to all.",
+        description="Points by which several starts are compared; the best is aligned to all.",
     )
     compared_levels: int = Field(
         2,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.align.aligner import Alignment, align, align_closely
+from baselines.align.aligner import Alignment
 from baselines.align.hypotheses import _best, align_from_many, around
 from baselines.align.options import HypothesisOptions, Options, SearchRadius
 from baselines.align.problem import Problem
@@ -123,21 +123,6 @@ def test_the_coarsest_level_looks_at_the_first_points_alone() -> None:
     assert not torch.equal(half.by_level[0].matrix(), whole.by_level[0].matrix())
     assert half.seen.item() > count
     assert float(half.pose.error_to(whole.pose)[0]) < 0.01
-
-
-def test_a_pose_that_is_nearly_right_is_aligned_closely_by_all_points() -> None:
-    problem = small(0, (10, 5, 4), 2)
-    start = stacked([wrong(problem.truth, 0.2, 0.1, 0)])
-    place = problem.points, PINHOLE.intrinsics(), start
-    given = Problem(problem.levels, *place, DAMPING, Options())
-    close, whole = align_closely(given, 60), align(given)
-    assert len(close.by_level) == len(given.levels)
-    assert close.seen.item() == whole.seen.item() > 60
-    assert float(close.pose.error_to(whole.pose)[0]) < 0.01
-    assert torch.isinf(close.covariance.diagonal(dim1=-2, dim2=-1)).all()
-    assert torch.isfinite(whole.covariance).all()
-    lost = given.starting_at(stacked([wrong(problem.truth, 2000, 0, 0)]))
-    assert "too few points" in align_closely(lost, 60).reason(0)
 
 
 @pytest.mark.parametrize("value", [torch.nan, 1.0])
