@@ -10,7 +10,7 @@ DEMO := runs/demo
 WORKERS ?= auto
 DOCS := runs/docs-venv
 
-.PHONY: demo test test-rest test-all lint bench install clean weights
+.PHONY: demo test test-rest test-all lint bench bench-check install clean weights
 .DELETE_ON_ERROR:
 
 install: $(VENV)/.installed
@@ -87,11 +87,20 @@ lint: install
 clean:
 	rm -rf $(VENV) runs build *.egg-info
 
-# Everything about speed and memory, in one run; tens of minutes.
+# Everything about speed and memory, in one run; tens of minutes. Its ratios are runs/bench/ratios.json.
+BENCH := runs/bench
 bench: libraries
-	$(BIN)/python -m pytest tests/benchmarks -m '' -s --benchmark-enable --benchmark-columns=median,iqr,rounds
+	mkdir -p $(BENCH)
+	$(BIN)/python -m pytest tests/benchmarks -m '' -s --benchmark-enable --benchmark-columns=median,iqr,rounds \
+	  --benchmark-json=$(BENCH)/run.json
+	$(BIN)/python -m tests.benchmarks.ratios write $(BENCH)/run.json $(BENCH)/ratios.json
 	$(BIN)/python -m tests.benchmarks.frame_cost
 	$(BIN)/python -m tests.benchmarks.build_cost
+
+# Fails where a ratio is worse than in an earlier run, by more than its spread.
+bench-check: install
+	@test -n "$(AGAINST)" || { echo "error: name the ratios of an earlier run: make bench-check AGAINST=ratios.json" >&2; exit 2; }
+	$(BIN)/python -m tests.benchmarks.ratios check $(BENCH)/ratios.json --against $(AGAINST)
 
 # The weights that come with the project, from their seeds; many hours, and an interrupted run goes
 # on where it was. PHOTOS, if given, is a folder of plain aerial photographs.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,8 +12,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from baselines.views import north_angle, warp_image
+from scene.errors import InputError
 from scene.geometry.camera import Camera
-from scene.maps.features import FeatureFile, Features, feature_writer, unit_descriptors
+from scene.maps.features import (
+    FeatureFile,
+    Features,
+    feature_writer,
+    features_key,
+    unit_descriptors,
+)
 from scene.maps.matching import match
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
@@ -126,13 +132,14 @@ def map_features(
     files = [images / name for name in names]
     photographs = digests(files)
     named = list(zip(names, photographs, strict=True))
-    parts = f"{named} {extractor.options} {extractor.weights_sha256} {angles or ''}{cameras or ''}"
-    key = hashlib.sha256(parts.encode()).hexdigest()
+    key = features_key(named, extractor.options, extractor.weights_sha256, angles, cameras)
+    if (kept := _kept_with_map(sparse_map, key)) is not None:
+        return kept
     path = cache / f"{extractor.name}-{key[:16]}.h5"
     if path.is_file():
         return FeatureFile(path)
     bar = progress_bar(f"{extractor.name} map features", len(names))
-    with bar as advance, feature_writer(path) as add:
+    with bar as advance, feature_writer(path, key) as add:
         for first in range(0, len(names), _TOGETHER):
             some = names[first : first + _TOGETHER]
             if extractor.turned:
@@ -151,3 +158,14 @@ def map_features(
                 advance(done)
         require_unchanged(files, photographs)
     return FeatureFile(path)
+
+
+def _kept_with_map(sparse_map: SparseMap, key: str) -> FeatureFile | None:
+    """Return the features that a map was built from, where they are those of a key."""
+    if sparse_map.features is None:
+        return None
+    try:
+        kept = FeatureFile(sparse_map.features)
+    except InputError:  # without them, they are extracted
+        return None
+    return kept if kept.made_of == key else None

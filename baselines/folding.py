@@ -8,7 +8,10 @@ run on the processor's units for it, where it has any.
 from __future__ import annotations
 
 import copy
+import platform
 from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import torch
@@ -26,11 +29,24 @@ def resolved(precision: str) -> str:
 
 
 def has_bfloat16_units() -> bool:
-    """Return whether the processor has matrix units for bfloat16: Intel's AMX.
+    """Return whether the processor computes faster in bfloat16 than in single precision.
 
-    Units that add up vectors of bfloat16 (AVX-512) are no faster than single precision.
+    It does with matrix units (Intel's AMX), and with AMD's vector units (AVX-512). Intel's vector
+    units are no faster than single precision.
     """
-    return bool(torch.cpu._is_amx_tile_supported())
+    if torch.cpu._is_amx_tile_supported():
+        return True
+    return bool(torch.cpu._is_avx512_bf16_supported()) and processor_maker() == "AuthenticAMD"
+
+
+@cache
+def processor_maker() -> str:
+    """Return who made the processor, as it says itself; empty where the system does not tell."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:  # not Linux; Windows has the word at the end
+        return platform.processor().rpartition(", ")[2]
+    return next((line.split()[-1] for line in lines if line.startswith("vendor_id")), "")
 
 
 Precision = Annotated[Literal["auto", "float32", "bfloat16"], AfterValidator(resolved)]

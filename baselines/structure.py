@@ -106,7 +106,8 @@ class StructureLocalizer:
                 self.prepare(sparse_map, images, folder)
             return
         features = map_features(sparse_map, images, self._extractor, cache)
-        key = f"{_FORMAT} {features.path.name} {sparse_map.sha256} {self._interpolate} "
+        name = f"{self.name}-{features.made_of[:16]}.h5" if features.made_of else features.path.name
+        key = f"{_FORMAT} {name} {sparse_map.sha256} {self._interpolate} "
         key += self.config.lifting.model_dump_json()
         path = cache / f"{self.name}-points-{hashlib.sha256(key.encode()).hexdigest()[:16]}.h5"
         if not path.is_file():

@@ -19,11 +19,11 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
 from baselines.grey_photograph import GreyPhotograph
 from baselines.plane_sweep import PlaneSweep
 from baselines.views import warp_image
+from baselines.window_sweep import WindowSweep
 from scene.config import Config
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import SparseMap
@@ -32,8 +32,8 @@ from scene.storage.lru_cache import LruCache
 
 # Photographs of the largest size for which there is room in the cache.
 _CACHED: Final = 12
-# Pixels swept at a time: windows then stay in the processor's cache.
-_CHUNK: Final = 128
+# Pixels placed at a time.
+_CHUNK: Final = 1024
 
 
 class SweepOptions(Config):
@@ -76,13 +76,22 @@ class SweepOptions(Config):
         2, ge=0, description="Depths no more steps than this away are no other depth."
     )
     shrink: int = Field(
-        3,
+        4,
         ge=1,
         description="Pixels are swept in photographs made smaller by this factor first, and then "
         "near the depth found there; 1 sweeps all depths in the photographs as they are.",
     )
+    least_side_px: int = Field(
+        64, ge=8, description="Photographs are not made smaller than this on their shorter side."
+    )
     shrunk_window: int = Field(
         5, ge=3, description="Side of the window in the smaller photographs, pixels."
+    )
+    plane_step_px: float = Field(
+        1.5, gt=0, description="Depths swept in them are this far apart, their pixels."
+    )
+    shrunk_correlation: float = Field(
+        0.4, description="Correlation that the second-best neighbour must exceed there."
     )
     near_steps: int = Field(
         5, ge=1, description="Depths tried to either side of the one found in them."
@@ -105,7 +114,7 @@ class Swept:
     Attributes:
         xyz: points (N, 3), world metres.
         sure: (N,) bool, whether two neighbours agree on the depth and on no other depth.
-        score: correlation (N,) of the neighbours.
+        score: correlation (N,) of the neighbours, 0 where it was not compared.
     """
 
     xyz: NDArray[np.float64]
@@ -143,6 +152,11 @@ class Sweeper:
             name: np.unique(image.point_rows[image.point_rows >= 0])
             for name, image in sparse_map.images.items()
         }
+        # Photographs that observe the points, in order of the points, and where each of these ends.
+        rows = np.concatenate([np.empty(0, np.int64), *self._rows.values()])
+        photographs = np.repeat(np.arange(len(self._rows)), [len(r) for r in self._rows.values()])
+        ends = np.cumsum(np.bincount(rows, minlength=len(sparse_map.xyz)))
+        self._observers = photographs[np.argsort(rows, kind="stable")], ends
 
     @torch.inference_mode()
     def __call__(
@@ -168,18 +182,20 @@ class Sweeper:
         here = self.photograph(name)
         tried = self._depths(name, here.camera, neighbours, len(xy), depths)
         others = [self.photograph(each) for each in neighbours]
-        clear = np.ones(len(xy), bool)
+        placed = np.arange(len(xy))
         smallest = min(min(each.grey.shape) for each in (here, *others))
-        shrink, window = self._options.shrink, self._options.shrunk_window
-        if depths is None and 1 < shrink <= smallest // window:
-            tried, clear = self._near(here, xy, others, tried)
+        shrink = min(self._options.shrink, smallest // self._options.least_side_px)
+        if depths is None and shrink > 1:
+            tried, clear = self._near(here, xy, others, tried, shrink)
+            placed = np.flatnonzero(clear)
         pixels = torch.from_numpy(xy)
-        parts = [
-            self._placed(here, pixels[part], others, tried[part].float())
-            for part in torch.split(torch.arange(len(xy)), _CHUNK)
-        ]
-        xyz, sure, score = (torch.cat(each).numpy() for each in zip(*parts, strict=True))
-        return Swept(xyz, sure & clear, score.astype(np.float64))
+        xyz, sure = np.zeros((len(xy), 3)), np.zeros(len(xy), bool)
+        score = np.zeros(len(xy))
+        for begin in range(0, len(placed), _CHUNK):
+            part = placed[begin : begin + _CHUNK]
+            found = self._placed(here, pixels[part], others, tried[part].float())
+            xyz[part], sure[part], score[part] = found
+        return Swept(xyz, sure, score)
 
     def _near(
         self,
@@ -187,6 +203,7 @@ class Sweeper:
         xy: NDArray[np.float64],
         others: Sequence[GreyPhotograph],
         tried: Tensor,
+        shrink: int,
     ) -> tuple[Tensor, NDArray[np.bool_]]:
         """Sweep smaller photographs.
 
@@ -195,25 +212,29 @@ class Sweeper:
             xy: (N, 2) its pixels.
             others: photographs beside it.
             tried: inverse depths (N, D), the same for all pixels.
+            shrink: factor by which the photographs are made smaller.
 
         Returns:
-            Those of the inverse depths (N, K) that are near the best there, and whether no depth
-            farther away fits nearly as well (N,).
+            Those of the inverse depths (N, K) that are near the best there, and whether two
+            neighbours agree on it and no depth farther away fits nearly as well (N,).
         """
-        options, shrink = self._options, self._options.shrink
+        options = self._options
         small, *beside = (each.shrunk(shrink) for each in (here, *others))
         sweep = PlaneSweep(small, options.shrunk_window, options.border_px / shrink)
-        planes = tried[0, ::shrink]
-        found = [sweep(xy / shrink, planes, other) for other in beside]
-        # The better half: the others may not see it.
-        score = np.sort(np.stack(found, -1), -1)[..., -2:].mean(-1)
+        hop = max(1, round(shrink * options.plane_step_px))
+        planes = tried[0, ::hop]
+        first, second = _best_two([sweep(xy / shrink, planes, other) for other in beside])
+        score = 0.5 * (first + second)
         best = score.argmax(1)
         apart = np.abs(np.arange(len(planes)) - best[:, None]) > options.rival_steps
         rival = np.where(apart, score, -1.0).max(1)
-        clear = score.max(1) > rival + options.rival_margin
+        row = np.arange(len(best))
+        clear = score[row, best] > rival + options.rival_margin
+        clear &= second[row, best] > options.shrunk_correlation
         count = min(2 * options.near_steps + 1, tried.shape[1])
-        first = np.clip(best * shrink - options.near_steps, 0, tried.shape[1] - count)
-        return tried.gather(1, torch.from_numpy(first[:, None] + np.arange(count))), clear
+        middle = np.round(hop * _peak(score, best)).astype(int)
+        begin = np.clip(middle - options.near_steps, 0, tried.shape[1] - count)
+        return tried.gather(1, torch.from_numpy(begin[:, None] + np.arange(count))), clear
 
     def _scale(self, camera: Camera) -> float:
         """Return the scale at which photographs of a camera are read."""
@@ -237,9 +258,8 @@ class Sweeper:
         middle = np.median(self._map.xyz[here], axis=0) if len(here) else centre
         distance = max(float(np.linalg.norm(middle - centre)), 1e-9)
         scores, sides = {}, {}
-        for other, rows in self._rows.items():
-            shared = len(np.intersect1d(here, rows, assume_unique=True)) if other != name else 0
-            if shared < options.min_shared_points:
+        for other, shared in zip(self._rows, self._shared(here).tolist(), strict=True):
+            if other == name or shared < options.min_shared_points:
                 continue
             baseline = self._map.images[other].pose.centre().numpy() - centre
             angle = math.atan2(float(np.linalg.norm(baseline)), distance)
@@ -253,6 +273,15 @@ class Sweeper:
             chosen.append(best)
             del scores[best]
         return chosen
+
+    def _shared(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return how many of some points each photograph observes, in the order of their names."""
+        photographs, ends = self._observers
+        first = np.concatenate([[0], ends])[points]
+        counts = ends[points] - first
+        before = np.cumsum(counts) - counts
+        picked = np.repeat(first - before, counts) + np.arange(counts.sum())
+        return np.bincount(photographs[picked], minlength=len(self._rows))
 
     def _depths(
         self,
@@ -286,57 +315,30 @@ class Sweeper:
         xy: Tensor,
         others: Sequence[GreyPhotograph],
         depths: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32]]:
         """Place pixels (N, 2) at the best of their inverse depths (N, D).
 
         Returns:
             World points (N, 3), which of them are sure (N,), and their correlation (N,).
         """
         options = self._options
-        # Rays through the corner and one pixel beside and below it: windows move with these.
-        three = xy[:, None] + xy.new_tensor([[0, 0], [1, 0], [0, 1]])
-        rays, usable = here.camera.unproject(three.flatten(0, 1))
-        rays = rays.view(*three.shape[:2], 3).float()
-        own = _normalised(_sampled(here.grey, xy[:, None] + self._window))
-        correlation = torch.stack(
-            [self._correlation(here, rays, own, depths, other) for other in others], -1
-        )
+        sweep = WindowSweep(here, xy, self._window, options.border_px)
+        first, second = _best_two([sweep(depths, other) for other in others])
         # The better half: the others may not see it.
-        best_two = correlation.topk(2, -1).values
-        score = best_two.mean(-1)
-        top, index = score.max(1)
-        apart = (torch.arange(depths.shape[1]) - index[:, None]).abs() > options.rival_steps
-        rival = torch.where(apart, score, -1).amax(1)
-        inner = index.clamp(1, depths.shape[1] - 2)
-        second = best_two.gather(1, index[:, None, None].expand(-1, 1, 2))[:, 0, 1]
-        sure = (second > options.min_correlation) & (top > rival + options.rival_margin)
-        sure &= index == inner
-        sure &= usable.view(three.shape[:2]).all(1)
-        inverse = _refined(depths, score, inner)
-        in_camera = rays[:, 0].double() / inverse[:, None].double()
-        return here.pose.inverse().transform(in_camera), sure, second
-
-    def _correlation(
-        self,
-        here: GreyPhotograph,
-        rays: Tensor,
-        own: Tensor,
-        depths: Tensor,
-        other: GreyPhotograph,
-    ) -> Tensor:
-        """Correlate windows (N, P) with what another photograph shows there, (N, D)."""
-        window = self._window.float()
-        relative = (other.pose @ here.pose.inverse()).to(dtype=rays.dtype)
-        turned = rays[:, None] / depths[..., None, None] @ relative.rotation.T
-        in_camera = turned + relative.translation
-        shape = in_camera.shape[:3]
-        projected = other.camera.project(in_camera.flatten(0, 2))
-        inside = projected.valid & other.camera.contains(projected.xy, self._options.border_px)
-        corner, right, below = projected.xy.view(*shape, 2).unbind(2)
-        across = torch.stack([right - corner, below - corner], -2)
-        theirs = _normalised(_sampled(other.grey, corner[:, :, None] + window @ across))
-        correlation = torch.einsum("np,ndp->nd", own, theirs)
-        return torch.where(inside.view(shape).all(-1), correlation, -1)
+        score = 0.5 * (first + second)
+        index = score.argmax(1)
+        row = np.arange(len(index))
+        apart = np.abs(np.arange(depths.shape[1]) - index[:, None]) > options.rival_steps
+        rival = np.where(apart, score, -1.0).max(1)
+        inner = index.clip(1, depths.shape[1] - 2)
+        agreed = second[row, inner]
+        sure = agreed > options.min_correlation
+        sure &= score[row, index] > rival + options.rival_margin
+        sure &= (index == inner) & sweep.usable.numpy()
+        step = depths[:, 1] - depths[:, 0]
+        inverse = depths[:, 0] + torch.from_numpy(_peak(score, inner)) * step
+        in_camera = sweep.rays.double() / inverse[:, None].double()
+        return here.pose.inverse().transform(in_camera).numpy(), sure, agreed
 
 
 def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> float:
@@ -344,24 +346,20 @@ def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> 
     return 1.1 - max((abs(float(side @ other)) for other in chosen), default=0.0)
 
 
-def _refined(depths: Tensor, score: Tensor, index: Tensor) -> Tensor:
-    """Return inverse depths (N,) at the top of the parabola through the score around an index."""
-    before, at, after = (score.gather(1, (index + k)[:, None])[:, 0] for k in (-1, 0, 1))
-    curve = (before - 2 * at + after).clamp(max=-1e-6)
-    offset = (0.5 * (before - after) / curve).clamp(-0.5, 0.5)
-    step = depths[:, 1] - depths[:, 0]
-    return depths.gather(1, index[:, None])[:, 0] + offset * step
+def _best_two(found: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], ...]:
+    """Return the largest and the second largest of several arrays (N, D), value by value."""
+    first = np.maximum(found[0], found[1])
+    second = np.minimum(found[0], found[1])
+    for each in found[2:]:
+        second = np.maximum(second, np.minimum(first, each))
+        first = np.maximum(first, each)
+    return first, second
 
 
-def _sampled(grey: Tensor, xy: Tensor) -> Tensor:
-    """Sample a picture (H, W) at pixels (..., 2)."""
-    size = xy.new_tensor([grey.shape[1], grey.shape[0]])
-    grid = (2 * xy / size - 1).float().view(1, -1, xy.shape[-2], 2)
-    return grid_sample(grey[None, None], grid, align_corners=False).view(xy.shape[:-1])
-
-
-def _normalised(windows: Tensor) -> Tensor:
-    """Normalise windows (..., P) to mean zero and length one; plain ones become zero."""
-    centred = windows - windows.mean(-1, keepdim=True)
-    length = centred.norm(dim=-1, keepdim=True)
-    return torch.where(length > windows.shape[-1] ** 0.5, centred / length.clamp_min(1e-6), 0)
+def _peak(score: NDArray[np.float32], index: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return where the parabola through a score (N, D) around an index (N,) has its top, (N,)."""
+    row, inner = np.arange(len(index)), index.clip(1, score.shape[1] - 2)
+    before, at, after = (score[row, inner + k] for k in (-1, 0, 1))
+    curve = np.minimum(before - 2 * at + after, -1e-6)
+    offset = (0.5 * (before - after) / curve).clip(-0.5, 0.5)
+    return np.asarray(index + np.where(index == inner, offset, 0), np.float32)

@@ -23,10 +23,11 @@ from scene.colmap.sift import SiftOptions
 from scene.colmap.structure_from_motion import ADJUSTMENTS, reconstruct
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError
-from scene.maps.features import write_features
+from scene.maps.features import features_key, write_features
 from scene.maps.photographs import PosedImage
 from scene.runtime.progress import progress_bar
 from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder, remove_partial
+from scene.storage.digests import digests
 from scene.storage.files import sha256_of
 from scene.storage.locks import resumable_file, write_lock
 
@@ -99,7 +100,9 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
                 adjustment=options.adjustment,
             )
             sparse_map, features = build(job, folder, advance)
-            write_features(folder / FEATURES, features)
+            photographs = digests(scene.images_root / name for name in sparse_map.names)
+            named = list(zip(sparse_map.names, photographs, strict=True))
+            write_features(folder / FEATURES, features, features_key(named, str(_SIFT)))
         scene = finish_scene(path, scene.manifest)
         rendered = scene.manifest.preset is not None
         if rendered:

@@ -59,7 +59,7 @@ class Alignment:
         return _WHY[code] + (f" ({int(self.seen[index])})" if code == _TOO_FEW else "")
 
 
-def align(problem: Problem) -> Alignment:
+def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     """Align queries to the points of a map.
 
     Points and poses are taken relative to the starting position, so that coordinates far from the
@@ -68,6 +68,7 @@ def align(problem: Problem) -> Alignment:
 
     Args:
         problem: B queries with one start each, or K.
+        with_covariance: whether covariances are wanted; without, none is known.
 
     Returns:
         A finite pose whatever the input: what cannot be aligned has failed, with a reason.
@@ -130,10 +131,11 @@ def align(problem: Problem) -> Alignment:
         by_level.append(local.in_world(tree_map(unflattened, pose)))
     failed = failure != _ALIGNED
     last = state.around
+    unknown = failed if with_covariance else torch.ones_like(failed)
     return Alignment(
         pose=by_level[-1],
         by_level=tuple(by_level),
-        covariance=unflattened(_covariance(last, failed, options.covariance_patch_cells)),
+        covariance=unflattened(_covariance(last, unknown, options.covariance_patch_cells)),
         cost=unflattened(torch.where(failed, torch.inf, last.mean_cost())),
         iterations=unflattened(iterations),
         seen=unflattened(seen),
@@ -141,7 +143,9 @@ def align(problem: Problem) -> Alignment:
     )
 
 
-def _covariance(around: Linearisation, failed: Tensor, patch_cells: float) -> Tensor:
-    """Return the covariances (M, 6, 6) of poses, infinite on the diagonal where they failed."""
-    unknown = torch.full((6,), torch.inf, dtype=torch.float64, device=failed.device).diag_embed()
-    return torch.where(failed[:, None, None], unknown, covariance(around, patch_cells))
+def _covariance(around: Linearisation, unknown: Tensor, patch_cells: float) -> Tensor:
+    """Return the covariances (M, 6, 6) of poses, infinite on the diagonal where unknown (M,)."""
+    nothing = torch.full((6,), torch.inf, dtype=torch.float64, device=unknown.device).diag_embed()
+    if bool(unknown.all()):
+        return nothing.expand(len(unknown), 6, 6)
+    return torch.where(unknown[:, None, None], nothing, covariance(around, patch_cells))

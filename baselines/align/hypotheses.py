@@ -116,32 +116,34 @@ def align_from_many(
     if problem.points.shape[1] < problem.options.min_points:
         return align(problem)
     local, scale = Local.of(problem), problem.options.robust_scale
-    coarsest = problem.coarsest()
-    aligned, iterations = _refined_on_coarsest(coarsest, local, radius, options)
+    coarsest = problem.coarsest().first_points(options.coarse_points)
+    aligned, iterations = _refined_on_coarsest(coarsest, radius, options)
     if problem.levels[1:]:
         finalists = _best(
-            aligned, problem.levels[0], scale, options.finalists, options.chance_cells
+            aligned, coarsest.levels[0], scale, options.finalists, options.chance_cells
         )
         finalists = _distinct(finalists, local, problem.levels[1], options.same_pose_cells)
-        aligned = align(problem.finer().starting_at(finalists.pose))
+        aligned = align(problem.finer().starting_at(finalists.pose), with_covariance=False)
         iterations = iterations + aligned.iterations.sum(-1)
         failure = torch.where(finalists.failed, finalists.failure, aligned.failure)
         aligned = replace(aligned, failure=failure, by_level=finalists.by_level + aligned.by_level)
-    winner = _best(aligned, problem.levels[-1], scale, 1, options.chance_cells)
+    last = problem.levels[-1] if problem.levels[1:] else coarsest.levels[-1]
+    winner = _best(aligned, last, scale, 1, options.chance_cells)
     return replace(tree_map(lambda t: t[:, 0], winner), iterations=iterations)
 
 
 def _refined_on_coarsest(
-    coarsest: Problem, local: Local, radius: SearchRadius, options: HypothesisOptions
+    coarsest: Problem, radius: SearchRadius, options: HypothesisOptions
 ) -> tuple[Alignment, Tensor]:
     """Refine the prior and the best hypotheses of a grid on the coarsest level.
 
-    After a few steps, those that have met continue as one.
+    After a few steps, those that have met continue as one. Where two of the first have met at the
+    best pose, no others are begun.
 
     Returns:
         Alignments (B, K), the best start first, and the steps tried for each query (B,).
     """
-    level, solver = coarsest.levels[0], coarsest.options
+    level, solver, local = coarsest.levels[0], coarsest.options, Local.of(coarsest)
     grid = _grid(level, local, radius, options)
     gains = gain_over_chance(level, local, grid, solver.robust_scale)
     best = gains.topk(min(options.refined, gains.shape[1])).indices
@@ -158,14 +160,32 @@ def _refined_on_coarsest(
         }
     )
     first_steps = min(options.merge_iterations, solver.iterations)
-    short = rough.model_copy(update={"iterations": first_steps})
-    begun = align(coarsest.starting_at(starts).with_options(short))
+    short = coarsest.with_options(rough.model_copy(update={"iterations": first_steps}))
+
+    def begin(some: slice) -> Alignment:
+        chosen = tree_map(lambda t: t[:, some], starts)
+        return align(short.starting_at(chosen), with_covariance=False)
+
+    def ranked(begun: Alignment) -> Alignment:
+        count = begun.seen.shape[1]
+        return _best(begun, level, solver.robust_scale, count, options.chance_cells)
+
+    first = options.first_refined
+    begun = ranked(begin(slice(first)))
     iterations = begun.iterations.sum(-1)
-    count = starts.translation.shape[1]
-    begun = _best(begun, level, solver.robust_scale, count, options.chance_cells)
+    met = _same(begun, local, level, options.same_pose_cells)[:, 0].sum(-1) > 1
+    if starts.translation.shape[1] > first and not bool(met.all()):
+        others = begin(slice(first, None))
+        iterations = iterations + others.iterations.sum(-1)
+        begun = ranked(_joined(begun, others))
     begun = _distinct(begun, local, level, options.same_pose_cells)
-    aligned = align(coarsest.starting_at(begun.pose).with_options(rough))
+    aligned = align(coarsest.starting_at(begun.pose).with_options(rough), with_covariance=False)
     return aligned, iterations + aligned.iterations.sum(-1)
+
+
+def _joined(some: Alignment, others: Alignment) -> Alignment:
+    """Return the alignments (B, K) of both."""
+    return tree_map(lambda *parts: torch.cat(parts, 1), some, others)
 
 
 def _grid(level: Level, local: Local, radius: SearchRadius, options: HypothesisOptions) -> Pose:
@@ -200,16 +220,11 @@ def _best(
 
 
 def _distinct(aligned: Alignment, local: Local, level: Level, same_pose_cells: float) -> Alignment:
-    """Drop alignments (B, K) that project the points where a better one already does.
+    """Drop alignments (B, K) that are the same pose as a better one.
 
-    Alignments come best first. Distances are in cells of the level that they go on to. As many are
-    left of every query as of the one with most.
+    Alignments come best first. As many are left of every query as of the one with most.
     """
-    xy, seen = _projected(local, local.from_world(aligned.pose))
-    cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
-    both = seen[:, :, None] & seen[:, None]
-    apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
-    same = apart < same_pose_cells  # NaN, hence not the same, where no point is in both pictures
+    same = _same(aligned, local, level, same_pose_cells)
     kept = torch.ones_like(same[..., 0])
     for k in range(1, kept.shape[1]):
         kept[:, k] = ~(same[:, k, :k] & kept[:, :k]).any(-1)
@@ -217,6 +232,20 @@ def _distinct(aligned: Alignment, local: Local, level: Level, same_pose_cells: f
     order = order[:, : int(kept.sum(-1).max())]
     query = torch.arange(len(order), device=order.device)[:, None]
     return tree_map(lambda t: t[query, order], aligned)
+
+
+def _same(aligned: Alignment, local: Local, level: Level, same_pose_cells: float) -> Tensor:
+    """Return which alignments (B, K) project the points where which others do, (B, K, K).
+
+    Distances are in cells of the level that they go on to.
+    """
+    xy, seen = _projected(local, local.from_world(aligned.pose))
+    cells = torch.where(seen[..., None], xy, 0) / per_axis(level.stride, xy)
+    both = seen[:, :, None] & seen[:, None]
+    apart = ((cells[:, :, None] - cells[:, None]).norm(dim=-1) * both).sum(-1) / both.sum(-1)
+    # NaN, hence not the same, where no point is in both pictures.
+    same: Tensor = apart < same_pose_cells
+    return same
 
 
 def _projected(local: Local, poses: Pose) -> tuple[Tensor, Tensor]:

@@ -90,6 +90,18 @@ class HypothesisOptions(Config):
     refined: int = Field(
         8, ge=1, description="Starts refined beside the prior itself on the coarsest level."
     )
+    coarse_points: int = Field(
+        256,
+        ge=10,
+        description="Points by which starts are compared and refined on the coarsest level, spread "
+        "over the picture.",
+    )
+    first_refined: int = Field(
+        5,
+        ge=1,
+        description="Starts that are refined first, the prior among them: where another of these "
+        "has led to the pose of the best, the others are not refined.",
+    )
     finalists: int = Field(
         2, ge=1, description="Poses that go on from the coarsest level to the finer ones."
     )

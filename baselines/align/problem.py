@@ -44,10 +44,22 @@ class Problem:
         """Return the same problem with other options."""
         return replace(self, options=options)
 
+    def at_levels(self, which: slice) -> Problem:
+        """Return the problem of some levels alone."""
+        return replace(self, levels=self.levels[which], damping=self.damping[which])
+
     def coarsest(self) -> Problem:
         """Return the problem of the coarsest level alone."""
-        return replace(self, levels=self.levels[:1], damping=self.damping[:1])
+        return self.at_levels(slice(1))
 
     def finer(self) -> Problem:
         """Return the problem of all levels but the coarsest."""
-        return replace(self, levels=self.levels[1:], damping=self.damping[1:])
+        return self.at_levels(slice(1, None))
+
+    def first_points(self, count: int) -> Problem:
+        """Return the problem of the first so many points of every query."""
+        if count >= self.points.shape[1]:
+            return self
+        mask = self.mask if self.mask is None else self.mask[:, :count]
+        levels = [level.first_points(count) for level in self.levels]
+        return replace(self, levels=levels, points=self.points[:, :count], mask=mask)

@@ -10,7 +10,7 @@ from torch import Tensor
 from baselines.align.sampling import VALUE, CellTable, Stride, inside, per_axis, stencil
 from baselines.align.trees import rows
 from scene.geometry.pose import Pose
-from scene.geometry.projection import Intrinsics
+from scene.geometry.projection import Intrinsics, Projection
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,12 @@ class Level:
     reference: Tensor
     confidence: Tensor | None = None
     reference_confidence: Tensor | None = None
+
+    def first_points(self, count: int) -> Level:
+        """Return the level with the first so many points of every query."""
+        trust = self.reference_confidence
+        trust = trust if trust is None else trust[:, :count]
+        return replace(self, reference=self.reference[:, :count], reference_confidence=trust)
 
 
 def robust_cost(squared: Tensor, scale: float) -> Tensor:
@@ -157,15 +163,36 @@ class LevelCost:
             intrinsics=cameras if cameras.focal.ndim == 1 else rows(cameras, which),
         )
 
+    def sampled(self, cam_from_world: Pose) -> tuple[Tensor, Tensor]:
+        """Return the query's features (M, N, C) where poses (M) project the points, and their
+        confidence (M, N), zero where the query does not show them."""
+        in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
+        cells, seen = self._cells(self.intrinsics.project(in_camera))
+        index, weights = stencil(cells, self.table, self.first)
+        values = self.table.value(index, weights).to(cells)
+        return values, self._trust(seen, index, weights)
+
+    def _cells(self, projected: Projection) -> tuple[Tensor, Tensor]:
+        """Return where points lie on the level, (M, N, 2), and which of them count, (M, N)."""
+        cells = projected.xy / self.stride - 0.5
+        seen = projected.valid & self.mask
+        seen = seen & inside(cells, self.table.width, self.table.height, self.border)
+        return torch.where(seen[..., None], cells, 1), seen
+
+    def _trust(self, seen: Tensor, index: Tensor, weights: Tensor) -> Tensor:
+        """Return the confidence (M, N) of the query at cells of ``stencil``, zero if not seen."""
+        trust = seen.to(weights)
+        if self.trust is None:
+            return trust
+        near = self.trust.gather(index[..., :VALUE])[..., 0]
+        return trust * (near * weights[..., :VALUE]).sum(-1)
+
     def linearise(self, cam_from_world: Pose) -> Linearisation:
         """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
         in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
         projected = self.intrinsics.project(in_camera, jacobian=True)
         assert projected.jacobian is not None
-        cells = projected.xy / self.stride - 0.5
-        seen = projected.valid & self.mask
-        seen = seen & inside(cells, self.table.width, self.table.height, self.border)
-        cells = torch.where(seen[..., None], cells, 1)
+        cells, seen = self._cells(projected)
         index, weights = stencil(cells, self.table, self.first)
 
         # Residual and slopes of all channels, 3 x C per point; then only their products, 3 x 3.
@@ -174,10 +201,7 @@ class LevelCost:
         gram = (field @ field.transpose(-1, -2)).to(cells)
         squared = gram[..., 0, 0]
 
-        trust = seen.to(cells)
-        if self.trust is not None:
-            near = self.trust.gather(index[..., :VALUE])[..., 0]
-            trust = trust * (near * weights[..., :VALUE]).sum(-1)
+        trust = self._trust(seen, index, weights)
         if self.target_trust is not None:
             trust = trust * self.target_trust
         seen = seen & (trust > 0)

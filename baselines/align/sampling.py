@@ -73,6 +73,14 @@ class CellTable:
         )
         return mixed.view(*shape, 3, self.cells.shape[-1])
 
+    def value(self, index: Tensor, weights: Tensor) -> Tensor:
+        """Return the value (M, N, C) alone, by cells and weights (M, N, 20) of ``stencil``."""
+        cells, share = index[..., :VALUE].flatten(0, -2), weights[..., :VALUE].flatten(0, -2)
+        value = embedding_bag(
+            cells, self.cells, mode="sum", per_sample_weights=share.to(self.cells)
+        )
+        return value.view(*index.shape[:-1], self.cells.shape[-1])
+
 
 def _stencil_basis() -> tuple[list[tuple[int, int]], Tensor]:
     """Return the stencil's cells (x, y), and the (4, 20) matrix from 1, a, b, ab to weights."""

@@ -112,8 +112,7 @@ class FeaturemetricLocalizer:
         self._map = sparse_map
         cameras = [image.camera for image in sparse_map.images.values()]
         self._kept_mb = max(1, config.memory_mb - self._extract.pass_megabytes(cameras))
-        # First, as the extraction of SIFT takes more memory than all that follows.
-        self._matches: SiftLocalizer | None = None
+        self._matches: SiftLocalizer | None = None  # first: it takes more memory than the rest
         if config.multistart and config.matches is not None:
             least_mb = min(self._kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
@@ -347,10 +346,11 @@ class FeaturemetricLocalizer:
             problem = self._problems.build(view, maps, chosen, start, count)
         with clock.stage("alignment"):
             if many:
-                alignment = align_from_many(problem, radius, options.hypotheses)
+                few = problem.at_levels(slice(options.compared_levels))
+                alignment = align_from_many(few, radius, options.hypotheses)
                 problem, alignment = self._realigned(query, view, maps, problem, alignment)
             else:
-                alignment = align(problem)
+                alignment = align(problem, with_covariance=False)
             return judged(view, problem, alignment, options)
 
     def _realigned(
@@ -370,8 +370,8 @@ class FeaturemetricLocalizer:
         pose = photograph_pose(view, alignment)
         chosen = self._chosen(replace(query, prior=known_pose(pose)))
         after = self._problems.build(view, maps, chosen, pose, self.config.points)
-        # The coarsest level has no more to say of a pose that the finest one found.
-        final = align(after.finer() if after.levels[1:] else after)
+        # The coarsest level has no more to say of a pose that a finer one found.
+        final = align(after.finer() if after.levels[1:] else after, with_covariance=False)
         if final.failed[0]:
             return problem, alignment
         return after, replace(final, iterations=alignment.iterations + final.iterations)

@@ -115,6 +115,11 @@ class SearchOptions(Config):
         ge=10,
         description="Points by which several starts are compared; the best is aligned to all.",
     )
+    compared_levels: int = Field(
+        2,
+        ge=1,
+        description="Levels, from the coarsest, on which starts are compared.",
+    )
     radius_m: float = Field(8.0, gt=0, description="Least distance to look around a start, metres.")
     radius_deg: float = Field(10.0, gt=0, description="Least angle to look around a start.")
     max_radius_m: float = Field(

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.align.aligner import align
+from baselines.align.local import Local
 from baselines.align.options import Options
 from baselines.align.problem import Problem
-from baselines.align.residuals import Level
+from baselines.align.residuals import Level, LevelCost, robust_cost
 from baselines.align.sampling import per_axis
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.featuremetric.references import ReferenceFeatures, ReferenceOptions, spaced_order
@@ -193,10 +193,8 @@ def fit(problem: Problem, pose: Pose) -> float:
         problem: of one image.
         pose: ``cam_from_world``, batched (1).
     """
-    points = problem.points
-    still = problem.options.model_copy(update={"iterations": 0})
-    middle = len(problem.levels) // 2
-    level, damping = problem.levels[middle], problem.damping[middle]
+    points, options = problem.points, problem.options
+    level = problem.levels[len(problem.levels) // 2]
     projected = problem.intrinsics.project(pose.transform(points))
     size = torch.tensor(level.features.shape[:1:-1], dtype=points.dtype)
     cells = projected.xy / per_axis(level.stride, points)
@@ -207,17 +205,29 @@ def fit(problem: Problem, pose: Pose) -> float:
     # picture looks the same, they fit as well. Neighbours in the list lie in different parts of it.
     order = torch.nonzero(seen)[:, 0]
     other = torch.roll(order, len(order) // 2)
+    local = Local.of(replace(problem, points=points[:, order], mask=None).starting_at(pose))
+    cost = LevelCost.of(
+        level,
+        local.points,
+        local.usable,
+        local.intrinsics,
+        options.border_cells,
+        options.robust_scale,
+    )
+    values, trust = cost.sampled(local.start)
 
-    def cost(which: torch.Tensor) -> float:
-        trust = level.reference_confidence
-        chosen = replace(
-            level,
-            reference=level.reference[:, which],
-            reference_confidence=None if trust is None else trust[:, which],
-        )
-        at_pose = Problem([chosen], points[:, order], problem.intrinsics, pose, [damping], still)
-        return float(align(at_pose).cost)
+    def mean_cost(which: torch.Tensor) -> float:
+        weight = trust
+        if level.reference_confidence is not None:
+            weight = trust * level.reference_confidence[:, which]
+        if int((weight > 0).sum()) < options.min_points:
+            return math.inf
+        squared = ((values - level.reference[:, which].to(values)) ** 2).sum(-1)
+        each = weight * robust_cost(squared, options.robust_scale)
+        return float(each.sum() / weight.sum())
 
-    chance = cost(other)
+    chance = mean_cost(other)
+    if not math.isfinite(chance):
+        return math.inf
     # Features that are all the same cost nothing at any pose: they tell no place from another.
-    return cost(order) / chance if chance > _NOTHING else 1.0
+    return mean_cost(order) / chance if chance > _NOTHING else 1.0

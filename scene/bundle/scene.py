@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -115,7 +115,7 @@ class Scene:
         """
         if not self.map_path.is_dir():
             raise InputError(f"scene {self.path} has no map yet: run 'objconnect map {self.path}'")
-        return read_model(self.map_path)
+        return replace(read_model(self.map_path), features=self.map_path / FEATURES)
 
     def added_points(self, sparse_map: SparseMap) -> NDArray[np.bool_]:
         """Return which points of the map were added after it was built from features, (M,) bool.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -154,16 +155,7 @@ class Camera:
         the image. The limit is infinite (for the fisheye: a right angle) when the polynomial always
         grows.
         """
-        k1, k2, k3, k4 = self.distortion
-        if self.is_fisheye:
-            slope, unbounded = [9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0], math.pi / 2
-        else:
-            slope, unbounded = [5 * k2, 3 * k1, 1.0], math.inf
-        while abs(slope[0]) < _MIN_COEFFICIENT:
-            slope = slope[1:]
-        roots = np.roots(slope)
-        squares = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and r.real > 0]
-        return min([unbounded, *(math.sqrt(s) for s in squares)])
+        return _fold_limit(self.is_fisheye, self.distortion)
 
     def intrinsics(
         self, dtype: torch.dtype | None = None, device: torch.device | None = None
@@ -230,3 +222,18 @@ class Camera:
         names = MODELS[self.model]
         params = tuple(p * scale.get(n, 1.0) for n, p in zip(names, self.params, strict=True))
         return Camera(self.model, width, height, params)
+
+
+@lru_cache(maxsize=1024)
+def _fold_limit(fisheye: bool, distortion: tuple[float, float, float, float]) -> float:
+    """Return what ``Camera.fold_limit`` describes; it is asked for at every projection."""
+    k1, k2, k3, k4 = distortion
+    if fisheye:
+        slope, unbounded = [9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0], math.pi / 2
+    else:
+        slope, unbounded = [5 * k2, 3 * k1, 1.0], math.inf
+    while abs(slope[0]) < _MIN_COEFFICIENT:
+        slope = slope[1:]
+    roots = np.roots(slope)
+    squares = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and r.real > 0]
+    return min([unbounded, *(math.sqrt(s) for s in squares)])

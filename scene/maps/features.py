@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 # A group is named like its image, with "\" for "/". The group of an image whose name contains "\"
 # has a number for a name instead, and the image's name in this attribute.
 _NAME = "name"
+# What the features of a file depend on: see ``features_key``.
+_MADE_OF = "made_of"
 
 
 @dataclass(frozen=True)
@@ -69,9 +72,26 @@ def unit_bits(descriptors: NDArray[np.uint8]) -> Tensor:
     return torch.nn.functional.normalize(2 * bits.float() - 1, dim=-1)
 
 
+def features_key(photographs: Sequence[tuple[str, str]], options: str, *others: object) -> str:
+    """Return a digest of all that features depend on.
+
+    Args:
+        photographs: names and digests, in the order of the names.
+        options: of the extractor, as text.
+        others: digest of its weights, views of the photographs.
+    """
+    weights, *views = others or (None,)
+    parts = f"{list(photographs)} {options} {weights} {''.join(str(view or '') for view in views)}"
+    return hashlib.sha256(parts.encode()).hexdigest()
+
+
 @contextmanager
-def feature_writer(path: Path) -> Iterator[Callable[[str, Features], None]]:
+def feature_writer(path: Path, made_of: str = "") -> Iterator[Callable[[str, Features], None]]:
     """Write a feature file atomically, one image at a time.
+
+    Args:
+        path: of the file.
+        made_of: what ``features_key`` returned; empty where it is not known.
 
     Yields:
         A function that adds the features of the image of a given name.
@@ -80,6 +100,8 @@ def feature_writer(path: Path) -> Iterator[Callable[[str, Features], None]]:
         InputError: the folder cannot be written.
     """
     with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+        if made_of:
+            set_text(file, _MADE_OF, made_of)
 
         def add(name: str, item: Features) -> None:
             # HDF5 would take the slashes of a name for nested groups.
@@ -98,13 +120,15 @@ def _image_name(group_name: str, node: h5py.Group) -> str:
     return str(attribute(node, _NAME)) if _NAME in node.attrs else group_name.replace("\\", "/")
 
 
-def write_features(path: Path, features: Mapping[str, Features]) -> None:
+def write_features(path: Path, features: Mapping[str, Features], made_of: str = "") -> None:
     """Write a file with the features of several images, by image name, atomically.
+
+    ``made_of`` is that of ``feature_writer``.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    with feature_writer(path) as add:
+    with feature_writer(path, made_of) as add:
         for name, item in features.items():
             add(name, item)
 
@@ -114,6 +138,10 @@ class FeatureFile(Mapping[str, Features]):
 
     Nothing is cached. The file stays open, so it may be removed in the meantime. The mapping can be
     shared between threads.
+
+    Attributes:
+        path: of the file.
+        made_of: digest of all that the features depend on; empty where it is not known.
 
     Raises:
         InputError: the file is missing or damaged; this can also be raised on access.
@@ -125,6 +153,8 @@ class FeatureFile(Mapping[str, Features]):
             require_readable(path, "feature file")
             self._file = h5py.File(path, "r")
             self._groups = {_image_name(key, node): key for key, node in groups(self._file)}
+            known = _MADE_OF in self._file.attrs
+            self.made_of = str(attribute(self._file, _MADE_OF)) if known else ""
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,6 +65,7 @@ class SparseMap:
         rgb: colours of the points, (M, 3) uint8.
         error: mean reprojection error of each point, (M,) pixels.
         track_length: number of photographs that observe each point, (M,).
+        features: file of the features that the map was built from, or None.
     """
 
     images: Mapping[str, MapImage]
@@ -71,6 +73,7 @@ class SparseMap:
     rgb: NDArray[np.uint8]
     error: NDArray[np.float64]
     track_length: NDArray[np.int64]
+    features: Path | None = field(default=None, compare=False)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -69,11 +69,25 @@ def test_bfloat16_is_near() -> None:
 
 
 @pytest.mark.parametrize("config", [ObjConnectConfig, PlaceConfig])
-@pytest.mark.parametrize(("units", "used"), [(True, "bfloat16"), (False, "float32")])
+@pytest.mark.parametrize(
+    ("units", "used"),
+    [
+        ((True, True, "GenuineIntel"), "bfloat16"),
+        ((False, True, "GenuineIntel"), "float32"),
+        ((False, True, "AuthenticAMD"), "bfloat16"),
+        ((False, False, "AuthenticAMD"), "float32"),
+    ],
+)
 def test_configurations_record_the_precision_that_is_used(
-    config: type[ObjConnectConfig], units: bool, used: str, monkeypatch: pytest.MonkeyPatch
+    config: type[ObjConnectConfig],
+    units: tuple[bool, bool, str],
+    used: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("torch.cpu._is_amx_tile_supported", lambda: units)
+    matrices, vectors, maker = units
+    monkeypatch.setattr("torch.cpu._is_amx_tile_supported", lambda: matrices)
+    monkeypatch.setattr("torch.cpu._is_avx512_bf16_supported", lambda: vectors)
+    monkeypatch.setattr("baselines.folding.processor_maker", lambda: maker)
     assert config().model_dump()["precision"] == used
     assert config(precision="auto").precision == used
     assert config(precision="float32").precision == "float32"

@@ -16,10 +16,14 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from baselines.align.sampling import CellTable, stencil
 from baselines.folding import fold
+from baselines.grey_photograph import GreyPhotograph
+from baselines.sweep import SweepOptions
+from baselines.window_sweep import WindowSweep
 from objconnect.localizer import SHIPPED
 from objconnect.network import read_network
 from scene.bundle.scene import Scene
 from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
 from scene.maps.colmap_files import read_model
 from scene.maps.matching import match
 
@@ -141,6 +145,44 @@ def test_mix_bare_lookup(
     """The cells copied once, each of them only for one of the sums."""
     table, index, _ = looked_up
     benchmark(lambda: table.cells.index_select(0, index[..., 4:16].flatten()))
+
+
+@pytest.fixture(scope="module")
+def photographs() -> tuple[GreyPhotograph, GreyPhotograph, torch.Tensor]:
+    """Return two photographs of 512 pixels from 80 m, 20 m apart, and 2,000 pixels of the first."""
+    generator = torch.Generator().manual_seed(0)
+    camera = Camera("PINHOLE", 512, 512, (512.0, 512.0, 256.0, 256.0))
+    down = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+
+    def taken(x: float) -> GreyPhotograph:
+        centre = torch.tensor([x, 0.0, 80.0], dtype=torch.float64)
+        grey = 255 * torch.rand(512, 512, generator=generator)
+        return GreyPhotograph(grey, camera, Pose(down, -down @ centre), lambda xy: xy)
+
+    xy = 150 + 300 * torch.rand(2000, 2, generator=generator, dtype=torch.float64)
+    return taken(0.0), taken(20.0), xy
+
+
+@pytest.mark.benchmark(group="correlate 2,000 windows of 49 values at 11 depths")
+def test_windows_ours(
+    benchmark: BenchmarkFixture, photographs: tuple[GreyPhotograph, GreyPhotograph, torch.Tensor]
+) -> None:
+    here, other, xy = photographs
+    sweep = WindowSweep(here, xy, SweepOptions().window(), 8.0)
+    depths = torch.linspace(1 / 85, 1 / 75, 11).expand(2000, -1)
+    found = benchmark(sweep, depths, other)
+    assert found.shape == (2000, 11) and (found > -1).mean() > 0.5
+
+
+@pytest.mark.benchmark(group="correlate 2,000 windows of 49 values at 11 depths")
+def test_windows_bare_lookup(
+    benchmark: BenchmarkFixture, photographs: tuple[GreyPhotograph, GreyPhotograph, torch.Tensor]
+) -> None:
+    """As many values looked up by OpenCV, and nothing else."""
+    here, _, xy = photographs
+    grey = here.grey.numpy()
+    x, y = (xy[:, axis, None].float().expand(-1, 11 * 49).contiguous().numpy() for axis in (0, 1))
+    benchmark(lambda: cv2.remap(grey, x, y, cv2.INTER_LINEAR))
 
 
 @pytest.mark.parametrize("way", ["as trained", "folded", "folded, bfloat16"])

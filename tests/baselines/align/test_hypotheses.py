@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.align.aligner import Alignment
 from baselines.align.hypotheses import _best, align_from_many, around
 from baselines.align.options import HypothesisOptions, Options, SearchRadius
 from baselines.align.problem import Problem
@@ -79,13 +80,49 @@ def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> 
 
 
 def test_hypotheses_that_have_met_go_on_as_one() -> None:
-    """Nine starts, four steps each at most; from there on it takes what one start does."""
+    """Five starts, four steps each at most; from there on it takes what one start does."""
     problem = small(0)
     start = stacked([wrong(problem.truth, 0.5, 0.5, 0)])
     place = problem.points, PINHOLE.intrinsics(), start
     found = align_from_many(Problem(problem.levels, *place, DAMPING, Options()), SearchRadius(1, 1))
     alone = problem.align(start)
-    assert found.iterations.item() <= 9 * 4 + alone.iterations.item()
+    assert found.iterations.item() <= 5 * 4 + alone.iterations.item()
+
+
+def many_from(problem: Small, off: float, **options: int) -> Alignment:
+    """Align a problem from a prior that is off by so many metres and degrees."""
+    start = stacked([wrong(problem.truth, off, off, 0)])
+    place = problem.points, PINHOLE.intrinsics(), start
+    return align_from_many(
+        Problem(problem.levels, *place, DAMPING, Options()),
+        SearchRadius(8, 8),
+        HypothesisOptions(**options),
+    )
+
+
+def test_starts_are_not_refined_where_the_first_agree() -> None:
+    problem = small(0, (10, 5, 4), 2)
+    few, every = (many_from(problem, 3, first_refined=first) for first in (4, 9))
+    assert few.iterations.item() < every.iterations.item() - 4
+    assert float(few.pose.error_to(every.pose)[0]) < 0.01
+    assert float(few.pose.error_to(problem.truth)[0]) < 0.25
+
+
+def test_a_first_start_alone_agrees_with_none() -> None:
+    """The others are then refined after it, and the result is that of all at once."""
+    problem = small(0, (10, 5, 4), 2)
+    alone, every = (many_from(problem, 8, first_refined=first) for first in (1, 9))
+    assert alone.iterations.item() == every.iterations.item()
+    torch.testing.assert_close(alone.pose.matrix(), every.pose.matrix())
+
+
+def test_the_coarsest_level_looks_at_the_first_points_alone() -> None:
+    problem = small(0, (10, 5, 4), 2)
+    count = problem.points.shape[1] // 2
+    half, whole = (many_from(problem, 3, coarse_points=points) for points in (count, 2 * count))
+    assert not torch.equal(half.by_level[0].matrix(), whole.by_level[0].matrix())
+    assert half.seen.item() > count
+    assert float(half.pose.error_to(whole.pose)[0]) < 0.01
 
 
 @pytest.mark.parametrize("value", [torch.nan, 1.0])

@@ -28,6 +28,7 @@ def test_stencil_is_bilinear_with_central_differences() -> None:
         return reference_values(maps, c)
 
     torch.testing.assert_close(value, at(cells))
+    torch.testing.assert_close(table.value(index, weights), value)
     torch.testing.assert_close(along_x, (at(cells + x) - at(cells - x)) / 2)
     torch.testing.assert_close(along_y, (at(cells + y) - at(cells - y)) / 2)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.align.aligner import align
 from baselines.align.options import Options
 from baselines.align.problem import Problem
 from baselines.featuremetric.maps import MapExtractor
@@ -83,3 +84,39 @@ def test_features_that_are_all_the_same_fit_no_better_than_by_chance() -> None:
     )
     levels = [*made.levels[:middle], flat, *made.levels[middle + 1 :]]
     assert fit(replace(problem, levels=levels), pose) == 1.0
+
+
+def test_fit_is_the_cost_of_an_alignment_that_takes_no_step() -> None:
+    made = small()
+    pose = Pose(made.truth.rotation[None], made.truth.translation[None])
+    level = made.levels[1]
+    # Points well inside the picture: of the others it depends on the border which are in view.
+    xy = PINHOLE.project(pose.transform(made.points.double())[0]).xy
+    inside = torch.nonzero(PINHOLE.contains(xy, 2 * level.stride))[:, 0]
+    assert 100 < len(inside) < made.points.shape[1]
+    trusted = replace(
+        level,
+        reference=level.reference[:, inside],
+        confidence=0.1 + torch.rand(1, 1, *level.features.shape[-2:]),
+        reference_confidence=0.1 + torch.rand(1, len(inside)),
+    )
+    points, still = made.points[:, inside], Options(iterations=0)
+    problem = Problem([trusted], points, PINHOLE.intrinsics(), pose, DAMPING[:1], still)
+    aligned = align(problem)
+    assert aligned.seen.item() == len(inside)
+    other = torch.roll(torch.arange(len(inside)), len(inside) // 2)
+    swapped = replace(
+        trusted,
+        reference=trusted.reference[:, other],
+        reference_confidence=trusted.reference_confidence[:, other],
+    )
+    chance = align(replace(problem, levels=[swapped])).cost
+    assert fit(problem, pose) == pytest.approx(float(aligned.cost / chance), rel=1e-4)
+
+
+def test_too_few_points_in_view_fit_nothing() -> None:
+    made = small()
+    pose = Pose(made.truth.rotation[None], made.truth.translation[None])
+    problem = Problem(made.levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
+    assert fit(problem.first_points(9), pose) == math.inf
+    assert fit(problem.first_points(40), pose) < 0.6

@@ -1,0 +1,91 @@
+"""Ratios of made runs: which are kept, and which change is more than chance."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.benchmarks.ratios import main, ratios_of
+
+
+def run(path: Path, medians: dict[str, float], iqr: float = 0.02, group: str = "match") -> Path:
+    """Write what pytest-benchmark writes, as far as it is read."""
+    benchmarks = [
+        {"group": group, "name": name, "stats": {"median": median, "iqr": iqr * median}}
+        for name, median in medians.items()
+    ]
+    made = {
+        "benchmarks": benchmarks,
+        "machine_info": {"cpu": {"brand_raw": "A processor"}, "node": "a-name-of-a-machine"},
+        "commit_info": {"id": "abc"},
+    }
+    path.write_text(json.dumps(made))
+    return path
+
+
+def test_ours_is_measured_by_every_peer_and_bound(tmp_path: Path) -> None:
+    medians = {"test_ours": 3.0, "test_opencv": 6.0, "test_bare_product": 1.5, "test_way[two]": 4.5}
+    found = ratios_of(run(tmp_path / "run.json", medians))
+    assert {(each.name, each.over): each.ratio for each in found.ratios} == {
+        ("test_ours", "test_opencv"): 0.5,
+        ("test_ours", "test_bare_product"): 2.0,
+        ("test_way[two]", "test_opencv"): 0.75,
+        ("test_way[two]", "test_bare_product"): 3.0,
+    }
+    assert found.ratios[0].spread == pytest.approx(0.5 * 0.02 * 2**0.5)
+
+
+def test_a_group_without_a_peer_is_measured_by_its_first(tmp_path: Path) -> None:
+    found = ratios_of(run(tmp_path / "run.json", {"test_query[100]": 0.4, "test_query[1000]": 0.5}))
+    (only,) = found.ratios
+    assert (only.name, only.over, only.ratio) == ("test_query[1000]", "test_query[100]", 1.25)
+
+
+def written(folder: Path, name: str, ours: float, iqr: float = 0.02) -> Path:
+    """Write the ratios of a run in which ours takes so many times what a peer takes."""
+    made = run(folder / f"{name}-run.json", {"test_ours": ours, "test_opencv": 1.0}, iqr)
+    path = folder / f"{name}.json"
+    assert main(["write", str(made), str(path)]) == 0
+    return path
+
+
+@pytest.mark.parametrize(
+    ("ours", "iqr", "worse"),
+    [(1.0, 0.02, 0), (0.5, 0.02, 0), (1.08, 0.02, 0), (1.2, 0.02, 1), (1.2, 0.2, 0), (3, 0.2, 1)],
+)
+def test_a_ratio_that_grew_by_more_than_its_spread_fails(
+    tmp_path: Path, ours: float, iqr: float, worse: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, now = written(tmp_path, "before", 1.0, iqr), written(tmp_path, "now", ours, iqr)
+    assert main(["check", str(now), "--against", str(before)]) == worse
+    assert ("WORSE" in capsys.readouterr().out) == bool(worse)
+
+
+def test_the_file_names_processor_and_commit_and_not_the_machine(tmp_path: Path) -> None:
+    text = written(tmp_path, "now", 1.0).read_text()
+    assert "A processor" in text and "abc" in text and "a-name-of-a-machine" not in text
+
+
+def test_files_that_are_none_are_named_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other, good = tmp_path / "other.json", written(tmp_path, "good", 1.0)
+    other.write_text('{"benchmarks": [{"name": "no numbers"}]}')
+    assert main(["write", str(other), str(tmp_path / "out.json")]) == 2
+    assert main(["check", str(good), "--against", str(tmp_path / "missing.json")]) == 2
+    assert main(["check", str(other), "--against", str(good)]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 3 and all(line.startswith("error: ") for line in errors)
+    assert str(other) in errors[0] and not (tmp_path / "out.json").exists()
+
+
+def test_runs_that_share_nothing_are_not_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = run(tmp_path / "run.json", {"test_ours": 1.0, "test_bare": 1.0}, group="another")
+    assert main(["write", str(made), str(tmp_path / "other.json")]) == 0
+    before = written(tmp_path, "before", 1.0)
+    assert main(["check", str(tmp_path / "other.json"), "--against", str(before)]) == 2
+    assert "share no ratio" in capsys.readouterr().err
