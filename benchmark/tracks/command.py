@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -235,9 +236,6 @@ def _make(
     if tree is not None and not is_cmu(tree):
         export(path, _TREE, tree)
     dataset = open_scene(path)
-    unlike = ""
-    if place.renders and dataset.sha256 not in place.renders:
-        unlike = difference(read_render(record), render_of(scene))
     return PlaceReport(
         dataset=place.dataset,
         scene=path,
@@ -245,8 +243,17 @@ def _make(
         queries=len(dataset.queries),
         sha256=dataset.sha256,
         recorded=place.renders,
-        unlike=unlike,
+        unlike=_unlike(place, dataset.sha256, record, scene),
     )
+
+
+def _unlike(place: Place, sha256: str, record: Path, scene: Scene) -> str:
+    """Return how a render differs from the recorded one by more than rounding; empty for not."""
+    if not place.renders or sha256 in place.renders:
+        return ""
+    if not os.path.lexists(record):
+        return f"whose cameras and brightness {record.name} would tell"
+    return difference(read_render(record), render_of(scene))
 
 
 def _is_mapped(scene: Scene) -> bool:

@@ -103,6 +103,18 @@ def test_a_render_of_another_machine_is_the_same_data_set(out: Path, board: Path
     assert track("tiny", out, board=board).text().endswith(", as recorded")
 
 
+def test_a_record_that_is_missing_is_named(out: Path, board: Path) -> None:
+    """A board of before has digests alone; a digest that is another one tells nothing more."""
+    track("tiny", out, board=board, update=True)
+    (board / "tiny" / "renders" / "town-11.json.xz").unlink()
+    assert track("tiny", out, board=board).differing == ()
+    photograph = next((out / "town-11" / "sessions").rglob("*.jpg"))
+    photograph.write_bytes(photograph.read_bytes() + b"\0")
+    report = track("tiny", out, board=board)
+    assert "cameras and brightness town-11.json.xz would tell" in report.text()
+    assert report.differing == ("town-11",)
+
+
 def test_another_render_is_named(out: Path, board: Path) -> None:
     """A photograph shows something else; the results of that place can not be compared."""
     track("tiny", out, board=board, update=True)
