@@ -273,7 +273,7 @@ def _board(root: Path) -> None:
         for dataset in ("meadow", "hamlet")
     }
     places = tuple(
-        Place(dataset=dataset, preset="town", seed=1, sha256=of["sha256"])
+        Place(dataset=dataset, preset="town", seed=1, renders=(of["sha256"],))
         for dataset, of in made.items()
     )
     config = "board/tiny/place.yaml"
