@@ -222,10 +222,14 @@ class Lost:
 
     def __call__(
         self, image: Tensor, *, levels: int | None = None, shown: NDArray[np.bool_] | None = None
-    ) -> Iterator[tuple[Tensor, Tensor]]:
-        made = self._network(image, levels=levels, shown=shown)
-        for level, (features, confidence) in enumerate(made):
-            yield features * (level != self._level), confidence
+    ) -> list[tuple[Tensor, Tensor]]:
+        # All levels at once: half precision is on only while the network is called.
+        return [
+            (features * (level != self._level), confidence)
+            for level, (features, confidence) in enumerate(
+                self._network(image, levels=levels, shown=shown)
+            )
+        ]
 
 
 @pytest.mark.thorough
