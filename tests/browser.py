@@ -125,11 +125,18 @@ class Browser:
         self.send("Emulation.setEmulatedMedia", features=[scheme])
         self.errors.clear()
         self.requests.clear()
+        self._load("Page.navigate", url=path.resolve().as_uri())
+
+    def reload(self) -> None:
+        """Load the page again at the address it has now."""
+        self._load("Page.reload")
+
+    def _load(self, method: str, **params: Any) -> None:
         self._loaded = False
-        self.send("Page.navigate", url=path.resolve().as_uri())
+        self.send(method, **params)
         end = time.monotonic() + _PATIENCE
         while not self._loaded:
-            assert time.monotonic() < end, f"{path} did not load"
+            assert time.monotonic() < end, f"the page did not load: {params}"
             self._note(self._read())
         self.settle()
 

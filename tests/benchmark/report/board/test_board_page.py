@@ -186,9 +186,8 @@ def test_the_address_names_the_cell(made: Path, page: Browser) -> None:
     address = page.run("location.hash")
     page.open(made.parent / "out" / "leaderboard.html")
     page.run(f"location.hash = {json.dumps(address)}")
-    page.run("location.reload()")
-    page.wait("document.readyState === 'complete' && document.getElementById('where') !== null")
-    page.wait("document.getElementById('where').innerText === 'uav-seasons: snow-dusk, all places'")
+    page.reload()
+    assert page.texts("#where") == ["uav-seasons: snow-dusk, all places"]
     assert page.run("document.getElementById('start').selectedOptions[0].text") == "no prior"
 
 
