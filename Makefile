@@ -167,8 +167,11 @@ SEASONS := town-1201 suburb-1211 park-1221 park-1222 farmland-1241 industrial-12
 EQUAL := pixloc d2net objconnect
 FEATURES_ALONE := network={segmentation: none, attention: false, object_graph: false, scene_graph: false}
 
+# Objects are learned from those places that are seen from above.
+ABOVE := $(filter-out street-%,$(SEASONS))
+
 .PHONY: equal
-equal: $(EQUAL:%=$(W)/equal-%/weights.safetensors)
+equal: $(EQUAL:%=$(W)/equal-%/weights.safetensors) $(call learned,equal-connected)
 
 $(W)/season-%/scene.json: | libraries
 	$(BIN)/objconnect simulate --config configs/train/$(if $(filter street-%,$*),street,seasons).yaml \
@@ -181,6 +184,17 @@ $(W)/equal-%/weights.safetensors: $(call learned,shared) $(SEASONS:%=$(W)/season
 	$(BIN)/objconnect train $* $(SEASONS:%=--data $(W)/season-%) --config configs/train/equal.yaml \
 	  --set weights=$< $(if $(filter objconnect,$*),--set '$(FEATURES_ALONE)') \
 	  $(if $(PHOTOS),--set 'photographs=[$(PHOTOS)]') --out $(@D)
+
+$(W)/season-%/map/points3D.bin: $(W)/season-%/scene.json
+	$(BIN)/objconnect map $(W)/season-$*
+
+$(call learned,equal-objects): $(call learned,equal-objconnect) $(ABOVE:%=$(W)/season-%/scene.json)
+	$(BIN)/objconnect train objects $(ABOVE:%=--data $(W)/season-%) \
+	  --config configs/train/objects-detector.yaml --set weights=$< --out $(@D)
+
+$(call learned,equal-connected): $(call learned,equal-objects) $(ABOVE:%=$(W)/season-%/map/points3D.bin)
+	mkdir -p $(@D)
+	$(BIN)/python -m objconnect.constellation_training $(ABOVE:%=$(W)/season-%) --weights $< --out $@
 
 # Maps with their photographs: what places on small things are learned from.
 MAPPED := map-1001 map-1002 map-1003
