@@ -120,7 +120,7 @@ class Neighbours:
         """
         options, row = self._options, self._row_of[name]
         order = [row]
-        if alone := len(self._rows[row]) < options.least_depths:
+        if few := len(self._rows[row]) < options.least_depths:
             away = np.linalg.norm(self._centres - self._centres[row], axis=1)
             order = np.argsort(away, kind="stable").tolist()
         found, count = [], 0
@@ -134,7 +134,7 @@ class Neighbours:
             return math.inf, math.inf
         near, far = z.quantile(z.new_tensor([0.005, 0.995])).tolist()
         near, far = near * (1 - options.depth_margin), far * (1 + options.depth_margin)
-        return min(near, options.nearest_depth * float(z.median())) if alone else near, far
+        return min(near, options.nearest_depth * float(z.median())) if few else near, far
 
     def _observed(self, row: int) -> Tensor:
         """Return the depths of the points that a photograph observes in front of it."""
