@@ -21,10 +21,10 @@ from pydantic import Field
 from torch import Tensor
 
 from baselines.grey_photograph import GreyPhotograph
+from baselines.neighbours import NeighbourOptions, Neighbours
 from baselines.plane_sweep import PlaneSweep
 from baselines.views import warp_image
 from baselines.window_sweep import WindowSweep
-from scene.config import Config
 from scene.geometry.camera import Camera
 from scene.maps.sparse_map import SparseMap
 from scene.storage.images import read_rgb
@@ -36,28 +36,9 @@ _CACHED: Final = 12
 _CHUNK: Final = 1024
 
 
-class SweepOptions(Config):
+class SweepOptions(NeighbourOptions):
     """Options of the plane sweep."""
 
-    neighbours: int = Field(
-        4, ge=2, description="Most photographs that each photograph is compared with."
-    )
-    min_shared_points: int = Field(
-        20, ge=1, description="Neighbours share at least this many map points."
-    )
-    best_angle_deg: float = Field(
-        15.0,
-        gt=0,
-        lt=90,
-        description="Angle between rays at which neighbours are preferred: flatter ones say little "
-        "of depth, steeper ones look different.",
-    )
-    depth_margin: float = Field(
-        0.1,
-        ge=0,
-        lt=1,
-        description="Depths are tried beyond those of the map's own points by this share.",
-    )
     max_depths: int = Field(256, ge=8, description="Most depths tried for a pixel.")
     window_samples: int = Field(
         7, ge=1, description="Values along each side of the window that is compared."
@@ -148,15 +129,7 @@ class Sweeper:
         sizes = (c.width * c.height * self._scale(c) ** 2 for c in cameras)
         largest = max(sizes, default=0.0) * np.dtype(np.float32).itemsize
         self.photograph = LruCache(self._read, math.ceil(_CACHED * largest))
-        self._rows = {
-            name: np.unique(image.point_rows[image.point_rows >= 0])
-            for name, image in sparse_map.images.items()
-        }
-        # Photographs that observe the points, in order of the points, and where each of these ends.
-        rows = np.concatenate([np.empty(0, np.int64), *self._rows.values()])
-        photographs = np.repeat(np.arange(len(self._rows)), [len(r) for r in self._rows.values()])
-        ends = np.cumsum(np.bincount(rows, minlength=len(sparse_map.xyz)))
-        self._observers = photographs[np.argsort(rows, kind="stable")], ends
+        self._neighbours = Neighbours(sparse_map, options)
 
     @torch.inference_mode()
     def __call__(
@@ -176,7 +149,7 @@ class Sweeper:
         Raises:
             InputError: a photograph is missing or damaged.
         """
-        neighbours = self._beside(name)
+        neighbours = self._neighbours(name)
         if len(neighbours) < 2 or not len(xy):
             return Swept(np.zeros((len(xy), 3)), np.zeros(len(xy), bool), np.zeros(len(xy)))
         here = self.photograph(name)
@@ -249,40 +222,6 @@ class Sweeper:
         values = torch.from_numpy(grey.astype(np.float32))
         return GreyPhotograph(values, small.camera, image.pose, small.in_photograph)
 
-    def _beside(self, name: str) -> list[str]:
-        """Choose photographs of the same place whose rays cross this one's at a good angle, from
-        different sides."""
-        options, own, here = self._options, self._map.images[name], self._rows[name]
-        best_angle = math.radians(options.best_angle_deg)
-        centre = own.pose.centre().numpy()
-        middle = np.median(self._map.xyz[here], axis=0) if len(here) else centre
-        distance = max(float(np.linalg.norm(middle - centre)), 1e-9)
-        scores, sides = {}, {}
-        for other, shared in zip(self._rows, self._shared(here).tolist(), strict=True):
-            if other == name or shared < options.min_shared_points:
-                continue
-            baseline = self._map.images[other].pose.centre().numpy() - centre
-            angle = math.atan2(float(np.linalg.norm(baseline)), distance)
-            scores[other] = shared * math.exp(-((math.log(max(angle, 1e-6) / best_angle)) ** 2))
-            sides[other] = baseline / max(float(np.linalg.norm(baseline)), 1e-9)
-        chosen: list[str] = []
-        while scores and len(chosen) < options.neighbours:
-            best = max(
-                scores, key=lambda n: scores[n] * _novel(sides[n], [sides[c] for c in chosen])
-            )
-            chosen.append(best)
-            del scores[best]
-        return chosen
-
-    def _shared(self, points: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return how many of some points each photograph observes, in the order of their names."""
-        photographs, ends = self._observers
-        first = np.concatenate([[0], ends])[points]
-        counts = ends[points] - first
-        before = np.cumsum(counts) - counts
-        picked = np.repeat(first - before, counts) + np.arange(counts.sum())
-        return np.bincount(photographs[picked], minlength=len(self._rows))
-
     def _depths(
         self,
         name: str,
@@ -292,17 +231,14 @@ class Sweeper:
         bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
     ) -> Tensor:
         """Return inverse depths to try, (N, D), a pixel apart in the neighbour farthest away."""
-        options, pose = self._options, self._map.images[name].pose
+        options = self._options
         if bounds is None:
-            points = torch.from_numpy(self._map.xyz[self._rows[name]])
-            z = pose.transform(points)[:, 2]
-            near, far = z[z > 0].quantile(z.new_tensor([0.005, 0.995]))
-            nearest = (near * (1 - options.depth_margin)).expand(count)
-            farthest = (far * (1 + options.depth_margin)).expand(count)
+            near, far = self._neighbours.depths(name)
+            nearest, farthest = torch.tensor([[near], [far]], dtype=torch.float64).expand(2, count)
         else:
             nearest, farthest = (torch.from_numpy(bound) for bound in bounds)
         low, high = 1 / farthest, 1 / nearest
-        centre = pose.centre()
+        centre = self._map.images[name].pose.centre()
         reach = max(float((self._map.images[n].pose.centre() - centre).norm()) for n in neighbours)
         steps = math.ceil(max(camera.focal) * reach * float((high - low).max())) + 1
         share = torch.linspace(0, 1, min(max(steps, 8), options.max_depths), dtype=torch.float64)
@@ -339,11 +275,6 @@ class Sweeper:
         inverse = depths[:, 0] + torch.from_numpy(_peak(score, inner)) * step
         in_camera = sweep.rays.double() / inverse[:, None].double()
         return here.pose.inverse().transform(in_camera).numpy(), sure, agreed
-
-
-def _novel(side: NDArray[np.float64], chosen: Sequence[NDArray[np.float64]]) -> float:
-    """Return about 1 for a direction across those chosen, and less for one along them."""
-    return 1.1 - max((abs(float(side @ other)) for other in chosen), default=0.0)
 
 
 def _best_two(found: Sequence[NDArray[np.float32]]) -> tuple[NDArray[np.float32], ...]:

@@ -63,6 +63,7 @@ _NETWORK: Final = "tests/objconnect/test_network.py"
 _FPN: Final = "tests/objconnect/test_fpn.py"
 _LOCALIZER: Final = "tests/objconnect/test_localizer.py"
 _PIXLOC: Final = "tests/baselines/pixloc/test_training.py"
+_NEIGHBOURS: Final = "tests/baselines/test_neighbours.py"
 _CONTRAST: Final = "tests/baselines/training/test_contrastive.py"
 _D2NET: Final = "tests/baselines/d2net/test_training.py"
 _VGG: Final = "tests/baselines/test_vgg.py"
@@ -138,6 +139,24 @@ MUTANTS: Final = (
         "at_pixels(b, batch.image_b, batch.xy_b)",
         "at_pixels(a, batch.image_b, batch.xy_b)",
         (f"{_TRAINING}::test_each_picture_is_cut_into_its_own_segments",),
+    ),
+    Mutant(
+        "photographs that share no points are never neighbours",
+        "baselines/neighbours.py",
+        "        if len(chosen) < options.neighbours:\n",
+        "        if chosen and len(chosen) < options.neighbours:\n",
+        (
+            f"{_NEIGHBOURS}::test_photographs_that_share_no_points_are_beside_each_other_by_their_poses",
+        ),
+    ),
+    Mutant(
+        "a photograph of few points tries their depths alone",
+        "baselines/neighbours.py",
+        "if few := len(self._rows[row]) < options.least_depths:",
+        "if few := len(self._rows[row]) < 0:",
+        (
+            f"{_NEIGHBOURS}::test_depths_are_those_of_the_photographs_around_where_a_photograph_has_few_points",
+        ),
     ),
     Mutant(
         "no place beside the true one is a negative",

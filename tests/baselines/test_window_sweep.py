@@ -76,20 +76,6 @@ def test_windows_that_are_plain_correlate_with_nothing(made: tuple[SparseMap, Pa
     assert (WindowSweep(here, xy, WINDOW, 8.0)(inverse, other) != 0).any()
 
 
-def test_neighbours_share_points_as_they_are_counted_pair_by_pair(
-    made: tuple[SparseMap, Path],
-) -> None:
-    sweeper, sparse_map = Sweeper(*made), made[0]
-    rows = [
-        set(image.point_rows[image.point_rows >= 0].tolist())
-        for image in sparse_map.images.values()
-    ]
-    for own in rows:
-        counted = sweeper._shared(np.array(sorted(own))).tolist()
-        assert counted == [len(own & other) for other in rows]
-    assert min(map(len, rows)) > 0
-
-
 def test_agreement_in_the_small_pictures_saves_work_and_loses_no_exactness(
     made: tuple[SparseMap, Path],
 ) -> None:

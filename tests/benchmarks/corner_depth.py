@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from baselines.featuremetric.corners import CornerFinder
+from baselines.featuremetric.corners import CornerFinder, CornerOptions
+from baselines.sweep import SweepOptions
 from benchmark.datasets.open import open_datasets
 from scene.bundle.scene import Scene
 
@@ -25,11 +26,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path)
     parser.add_argument("--every", type=int, default=6, help="take every so many photographs")
+    parser.add_argument("--sweep", default="{}", help="options of the sweep, as JSON")
     given = parser.parse_args()
+    options = CornerOptions(sweep=SweepOptions.model_validate_json(given.sweep))
     torch.set_num_threads(1)
     scene, (dataset,) = Scene.open(given.scene), open_datasets(given.scene)
     sparse_map = dataset.load_map()
-    find = CornerFinder(sparse_map, dataset.images, _MOST, 1024)
+    find = CornerFinder(sparse_map, dataset.images, _MOST, 1024, options)
     names = sparse_map.names[given.every // 2 :: given.every]
     find(names[0])  # what is made once
     off, seconds = [], []
