@@ -97,7 +97,7 @@ class HypothesisOptions(Config):
         "over the picture.",
     )
     first_refined: int = Field(
-        5,
+        7,
         ge=1,
         description="Starts that are refined first, the prior among them: where another of these "
         "has led to the pose of the best, the others are not refined.",
