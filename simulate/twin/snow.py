@@ -25,6 +25,7 @@ _ON_ROADS, _ON_LOTS, _ON_PATHS = 0.12, 0.4, 0.5
 _PATH_M, _LOT_M = 4.0, 14.0  # widths: paths are narrower than the first, lots wider than the second
 _LIGHT, _TOO_LIGHT = 1.8, 3.3  # times the albedo of roads; lighter still are their markings
 _PAINT_M = 0.7  # albedo is compared over this distance, so that lines of paint do not count
+_RIM_M = 2.0  # edges of roofs, which look rough and dark, are taken for crowns so far
 _STANDS_M, _ON_THINGS = 0.6, 0.9  # cars and other things keep their snow on cleared ground
 _SPLASH_M = 0.5  # wheels throw snow to the edges so far
 
@@ -51,7 +52,9 @@ def snow_that_stays(
     share = cv2.GaussianBlur(share, (0, 0), _SPLASH_M / texel_m)
     share[found == WATER] = 0.0
     share[paved & (above > _STANDS_M)] = _ON_THINGS
-    return np.asarray(share * np.where(found == CROWN, np.float32(1), lies), np.float32)
+    crown = _opened(found == CROWN, _RIM_M, texel_m)  # what is thinner is the rim of a wall
+    share[crown] = _KEPT[CROWN]
+    return np.asarray(share * np.where(crown, np.float32(1), lies), np.float32)
 
 
 def where_snow_lies(surface: Float, spacing_m: float, n: int) -> Float:
@@ -59,7 +62,7 @@ def where_snow_lies(surface: Float, spacing_m: float, n: int) -> Float:
 
     Nothing lies on walls, and a little less beside what stands much higher.
     """
-    # Slopes are those of the cells between nodes: those at nodes would bare the ground beside walls.
+    # Slopes of the cells between nodes: those at nodes would bare the ground beside walls.
     east = 0.5 * (np.diff(surface[1:], axis=1) + np.diff(surface[:-1], axis=1)) / spacing_m
     north = 0.5 * (np.diff(surface[:, 1:], axis=0) + np.diff(surface[:, :-1], axis=0)) / spacing_m
     up = 1 / np.sqrt(1 + east**2 + north**2)
