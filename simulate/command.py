@@ -64,7 +64,13 @@ _RENDERED = f"{TEMPORARY_PREFIX}rendered"
 _Renderer = Callable[[RenderJob, Path, Callable[[int], None]], None]
 
 
-def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | None = None) -> Scene:
+def simulate(
+    config: SimulateConfig,
+    out: Path,
+    jobs: int = 1,
+    cluster: str | None = None,
+    twin: Path | None = None,
+) -> Scene:
     """Render a scene into ``out``, or continue an interrupted run.
 
     Args:
@@ -72,6 +78,7 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
         out: new folder, or one left by a run of the same configuration.
         jobs: number of rendering processes on this machine.
         cluster: cluster that renders instead, as ``scene.runtime.cluster.worker_pool`` takes it.
+        twin: finished scene of the same site, whose place is taken over; None builds it.
 
     Returns:
         The finished scene, still without a map.
@@ -82,15 +89,17 @@ def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | No
     """
     check_site(config, out, cluster)
     with write_lock(out):
-        return _simulate(config, out, jobs, cluster)
+        return _simulate(config, out, jobs, cluster, twin)
 
 
-def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None) -> Scene:
+def _simulate(
+    config: SimulateConfig, out: Path, jobs: int, cluster: str | None, twin: Path | None
+) -> Scene:
     unfinished = _resumable(out, config)
     finished = finished_scene(out, config)
     if finished is not None:
         return finished
-    base, report = base_place(config, out)
+    base, report = base_place(config, out, twin)
     worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
     # All flights are planned before anything is rendered, because one may be impossible.
