@@ -85,7 +85,7 @@ def forecast(
         made = Forecast(
             scene=opened.name,
             scene_sha256=sparse_map.sha256,
-            flight=flight,
+            flight=first.file.name if isinstance(first, PlanFlight) else flight,
             flight_sha256=first.sha256 if isinstance(first, PlanFlight) else None,
             twin=None if other is None else other.name,
             method=method_of(localizer),

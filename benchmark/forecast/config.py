@@ -35,6 +35,7 @@ class ForecastConfig(Config):
             a calibration of it; otherwise they are the smoothed share of views that were found.
         few_points: with fewer points of the map in view, more photographs of the map would help.
         weak: below this probability a waypoint belongs to a weak stretch.
+        waypoints: number of waypoints of a flight that is no mission plan.
         gap_m: the longest way without a fix that the aircraft can fly, metres.
         most_waypoints: a flight with more is refused, because it would take hours.
     """
@@ -52,6 +53,7 @@ class ForecastConfig(Config):
     calibrated: bool = True
     few_points: int = Field(40, ge=1)
     weak: Share = 0.5
+    waypoints: int = Field(30, ge=1)
     gap_m: Positive = 100.0
     most_waypoints: int = Field(300, ge=1)
 

@@ -27,4 +27,4 @@ def page(forecast: Forecast, ground: NDArray[np.uint8], area_m: float) -> str:
         "ground": f"data:image/jpeg;base64,{picture}",
         "area_m": area_m,
     }
-    return fill("forecast", data)
+    return fill("forecast", data, base="shared")

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict
 from benchmark.forecast.calibration import Calibration
 from benchmark.forecast.config import ForecastConfig
 from benchmark.results import Environment, Method
+from scene.runtime.escaping import for_terminal
 
 Cause = Literal["few points", "look"]
 Verdict = Literal["holds", "gaps", "fails"]
@@ -149,7 +150,7 @@ class Forecast(_Part):
         file: what the file is.
         scene: name of the scene of the map.
         scene_sha256: digest of its map.
-        flight: the flight that was forecast.
+        flight: name of the mission plan, or the flight of ``simulate``.
         flight_sha256: digest of the mission plan; None for other flights.
         twin: name of the twin that was given; None where it was made of the scene.
         method: the method and its configuration.
@@ -188,7 +189,7 @@ class Forecast(_Part):
         return self.model_dump(mode="json", exclude={"views"})
 
     def _lines(self) -> Iterator[str]:
-        yield f"{self.flight} by {self.method.name}: {len(self.waypoints)} waypoints"
+        yield f"{for_terminal(self.flight)} by {self.method.name}: {len(self.waypoints)} waypoints"
         for season in self.seasons:
             sigma = "" if season.eph_m is None else f", eph {season.eph_m:.2f} m"
             yield (

@@ -14,7 +14,7 @@ from benchmark.forecast.config import ForecastConfig
 from scene.bundle.scene import Scene
 from scene.config import describe
 from scene.errors import InputError
-from scene.geometry.camera import Camera
+from scene.geometry.camera import MODELS, Camera
 from scene.maps.sparse_map import SparseMap
 from simulate.base_place import base_place
 from simulate.config import SessionConfig, SimulateConfig
@@ -63,6 +63,7 @@ def views_config(
     values |= {
         "preset": SITE,
         "seed": config.seed,
+        "frames": config.waypoints,
         "camera": _camera(sparse_map, config.size),
         "site": site,
         "sessions": sessions,
@@ -97,15 +98,17 @@ def _camera(sparse_map: SparseMap, size: int) -> dict[str, Any]:
     """Return the camera of most photographs of a map, made smaller where it is larger."""
     cameras: list[Camera] = [image.camera for image in sparse_map.images.values()]
     usual = max(cameras, key=cameras.count)
-    longer = max(usual.width, usual.height)
-    if longer > size:
-        width, height = (max(16, round(n * size / longer)) for n in (usual.width, usual.height))
-        usual = usual.resized(width, height)
+    # One scale for both axes: a model with one focal length holds no others.
+    scale = min(1.0, size / max(usual.width, usual.height))
+    lengths = ("f", "fx", "fy", "cx", "cy")
     return {
         "model": usual.model,
-        "width": usual.width,
-        "height": usual.height,
-        "params": usual.params,
+        "width": max(16, round(scale * usual.width)),
+        "height": max(16, round(scale * usual.height)),
+        "params": tuple(
+            value * scale if name in lengths else value
+            for name, value in zip(MODELS[usual.model], usual.params, strict=True)
+        ),
     }
 
 

@@ -7,6 +7,7 @@ let looked = data.waypoints[0];
 const share = (p) => `${Math.round(100 * p)} %`;
 const rare = (p) => `${(100 * p).toFixed(1)} %`;
 const metres = (value) => (value === null || value === undefined ? "–" : `${digits(value)} m`);
+const sigma = (value) => (value === null ? "–" : `${value.toFixed(2)} m`);
 const title = (text) => text[0].toUpperCase() + text.slice(1);
 
 // Between the three colours of the scale.
@@ -49,7 +50,7 @@ function map() {
     if (!many) picture.append(svg("text", { class: "number", x: x(w), y: y(w) + 4 }, String(w.number)));
   }
   const bar = 10 ** Math.floor(Math.log10(data.area_m / 3));
-  picture.append(svg("rect", { x: 14, y: side - 40, width: bar * scale + 16, height: 30, fill: "#fff", "fill-opacity": 0.8, rx: 4 }),
+  picture.append(svg("rect", { x: 14, y: side - 40, width: Math.max(bar * scale + 16, 112), height: 30, fill: "#fff", "fill-opacity": 0.8, rx: 4 }),
     svg("line", { x1: 22, x2: 22 + bar * scale, y1: side - 17, y2: side - 17, stroke: "#111", "stroke-width": 3 }),
     svg("text", { x: 22, y: side - 23, fill: "#111" }, `${bar} m, north up`));
   return picture;
@@ -64,9 +65,9 @@ function facts() {
     el("dl", { class: "facts" },
       fact("probability of a fix", share(outlook.probability)),
       fact("false fix", rare(outlook.false_risk)),
-      fact("sigma across", metres(outlook.eph_m)),
-      fact("sigma up", metres(outlook.epv_m)),
-      fact("map points in view", digits(looked.points)),
+      fact("sigma across", sigma(outlook.eph_m)),
+      fact("sigma up", sigma(outlook.epv_m)),
+      fact("map points in view", looked.points.toFixed(0)),
       fact("views found", `${outlook.found} of ${outlook.views}`),
       fact("position", `${looked.latitude.toFixed(6)}, ${looked.longitude.toFixed(6)}, ${looked.altitude_m.toFixed(1)} m`, true),
       outlook.cause ? fact("why it is weak", data.causes[outlook.cause], true) : null),
@@ -104,18 +105,18 @@ function weakStretches() {
 function photographs() {
   if (!data.photographs.length) return el("p", { class: "quiet" }, `Nowhere on this flight: where a fix is unlikely, at least ${data.config.few_points} points of the map are in view. More photographs in the same season would not help.`);
   return rows([["waypoints", true], ["points in view"], ["fixes lost"], ["around", true]], data.photographs.map((part) => el("tr", {},
-    el("td", { class: "word" }, from(part)), el("td", {}, digits(part.points)), el("td", {}, digits(part.lost)),
+    el("td", { class: "word" }, from(part)), el("td", {}, part.points.toFixed(0)), el("td", {}, digits(part.lost)),
     el("td", { class: "word" }, `${part.latitude.toFixed(6)}, ${part.longitude.toFixed(6)}`))));
 }
 
 function everyWaypoint() {
   return rows([["waypoint"], ["probability"], ["false fix"], ["sigma across"], ["sigma up"], ["map points"], ["views found"]], data.waypoints.map((w) => {
     const outlook = w.seasons[chosen];
-    return el("tr", {}, [w.number, share(outlook.probability), rare(outlook.false_risk), metres(outlook.eph_m), metres(outlook.epv_m), digits(w.points), `${outlook.found} of ${outlook.views}`].map((cell) => el("td", {}, String(cell))));
+    return el("tr", {}, [w.number, share(outlook.probability), rare(outlook.false_risk), sigma(outlook.eph_m), sigma(outlook.epv_m), w.points.toFixed(0), `${outlook.found} of ${outlook.views}`].map((cell) => el("td", {}, String(cell))));
   }));
 }
 
-const card = (id, head, quiet, ...inner) => el("section", { class: "card", id }, el("h2", {}, head), quiet ? el("p", { class: "quiet" }, quiet) : null, ...inner);
+const section = (id, head, quiet, ...inner) => el("section", { class: "card", id }, el("h2", {}, head), quiet ? el("p", { class: "quiet" }, quiet) : null, ...inner);
 
 function paint() {
   const focus = document.activeElement ? document.activeElement.getAttribute("data-season") : null;
@@ -125,15 +126,15 @@ function paint() {
     : "Not calibrated for this method: the smoothed share of views that were found.";
   document.getElementById("forecast").replaceChildren(
     verdicts(),
-    card("map", `The route, ${chosen}`, "Choose a season above, and a waypoint here.", el("div", { class: "map" }, map(), facts()), profile()),
-    card("weak", "Weak stretches", `Waypoints where a fix is less likely than ${share(config.weak)}. The aircraft can fly ${metres(config.gap_m)} without one.`, weakStretches()),
-    card("photographs", "Where more map photographs would help", "Over all seasons, the most first.", photographs()),
-    card("every", "Every waypoint", null, el("details", {}, el("summary", {}, `${data.waypoints.length} waypoints in ${chosen}`), everyWaypoint())),
-    card("how", "How to read this", null,
-      el("p", { class: "quiet" }, `A fix is right within ${config.fix_m} m and ${config.fix_deg}°; a false fix is reported as found and wrong by more than 5 m or 10°. Each waypoint is rendered ${config.views} times a season in a twin of the site and localized in its map from the start ${config.start}; neighbours within some ${config.pool_m} m count, too. ${calibrated}`),
+    section("map", `The route, ${chosen}`, "Choose a season above, and a waypoint here.", el("div", { class: "map" }, map(), facts()), profile()),
+    section("weak", "Weak stretches", `Waypoints where a fix is less likely than ${share(config.weak)}. The aircraft can fly ${metres(config.gap_m)} without one.`, weakStretches()),
+    section("photographs", "Where more map photographs would help", "Over all seasons, the most first.", photographs()),
+    section("every", "Every waypoint", null, el("details", {}, el("summary", {}, `${data.waypoints.length} waypoints in ${chosen}`), everyWaypoint())),
+    section("how", "How to read this", null,
+      el("p", { class: "quiet" }, `A fix is right within ${config.fix_m} m and ${config.fix_deg}°; a false fix is reported as found and wrong by more than 5 m or 10°. Each waypoint is rendered ${config.views === 1 ? "once" : `${config.views} times`} a season in a twin of the site and localized in its map from the start ${config.start}; neighbours within some ${config.pool_m} m count, too. ${calibrated}`),
       data.notes.length ? el("p", { class: "note" }, data.notes.join("\n")) : null));
   if (focus) document.querySelector(`[data-season="${focus}"]`).focus();
 }
 
-document.getElementById("about").textContent = `${data.flight.replace(/^plan=/, "")} over ${data.scene}: ${data.waypoints.length} waypoints, ${Math.round(data.waypoints[data.waypoints.length - 1].along_m)} m, localized by ${data.method.name}.`;
+document.getElementById("about").textContent = `${data.flight} over ${data.scene}: ${data.waypoints.length} waypoints, ${Math.round(data.waypoints[data.waypoints.length - 1].along_m)} m, localized by ${data.method.name}.`;
 paint();
