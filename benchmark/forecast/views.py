@@ -84,9 +84,7 @@ def route_of(views: SimulateConfig, folder: Path) -> Array:
     world, _ = base_place(views, folder)
     calm = views.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     session = _as_query(calm.sessions[0])
-    poses = plan_session(
-        session, calm, calm.photo_camera(session), world, np.random.default_rng(0)
-    )
+    poses = plan_session(session, calm, calm.photo_camera(session), world, np.random.default_rng(0))
     return camera_centres(poses)
 
 

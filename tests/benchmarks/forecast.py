@@ -104,9 +104,7 @@ def read(folder: Path) -> Town:
 
 def _ratios(queries: Sequence[QueryResult]) -> Array:
     """Return the error of true fixes over their predicted standard deviation, (K,)."""
-    pairs = [
-        q.t_err_m / q.sigma_t_m for q in queries if q.t_err_m is not None and q.sigma_t_m
-    ]
+    pairs = [q.t_err_m / q.sigma_t_m for q in queries if q.t_err_m is not None and q.sigma_t_m]
     return np.array(pairs)
 
 
@@ -148,7 +146,9 @@ def measure(towns: Sequence[Town], base: float, out: Path | None) -> None:
         print(f"{name}: Brier {brier(chance, happened):.3f} [{low:.3f}, {high:.3f}]")
     for town in towns:
         own = town.happened
-        print(f"{town.name}: Brier {brier(town.chance, own):.3f}, base {own.mean() * (1 - own.mean()):.3f}")
+        print(
+            f"{town.name}: Brier {brier(town.chance, own):.3f}, base {own.mean() * (1 - own.mean()):.3f}"
+        )
     season = np.concatenate([town.season for town in towns])
     for name in dict.fromkeys(season.tolist()):
         mask = season == name

@@ -66,7 +66,9 @@ def test_colours_and_bars_follow_the_probability(shown: tuple[Browser, Path]) ->
     browser, path = shown
     browser.open(path)
     browser.click("[data-season=snow-dusk]")
-    fills = browser.run("[...document.querySelectorAll('#map circle')].map(c => c.getAttribute('fill'))")
+    fills = browser.run(
+        "[...document.querySelectorAll('#map circle')].map(c => c.getAttribute('fill'))"
+    )
     red, blue = ([int(c.split("(")[1].strip(")").split()[k]) for c in fills] for k in (0, 2))
     assert blue[0] > red[0] and red[3] > blue[3], "likely is blue, unlikely is red"
     heights = browser.run(

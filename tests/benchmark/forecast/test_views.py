@@ -113,9 +113,7 @@ def test_flights_that_cannot_be_forecast_are_refused(
         "swim": lambda: "swim",
     }[flight]()
     with pytest.raises(InputError, match=said) as error:
-        views_config(
-            scene, scene.sparse_map(), words, SNOW.model_copy(update=config), twin
-        )
+        views_config(scene, scene.sparse_map(), words, SNOW.model_copy(update=config), twin)
     assert "\n" not in str(error.value)
 
 
