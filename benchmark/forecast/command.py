@@ -23,6 +23,7 @@ from scene.storage.atomic import write_text
 from scene.storage.locks import write_lock
 from scene.storage.outputs import OutputFile, check_outputs
 from scene.storage.provenance import PNG_MARK
+from scene.storage.scratch import cache_or_scratch, scratch
 from simulate.base_place import base_place
 from simulate.command import simulate
 from simulate.config import SimulateConfig
@@ -32,6 +33,7 @@ from simulate.twin.report import REPORT, SiteReport
 VIEWS = "views"
 """Folder of the rendered views, a scene."""
 
+_USUAL = ForecastConfig()
 _GEOJSON, _PICTURE, _PAGE, _REPORT = (
     f"forecast.{ending}" for ending in ("geojson", "png", "html", "json")
 )
@@ -43,7 +45,7 @@ def forecast(
     flight: str,
     localizer: Localizer,
     out: Path,
-    config: ForecastConfig = ForecastConfig(),
+    config: ForecastConfig = _USUAL,
     *,
     twin: Path | None = None,
     cache: Path | None = None,
@@ -75,9 +77,11 @@ def forecast(
     other = None if twin is None else Scene.open(twin)
     views = views_config(opened, sparse_map, flight, config, other)
     _check_place(out, scene, twin)
-    with write_lock(out):
+    with scratch(cache):
+        pass  # the cache can be written, before an hour of rendering
+    with write_lock(out), cache_or_scratch(cache, out) as kept:
         rendered = simulate(views, out / VIEWS, jobs, twin=twin)
-        observations = observe(opened, rendered, localizer, config, cache)
+        observations = observe(opened, rendered, localizer, config, kept)
         route = route_of(views, out / VIEWS)
         calibration = calibration_of(localizer.name, config.calibrated)
         waypoints = waypoints_of(observations, route, views.origin, config, calibration)

@@ -28,7 +28,6 @@ from scene.maps.sparse_map import SparseMap
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
 from scene.storage.digests import digests
-from scene.storage.scratch import cache_or_scratch
 
 # A point is in view where the rendered surface is at most this much nearer, as a share of the
 # depth and in metres: maps and twins are less exact than truth.
@@ -92,7 +91,7 @@ def start_of(words: str) -> Start:
 
 
 def observe(
-    scene: Scene, views: Scene, localizer: Localizer, config: ForecastConfig, cache: Path | None
+    scene: Scene, views: Scene, localizer: Localizer, config: ForecastConfig, cache: Path
 ) -> list[Observation]:
     """Localize every view in the map of a scene.
 
@@ -118,13 +117,10 @@ def observe(
     out = views.path.parent
     key = _key(scene, views, localizer, start, sparse_map)
     done: dict[str, Observation]
-    with (
-        Journal(journal_path(out / "forecast.json"), key, Observation) as journal,
-        cache_or_scratch(cache, out) as kept,
-    ):
+    with Journal(journal_path(out / "forecast.json"), key, Observation) as journal:
         done = journal.done
-        localizer.prepare(sparse_map, scene.images_root, kept)
-        load = start.loader(dataset, sparse_map, kept)
+        localizer.prepare(sparse_map, scene.images_root, cache)
+        load = start.loader(dataset, sparse_map, cache)
         with progress_bar(f"forecast with {localizer.name}", len(queries)) as advance:
             for query, points in zip(queries, _points_in_view(views, sparse_map), strict=True):
                 if query.name not in done:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from statistics import median
 
 import numpy as np
@@ -115,11 +116,11 @@ def _season(waypoints: Sequence[Waypoint], name: str, config: ForecastConfig) ->
 def _longest_leg(waypoints: Sequence[Waypoint]) -> float:
     """Return the longest way between successive waypoints, metres."""
     along = [waypoint.along_m for waypoint in waypoints]
-    return max((b - a for a, b in zip(along, along[1:], strict=False)), default=0.0)
+    return max((b - a for a, b in pairwise(along)), default=0.0)
 
 
-def _median(values: object) -> float | None:
-    known = [value for value in values if value is not None]  # type: ignore[attr-defined]
+def _median(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
     return round(median(known), 4) if known else None
 
 

@@ -193,8 +193,8 @@ class Forecast(_Part):
         for season in self.seasons:
             sigma = "" if season.eph_m is None else f", eph {season.eph_m:.2f} m"
             yield (
-                f"{season.name}: {VERDICTS[season.verdict]}; a fix at {100 * season.share:.0f} % of "
-                f"the waypoints, longest gap {season.longest_gap_m:.0f} m, false fixes "
+                f"{season.name}: {VERDICTS[season.verdict]}; a fix at {100 * season.share:.0f} % "
+                f"of the waypoints, longest gap {season.longest_gap_m:.0f} m, false fixes "
                 f"{100 * season.false_risk:.1f} %{sigma}"
             )
         for request in self.photographs:

@@ -16,6 +16,8 @@ from scene.config import describe
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
 from scene.maps.sparse_map import SparseMap
+from scene.runtime.escaping import for_terminal
+from scene.storage.names import is_utf8
 from simulate.base_place import base_place
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.config import QUERY_PLAN, PlanFlight
@@ -49,6 +51,8 @@ def views_config(
     Raises:
         InputError: the flight, a season or the site cannot be used.
     """
+    if not is_utf8(flight):
+        raise InputError(f"flight {for_terminal(flight)}: its name is not UTF-8: rename the file")
     site: Any = {"scene": scene.path}
     values: dict[str, Any] = {}
     if twin is not None:

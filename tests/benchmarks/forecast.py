@@ -3,8 +3,8 @@
     python -m tests.benchmarks.forecast fit FOLDER...            # weights, from training towns
     python -m tests.benchmarks.forecast measure FOLDER... [--out JPG] [--uncalibrated]
 
-Each FOLDER holds ``forecast.json`` of a town, and ``truth.json``: results that ``evaluate`` wrote of
-the same plan flown in the town's true seasons. ``docs/evidence/forecast.md`` has the commands.
+Each FOLDER holds ``forecast.json`` of a town, and ``truth.json``: results that ``evaluate`` wrote
+of the same plan flown in the town's true seasons. ``docs/evidence/forecast.md`` has the commands.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -146,9 +147,8 @@ def measure(towns: Sequence[Town], base: float, out: Path | None) -> None:
         print(f"{name}: Brier {brier(chance, happened):.3f} [{low:.3f}, {high:.3f}]")
     for town in towns:
         own = town.happened
-        print(
-            f"{town.name}: Brier {brier(town.chance, own):.3f}, base {own.mean() * (1 - own.mean()):.3f}"
-        )
+        base_rate = own.mean() * (1 - own.mean())
+        print(f"{town.name}: Brier {brier(town.chance, own):.3f}, base rate {base_rate:.3f}")
     season = np.concatenate([town.season for town in towns])
     for name in dict.fromkeys(season.tolist()):
         mask = season == name
@@ -172,7 +172,7 @@ def _interval(chance: Array, happened: NDArray[np.bool_]) -> tuple[float, float]
 
 def _reliability(chance: Array, happened: NDArray[np.bool_], out: Path | None) -> None:
     points = []
-    for low, high in zip(_BINS, _BINS[1:], strict=False):
+    for low, high in pairwise(_BINS):
         mask = (chance >= low) & ((chance < high) | (high == 1.0))
         if mask.any():
             points.append((chance[mask].mean(), happened[mask].mean(), int(mask.sum())))

@@ -27,7 +27,7 @@ function verdicts() {
   el("span", { class: "name" }, season.name),
   el("strong", {}, title(data.verdicts[season.verdict])),
   row("fix at a waypoint", share(season.share)),
-  row("longest way without", metres(season.stretches.length ? season.longest_gap_m : 0)),
+  row("longest way between fixes", `${season.longest_gap_m.toFixed(0)} m`),
   row("false fixes", rare(season.false_risk)),
   row("sigma across, up", season.eph_m === null ? "–" : `${season.eph_m.toFixed(2)}, ${season.epv_m.toFixed(2)} m`))));
 }
