@@ -198,10 +198,9 @@ class Forecast(_Part):
                 f"{100 * season.false_risk:.1f} %{sigma}"
             )
         for request in self.photographs:
-            yield (
-                f"photograph waypoints {request.first} to {request.last} for the map: "
-                f"{request.points:.0f} points in view"
-            )
+            first, last = request.first, request.last
+            where = f"waypoint {first}" if first == last else f"waypoints {first} to {last}"
+            yield f"photograph {where} for the map: {request.points:.0f} points in view"
         yield from self.notes
 
 
