@@ -19,7 +19,7 @@ from scene.bundle.manifest import read_json
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.localizer import Localizer
-from scene.storage.atomic import write_text
+from scene.storage.atomic import remove_partial, write_text
 from scene.storage.locks import write_lock
 from scene.storage.outputs import OutputFile, check_outputs
 from scene.storage.provenance import PNG_MARK
@@ -79,9 +79,11 @@ def forecast(
     _check_place(out, scene, twin)
     with scratch(cache):
         pass  # the cache can be written, before an hour of rendering
-    with write_lock(out), cache_or_scratch(cache, out) as kept:
+    with write_lock(out):
+        remove_partial(out)  # what a run that was killed left
         rendered = simulate(views, out / VIEWS, jobs, twin=twin)
-        observations = observe(opened, rendered, localizer, config, kept)
+        with cache_or_scratch(cache, out) as kept:
+            observations = observe(opened, rendered, localizer, config, kept)
         route = route_of(views, out / VIEWS)
         calibration = calibration_of(localizer.name, config.calibrated)
         waypoints = waypoints_of(observations, route, views.origin, config, calibration)

@@ -92,7 +92,8 @@ def _draw_route(panel: Axes, forecast: Forecast, season: str) -> None:
     at = np.array([waypoint.enu_m[:2] for waypoint in forecast.waypoints])
     chances = [waypoint.seasons[season].probability for waypoint in forecast.waypoints]
     panel.plot(*at.T, color="0.15", linewidth=1.0)
-    panel.scatter(*at.T, c=chances, cmap=_SCALE, vmin=0, vmax=1, s=70, edgecolors="white", zorder=3)
+    x, y = at.T
+    panel.scatter(x, y, c=chances, cmap=_SCALE, vmin=0, vmax=1, s=70, edgecolors="white", zorder=3)
     for number in _numbered(len(at)):
         panel.annotate(
             str(number + 1),

@@ -1,7 +1,8 @@
 """How good a forecast is: probabilities from a town's summer twin, held against its true winter.
 
-    python -m tests.benchmarks.forecast fit FOLDER...            # weights, from training towns
-    python -m tests.benchmarks.forecast measure FOLDER... [--out JPG] [--uncalibrated]
+    python -m tests.benchmarks.forecast plan PLAN              # the mission plan that is flown
+    python -m tests.benchmarks.forecast fit FOLDER...          # weights, from training towns
+    python -m tests.benchmarks.forecast measure FOLDER... --base RATE [--out JPG]
 
 Each FOLDER holds ``forecast.json`` of a town, and ``truth.json``: results that ``evaluate`` wrote
 of the same plan flown in the town's true seasons. ``docs/evidence/forecast.md`` has the commands.
@@ -38,6 +39,30 @@ from scene.bundle.manifest import read_json
 Array = NDArray[np.float64]
 _BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 _RESAMPLED = 2000
+
+
+def write_plan(path: Path) -> None:
+    """Write a plan of 20 waypoints in four lines over 132 m around 47 N, 8 E.
+
+    The lines lie 70, 45, 60 and 75 m above home; on the last two, the gimbal is at -65 degrees.
+    """
+    items: list[dict[str, object]] = []
+
+    def add(command: int, params: list[float | None], frame: int) -> None:
+        told = {"command": command, "doJumpId": len(items) + 1, "frame": frame, "params": params}
+        items.append({"type": "SimpleItem", "autoContinue": True, **told})
+
+    east = 111320 * np.cos(np.radians(47.0)) * 1.0027
+    for line, (north_m, height_m) in enumerate(
+        zip((-66, -22, 22, 66), (70, 45, 60, 75), strict=True)
+    ):
+        if line in (0, 2):
+            add(1000, [-90 if line == 0 else -65, 0, 0, 0, 0, 0, 0], 2)
+        for x in np.linspace(-66, 66, 5) * (1 if line % 2 == 0 else -1):
+            add(16, [0, 0, 0, None, 47.0 + north_m / 111180.0, 8.0 + x / east, height_m], 3)
+    mission = {"hoverSpeed": 6, "items": items, "plannedHomePosition": [47.0, 8.0, 450.0]}
+    plan = {"fileType": "Plan", "version": 1, "mission": mission}
+    path.write_text(json.dumps(plan, indent=1))
 
 
 class Town(NamedTuple):
@@ -196,13 +221,16 @@ def _reliability(chance: Array, happened: NDArray[np.bool_], out: Path | None) -
 
 
 def main() -> None:
-    """Fit, or measure."""
+    """Write the plan, fit, or measure."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("fit", "measure"))
+    parser.add_argument("what", choices=("plan", "fit", "measure"))
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--base", type=float, default=0.5)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
+    if given.what == "plan":
+        write_plan(given.folders[0])
+        return
     towns = [read(folder) for folder in given.folders]
     if given.what == "fit":
         made = fit_all(towns)
