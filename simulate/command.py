@@ -71,7 +71,7 @@ def simulate(
     cluster: str | None = None,
     twin: Path | None = None,
 ) -> Scene:
-    """Render a scene into ``out``, or continue an interrupted run.
+    """Render a scene into ``out``, or continue an interrupted run; the scene has no map yet.
 
     Args:
         config: configuration of the scene.
@@ -80,12 +80,9 @@ def simulate(
         cluster: cluster that renders instead, as ``scene.runtime.cluster.worker_pool`` takes it.
         twin: finished scene of the same site, whose place is taken over; None builds it.
 
-    Returns:
-        The finished scene, still without a map.
-
     Raises:
-        InputError: ``out`` holds something else, cannot be written or is written by another run,
-            rendering failed, or there is no such cluster.
+        InputError: ``out`` holds something else or cannot be written, rendering failed, or there is
+            no such cluster.
     """
     check_site(config, out, cluster)
     with write_lock(out):
@@ -107,7 +104,7 @@ def _simulate(
         _plan(name, index, session, config, worlds[index])
         for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
     ]
-    cameras = [config.photo_camera(session) for session in config.sessions]
+    cameras = map(config.photo_camera, config.sessions)
     pixels_per_frame = max(camera.width * camera.height for camera in cameras)
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
     unfinished.begin()

@@ -15,63 +15,72 @@ from scene.errors import InputError
 app = typer.Typer(rich_markup_mode=None)
 
 
+FlightMap = Annotated[Path, typer.Option("--map", metavar="SCENE", help="Scene with its map.")]
+Folder = Annotated[
+    Path,
+    typer.Option(
+        metavar="FOLDER", help="Folder for forecast.html, .geojson, .png, .json and the views."
+    ),
+]
+Plan = Annotated[Path | None, typer.Option(metavar="FILE", help="Mission plan of QGroundControl.")]
+Flight = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FLIGHT", help="A flight of simulate instead: nadir, grid, oblique or corridor."
+    ),
+]
+Seasons = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="SEASON-LIGHT[-WEATHER]",
+        help="Condition to forecast, such as snow-dusk; repeat the option for several.",
+        show_default="summer-noon, winter-noon, snow-dusk",
+    ),
+]
+Twin = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="TWIN",
+        help="Finished twin of the site (simulate --preset site). By default it is made of "
+        "SCENE, whose photographs then need depth.",
+    ),
+]
+Views = Annotated[
+    int | None,
+    typer.Option(
+        help="Views that are rendered of each waypoint in each season.",
+        min=1,
+        max=50,
+        show_default="2",
+    ),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change an option of the forecast, such as fix_m, gap_m or size; docs/forecast.md "
+        "lists them. Repeat the option for several.",
+    ),
+]
+Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)]
+
+
 @app.command()
 # More than six parameters: each is an option or argument of the command.
 def forecast(
-    scene: Annotated[Path, typer.Option("--map", metavar="SCENE", help="Scene with its map.")],
-    out: Annotated[
-        Path,
-        typer.Option(
-            metavar="FOLDER", help="Folder for forecast.html, .geojson, .png, .json and the views."
-        ),
-    ],
-    plan: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Mission plan of QGroundControl.")
-    ] = None,
-    flight: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FLIGHT", help="A flight of simulate instead: nadir, grid, oblique or corridor."
-        ),
-    ] = None,
-    season: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="SEASON-LIGHT[-WEATHER]",
-            help="Condition to forecast, such as snow-dusk; repeat the option for several.",
-            show_default="summer-noon, winter-noon, snow-dusk",
-        ),
-    ] = None,
+    scene: FlightMap,
+    out: Folder,
+    plan: Plan = None,
+    flight: Flight = None,
+    season: Seasons = None,
     method: Method = "sift",
-    twin: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="TWIN",
-            help="Finished twin of the site (simulate --preset site). By default it is made of "
-            "SCENE, whose photographs then need depth.",
-        ),
-    ] = None,
+    twin: Twin = None,
     start: Start = "prior",
-    views: Annotated[
-        int | None,
-        typer.Option(
-            help="Views that are rendered of each waypoint in each season.",
-            min=1,
-            max=50,
-            show_default="2",
-        ),
-    ] = None,
-    overrides: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change an option of the forecast, such as fix_m, gap_m or size; docs/forecast.md "
-            "lists them. Repeat the option for several.",
-        ),
-    ] = None,
+    views: Views = None,
+    overrides: Overrides = None,
     cache: Cache = None,
-    jobs: Annotated[int, typer.Option(help="Number of rendering processes.", min=1)] = 1,
+    jobs: Jobs = 1,
     as_json: Json = False,
 ) -> None:
     """Forecast where along a flight a method finds a fix, by season and light.

@@ -33,7 +33,7 @@ from benchmark.forecast.observe import Observation
 from benchmark.forecast.outlook import evidence_by_season
 from benchmark.forecast.report import Forecast
 from benchmark.results import QueryResult, load
-from benchmark.score import Threshold, is_correct, is_false_fix
+from benchmark.score import Threshold, is_correct, is_false_fix, wilson
 from scene.bundle.manifest import read_json
 
 Array = NDArray[np.float64]
@@ -210,8 +210,9 @@ def _reliability(chance: Array, happened: NDArray[np.bool_], out: Path | None) -
     figure = Figure(figsize=(5, 5), layout="constrained")
     ax = figure.subplots()
     ax.plot([0, 1], [0, 1], color="0.6", linestyle="--", linewidth=1)
-    x, y, count = (np.array(column, float) for column in zip(*points, strict=True))
-    spread = 1.96 * np.sqrt(np.maximum(y * (1 - y), 0.02) / count)
+    x, y, _ = (np.array(column, float) for column in zip(*points, strict=True))
+    ends = np.array([wilson(round(b * n), n) for _, b, n in points]).T
+    spread = np.maximum(np.stack([y - ends[0], ends[1] - y]), 0)
     ax.errorbar(x, y, spread, fmt="o-", color="#1f6fb4", capsize=3)
     for a, b, n in points:
         ax.annotate(f"{n}", (a, b), (7, -12), textcoords="offset points", fontsize=9)
