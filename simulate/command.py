@@ -104,8 +104,7 @@ def _simulate(
         _plan(name, index, session, config, worlds[index])
         for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
     ]
-    cameras = map(config.photo_camera, config.sessions)
-    pixels_per_frame = max(camera.width * camera.height for camera in cameras)
+    pixels_per_frame = max(c.width * c.height for c in map(config.photo_camera, config.sessions))
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
     unfinished.begin()
     if report is not None:
