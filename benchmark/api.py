@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from benchmark.datasets.open import open_datasets as open_datasets
     from benchmark.evaluate import evaluate as evaluate
     from benchmark.external_poses import score as score
+    from benchmark.forecast.command import forecast as forecast
+    from benchmark.forecast.config import ForecastConfig as ForecastConfig
     from benchmark.localize import localize as localize
     from benchmark.localize import open_place as open_map  # noqa: F401
     from benchmark.registry import create as create_localizer  # noqa: F401
@@ -91,6 +93,9 @@ _MODULES = {
     "train": "baselines.training.command",
     "trainable": "benchmark.registry",
     "TrainConfig": "baselines.training.config",
+    # Look ahead.
+    "forecast": "benchmark.forecast.command",
+    "ForecastConfig": "benchmark.forecast.config",
     # Measure and compare.
     "evaluate": "benchmark.evaluate",
     "parse_start": "benchmark.starts",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scene.bundle.manifest import write_json
+from scene.bundle.manifest import read_json, write_json
 from scene.errors import InputError
 from simulate.config import SimulateConfig
 from simulate.place.presets import preset
@@ -30,8 +30,15 @@ def check_site(config: SimulateConfig, out: Path, cluster: str | None) -> None:
         raise InputError(f"{out} lies in the scene of the site: choose a folder outside it")
 
 
-def base_place(config: SimulateConfig, out: Path) -> tuple[World, SiteReport | None]:
+def base_place(
+    config: SimulateConfig, out: Path, twin: Path | None = None
+) -> tuple[World, SiteReport | None]:
     """Return the place, and what was found of a site unless its folder holds that already.
+
+    Args:
+        config: configuration of the scene.
+        out: folder of the scene.
+        twin: folder of a finished scene of the same site, whose place is taken over.
 
     Raises:
         InputError: The place cannot be built.
@@ -40,6 +47,9 @@ def base_place(config: SimulateConfig, out: Path) -> tuple[World, SiteReport | N
         return preset(config.preset)(config.seed, config.area), None
     if (out / REPORT).is_file():  # written after the place
         return load_surveyed(out / PLACE, config.seed), None
+    if twin is not None:
+        report = read_json(twin / REPORT, SiteReport, "report of the site")
+        return load_surveyed(twin / PLACE, config.seed), report
     return build_site(config.site, config.area, config.origin, config.seed, out)
 
 

@@ -64,33 +64,39 @@ _RENDERED = f"{TEMPORARY_PREFIX}rendered"
 _Renderer = Callable[[RenderJob, Path, Callable[[int], None]], None]
 
 
-def simulate(config: SimulateConfig, out: Path, jobs: int = 1, cluster: str | None = None) -> Scene:
-    """Render a scene into ``out``, or continue an interrupted run.
+def simulate(
+    config: SimulateConfig,
+    out: Path,
+    jobs: int = 1,
+    cluster: str | None = None,
+    twin: Path | None = None,
+) -> Scene:
+    """Render a scene into ``out``, or continue an interrupted run; the scene has no map yet.
 
     Args:
         config: configuration of the scene.
         out: new folder, or one left by a run of the same configuration.
         jobs: number of rendering processes on this machine.
         cluster: cluster that renders instead, as ``scene.runtime.cluster.worker_pool`` takes it.
-
-    Returns:
-        The finished scene, still without a map.
+        twin: finished scene of the same site, whose place is taken over; None builds it.
 
     Raises:
-        InputError: ``out`` holds something else, cannot be written or is written by another run,
-            rendering failed, or there is no such cluster.
+        InputError: ``out`` holds something else or cannot be written, rendering failed, or there is
+            no such cluster.
     """
     check_site(config, out, cluster)
     with write_lock(out):
-        return _simulate(config, out, jobs, cluster)
+        return _simulate(config, out, jobs, cluster, twin)
 
 
-def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None) -> Scene:
+def _simulate(
+    config: SimulateConfig, out: Path, jobs: int, cluster: str | None, twin: Path | None
+) -> Scene:
     unfinished = _resumable(out, config)
     finished = finished_scene(out, config)
     if finished is not None:
         return finished
-    base, report = base_place(config, out)
+    base, report = base_place(config, out, twin)
     worlds = changed_worlds(base, [session.world_change for session in config.sessions])
     names = config.session_names()
     # All flights are planned before anything is rendered, because one may be impossible.
@@ -98,8 +104,7 @@ def _simulate(config: SimulateConfig, out: Path, jobs: int, cluster: str | None)
         _plan(name, index, session, config, worlds[index])
         for index, (name, session) in enumerate(zip(names, config.sessions, strict=True))
     ]
-    cameras = [config.photo_camera(session) for session in config.sessions]
-    pixels_per_frame = max(camera.width * camera.height for camera in cameras)
+    pixels_per_frame = max(c.width * c.height for c in map(config.photo_camera, config.sessions))
     require_space(out, bytes_needed(_left(out, names, planned), pixels_per_frame))
     unfinished.begin()
     if report is not None:

@@ -42,6 +42,9 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
         "score": "Score poses that another program found.",
         "submit": "Write the poses of all query images in the format of visuallocalization.net.",
     },
+    "planning": {
+        "forecast": "Forecast where along a flight a method finds a fix, by season and light.",
+    },
     "reports": {
         "leaderboard": "Compare results in one table per data set and starting information.",
         "regress": "Compare recall with recorded results and exit with 1 if it dropped.",

@@ -15,7 +15,7 @@ Float = NDArray[np.float32]
 _SEALED = ("pavement",)
 _WET_DARKENING: dict[str, float] = {"pavement": 0.5, "grass": 0.4, "building": 0.35, "tree": 0.25}
 _SNOW_RGB = np.array([0.74, 0.77, 0.82], np.float32)
-_OPAQUE, _ON_CROWNS = 0.93, 0.75  # share of a surface that deep snow hides
+_OPAQUE, _ON_CROWNS = 0.93, 0.7  # share of a surface that deep snow hides
 _STRIP = 1024  # rows that are painted at once
 _LINEAR = np.where(
     np.arange(256) <= 10,
@@ -68,7 +68,8 @@ def _drift(world: World, n: int) -> Float:
     across = n * world.ground.texel_m
     broad = noise(rng, n, across / 40.0)
     blotch = 0.6 * noise(rng, n, across / 9.0) + 0.4 * noise(rng, n, across / 2.2)
-    return np.asarray(0.45 * broad + 0.4 * blotch + 0.06 * grain(rng, n), np.float32)
+    fine = 0.4 * (noise(rng, n, across / 1.1) + noise(rng, n, across / 0.5) + grain(rng, n))
+    return np.asarray(0.45 * broad + 0.4 * blotch + 0.15 * fine, np.float32)
 
 
 def _lay_snow(

@@ -20,6 +20,8 @@ _STOPS = np.array(
      -3.06, -2.845, -2.631, -2.425, -2.22, -2.006, -1.791, -1.561, -1.328, -1.073, -0.811, -0.524,
      -0.216, 0.116, 0.478, 0.886, 1.341, 1.861, 2.466, 3.17, 4.0]
 )  # fmt: skip
+# The light that a surface model returns, of what a level plane does: it is rough and shades itself.
+_SHADED = 0.81
 _DARKEST, _BRIGHTEST = 0.008, 0.85  # albedo of real surfaces
 _MOST_GAIN = 5.0  # shadows are brightened by at most this factor
 _WALL, _WALL_M = 0.6, 1.0  # less upright normals are walls, whose colours are blurred so far
@@ -49,7 +51,7 @@ def _brightness(light: Condition) -> float:
     """Return the exposed value of level, white ground in a condition."""
     sky = light.sky.strength * (sum(light.sky.zenith) + sum(light.sky.horizon)) / 6
     sun = light.sun.watts * np.sin(np.radians(light.sun.elevation)) / np.pi
-    return float(2**light.exposure * (sun + sky))
+    return float(_SHADED * 2**light.exposure * (sun + sky))
 
 
 def even_walls(albedo: Float, upright: Float, cell_m: float) -> Float:

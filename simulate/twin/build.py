@@ -1,4 +1,4 @@
-"""A surveyed place from its rasters: surface, ground, classes, albedo, and where snow can lie."""
+"""A surveyed place from its rasters: surface, ground, classes, albedo, and where snow stays."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from simulate.look.sun import sun_position
 from simulate.place.surveyed import surveyed_ground
 from simulate.place.world import MIRRORED_M, Heightfield, Imagery, World
 from simulate.twin.albedo import even_walls, reflectance, soften_shadows
-from simulate.twin.classes import CROWN, LOW, NAMES, PAVED, ROOF, WATER, classify, from_mask
+from simulate.twin.classes import NAMES, classify, from_mask
 from simulate.twin.options import SiteConfig, digests
 from simulate.twin.report import SiteReport
 from simulate.twin.sampling import Cells, colours, heights, known_square, labels
+from simulate.twin.snow import snow_that_stays
 from simulate.twin.source import Files, opened
 from simulate.twin.terrain import close_holes, ground_below, steepness, sunlit
 
@@ -31,13 +32,6 @@ Float = NDArray[np.float32]
 _MOST_TEXELS, _LEAST_TEXEL_M = 6144, 0.05
 _MOST_NODES, _LEAST_SPACING_M = 1601, 0.2
 _SAID_HOLES = 0.005  # holes of a larger share are told
-_SHELTER_M, _SHELTER_RISE_M = 2.5, 4.0  # how far and how high what keeps snow off stands
-_SHELTERED = 0.4  # share of the snow that a high wall keeps off
-_SNOW_FROM, _SNOW_TO = 0.35, 0.75  # uprightness of normals on which no snow lies, and all
-_ON_TWIGS = 0.55  # share of the snow that lies on the steep sides of crowns
-# Share of the snow that stays by class. Streets are cleared, open ground is not; both are PAVED.
-_KEPT = {LOW: 1.0, PAVED: 0.3, ROOF: 1.0, CROWN: 0.85, WATER: 0.0}
-_STANDS_M, _ON_THINGS = 0.6, 0.9  # cars and other things keep their snow on cleared ground
 _LOWEST_SUN = 3.0  # degrees; with a lower sun, nothing is known of the shade
 
 
@@ -95,8 +89,8 @@ def _build(
         classes={name: round(float((found == k).mean()), 4) for k, name in NAMES.items()},
     )
     albedo, report = _albedo(site, files, origin, (rgb, fine, found), report)
-    lies = _finer(_where_snow_lies(surface, grids.nodes.spacing_m), n)
-    snow = _kept_snow(lies, found, fine - _finer(bare, n))
+    above = fine - _finer(bare, n)
+    snow = snow_that_stays(surface, grids.nodes.spacing_m, found, above, albedo, texel_m)
     world = World(
         seed=seed,
         area_m=float(area_m),
@@ -195,34 +189,6 @@ def _albedo(
         "gain": round(gain, 3),
     }
     return albedo, report.model_copy(update=said)
-
-
-def _where_snow_lies(surface: Float, spacing_m: float) -> Float:
-    """Return the share of the snow that lies at the nodes of a surface, (n, n).
-
-    Nothing lies on walls, and less beside what stands higher.
-    """
-    up = cv2.erode(steepness(surface, spacing_m), np.ones((2, 2), np.uint8))
-    lies = np.clip((up - _SNOW_FROM) / (_SNOW_TO - _SNOW_FROM), 0, 1)
-    side = 2 * max(1, round(_SHELTER_M / spacing_m)) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    rise = np.clip((cv2.dilate(surface, disc) - surface) / _SHELTER_RISE_M, 0, 1)
-    return np.asarray(lies * (1 - _SHELTERED * rise), np.float32)
-
-
-def _kept_snow(lies: Float, found: NDArray[np.uint8], above: Float) -> Float:
-    """Return the share of the snow that stays on each texel, (n, n).
-
-    Args:
-        lies: Share by slope and shelter.
-        found: Classes.
-        above: Height above the ground, metres.
-    """
-    kept = np.zeros(max(_KEPT) + 1, np.float32)
-    kept[list(_KEPT)] = list(_KEPT.values())
-    share = kept[found]
-    share[(found == PAVED) & (above > _STANDS_M)] = _ON_THINGS
-    return np.asarray(share * np.where(found == CROWN, np.maximum(lies, _ON_TWIGS), lies))
 
 
 def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:

@@ -187,6 +187,24 @@ AUDIT = Row(
     keeps=("out.html",),
     reports=True,
 )
+FORECAST = Row(
+    {
+        "scene": folder("hamlet", MANIFEST, MODEL),
+        "out": out_folder("out", "forecast.*", "views"),
+        "plan": FLAG,
+        "flight": values("nadir", "", "magic", "plan=nowhere", "plan=", LONG),
+        "season": values("snow-dusk", "", "snow", "monsoon-noon", "snow-noon-lava", LONG),
+        "method": METHOD,
+        "twin": FLAG,
+        "start": values("prior", "", "magic", "error=3m", "pairs=nowhere.txt"),
+        "views": integer("1"),
+        "overrides": values(None, "colour=red", "=1", "", "weak=2", "size=many", "gap_m=.nan"),
+        "cache": cache(),
+        "jobs": integer("1", HUGE),
+        "as_json": FLAG,
+    },
+    work=("benchmark.forecast.command.simulate",),
+)
 LOCALIZE = Row(
     {
         "place": folder(
@@ -574,6 +592,11 @@ COMMANDS: dict[str, Row] = {
             "crs": values(None, "", "EPSG:1", "EPSG:32632", "magic", LONG),
             "as_json": FLAG,
         }
+    ),
+    "forecast": FORECAST,
+    "forecast:plan": FORECAST.instead(
+        plan=file("configs/survey.plan", "json"),
+        flight=FLAG,
     ),
     "validate": VALIDATE,
     "validate:flight": VALIDATE.instead(scene=folder("meadow", *FLIGHT), cache=cache()),

@@ -11,6 +11,7 @@ import pytest
 from scene.bundle.scene import Scene
 from scene.checks.validate import validate
 from scene.errors import InputError
+from simulate.base_place import base_place
 from simulate.command import render_job, simulate
 from simulate.config import SimulateConfig
 from simulate.place.surveyed import load_surveyed
@@ -73,6 +74,17 @@ def rays(scene: Scene, session: str, frame: int) -> tuple[np.ndarray, np.ndarray
     with scene.dense(session) as dense:
         depth = dense.read("depth", frame).astype(float)
     return -pose[:3, :3].T @ pose[:3, 3], local @ pose[:3, :3], depth
+
+
+def test_the_place_of_a_finished_twin_is_taken_over(
+    twin: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("simulate.base_place.build_site", None)
+    made = SimulateConfig.model_validate(twin.manifest.config)
+    world, report = base_place(made, tmp_path / "other", twin.path)
+    own = load_surveyed(twin.path / PLACE, made.seed)
+    np.testing.assert_array_equal(world.terrain.nodes, own.terrain.nodes)
+    assert report is not None and report.spacing_m > 0
 
 
 def test_the_truth_is_valid(twin: Scene) -> None:

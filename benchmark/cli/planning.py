@@ -1,0 +1,107 @@
+"""Commands that look ahead: what a flight will find."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmark.cli.arguments import claim_folders, parse_settings
+from benchmark.cli.options import Cache, Json, Method, Start
+from benchmark.cli.output import emit
+from scene.errors import InputError
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+FlightMap = Annotated[Path, typer.Option("--map", metavar="SCENE", help="Scene with its map.")]
+Folder = Annotated[
+    Path,
+    typer.Option(
+        metavar="FOLDER", help="Folder for forecast.html, .geojson, .png, .json and the views."
+    ),
+]
+Plan = Annotated[Path | None, typer.Option(metavar="FILE", help="Mission plan of QGroundControl.")]
+Flight = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FLIGHT", help="A flight of simulate instead: nadir, grid, oblique or corridor."
+    ),
+]
+Seasons = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="SEASON-LIGHT[-WEATHER]",
+        help="Condition to forecast, such as snow-dusk; repeat the option for several.",
+        show_default="summer-noon, winter-noon, snow-dusk",
+    ),
+]
+Twin = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="TWIN",
+        help="Finished twin of the site (simulate --preset site). By default it is made of "
+        "SCENE, whose photographs then need depth.",
+    ),
+]
+Views = Annotated[
+    int | None,
+    typer.Option(
+        help="Views that are rendered of each waypoint in each season.",
+        min=1,
+        max=50,
+        show_default="2",
+    ),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change an option of the forecast, such as fix_m, gap_m or size; docs/forecast.md "
+        "lists them. Repeat the option for several.",
+    ),
+]
+Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)]
+
+
+@app.command()
+# More than six parameters: each is an option or argument of the command.
+def forecast(
+    scene: FlightMap,
+    out: Folder,
+    plan: Plan = None,
+    flight: Flight = None,
+    season: Seasons = None,
+    method: Method = "sift",
+    twin: Twin = None,
+    start: Start = "prior",
+    views: Views = None,
+    overrides: Overrides = None,
+    cache: Cache = None,
+    jobs: Jobs = 1,
+    as_json: Json = False,
+) -> None:
+    """Forecast where along a flight a method finds a fix, by season and light.
+
+    Renders views of the site's twin at every waypoint, localizes them in the map of SCENE, and
+    writes for each waypoint and season the probability of a fix, the expected sigmas and the risk
+    of a false fix: as a page, a picture, GeoJSON and JSON. An interrupted run goes on where it
+    stopped.
+    """
+    from benchmark.forecast.command import forecast as run
+    from benchmark.forecast.config import ForecastConfig
+    from benchmark.registry import create
+    from scene.config import load_config
+
+    if (plan is None) == (flight is None):
+        raise InputError("give the flight with --plan FILE, or with --flight")
+    given = {"seasons": season or None, "views": views, "start": start}
+    told = {key: value for key, value in given.items() if value is not None}
+    config = load_config(ForecastConfig, None, parse_settings(overrides) | told)
+    localizer = create(method, {})
+    claim_folders([scene, *([twin] if twin is not None else [])], out, cache)
+    words = f"plan={plan}" if plan is not None else str(flight)
+    made = run(scene, words, localizer, out, config, twin=twin, cache=cache, jobs=jobs)
+    emit(made, as_json)
