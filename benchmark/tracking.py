@@ -88,7 +88,7 @@ class Tracker:
         moving = self._predicted(seconds)
         if moving is None:
             return self._search(query)
-        near = localize_safely(self._localizer, replace(query, prior=moving.prior))
+        near = localize_safely(self._localizer, replace(query, prior=moving.prior, tracked=True))
         if self._agrees(near, moving) and self._fits(near, query.prior):
             return near
         found = self._search(query)

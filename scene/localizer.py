@@ -66,6 +66,8 @@ class Query:
         prior: approximate pose, or None.
         references: photographs of the map to match with, most similar first, where retrieval is not
             left to the method; else None.
+        tracked: whether the prior is what the images just before predict, so that a method may
+            look there alone, and search only where that is not confirmed.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Query:
     camera: Camera
     prior: Prior | None = None
     references: tuple[str, ...] | None = None
+    tracked: bool = False
 
 
 def query_error(query: Query) -> str:

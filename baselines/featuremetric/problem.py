@@ -120,13 +120,22 @@ class ProblemBuilder:
         Returns:
             The warped image and its feature maps, of unit length.
         """
+        view = self.warp(query, chosen, start)
+        return view, self.features(view, levels)
+
+    def warp(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> WarpedImage:
+        """Warp an image as ``view`` does, with the same arguments."""
         turn = self.levelling(start, chosen) if self.levelling else None
         scale = self.scale(query.camera, chosen, start, turn)
         angle = north_angle(start.rotation.numpy())
-        view, maps = self.extract(query.image, query.camera, angle, scale, levels, turn)
-        # Once for all problems that are made of them.
+        return self.extract.warp(query.image, query.camera, angle, scale, turn)
+
+    def features(self, view: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
+        """Return feature maps of a view, of unit length, as ``view`` does."""
         unit = torch.nn.functional.normalize
-        return view, [replace(each, features=unit(each.features, dim=1)) for each in maps]
+        # Once for all problems that are made of them.
+        maps = self.extract.features(view, levels)
+        return [replace(each, features=unit(each.features, dim=1)) for each in maps]
 
     def build(
         self,
