@@ -139,18 +139,25 @@ class SearchOptions(Config):
 class TrackingOptions(Config):
     """How an image of a sequence is followed from the pose that the ones before predict."""
 
+    coarser: float | None = Field(
+        1.0,
+        gt=0,
+        description="Metres of ground per pixel at which the image is looked at, over those of the "
+        "map's photographs, as the network takes time by area; it is never enlarged. None is as in "
+        "any query, which leaves an image as it is where both are nearly the same.",
+    )
     side: float = Field(
-        0.875,
+        1.0,
         gt=0,
         description="Side of the middle of the picture, north up, that is looked at, as a share of "
-        "the photograph's longer side: the network takes time by area.",
+        "the photograph's longer side: corners that stick out of it are left out.",
     )
     references: int = Field(
         4, ge=1, description="Photographs of the map that the image is aligned to, together."
     )
     points: int = Field(1024, ge=10, description="Most points, shared by the references.")
     reach_cells: float = Field(
-        1.0,
+        3.0,
         gt=0,
         description="Alignment begins on the finest level of which so many cells are more than the "
         "prediction is unsure by (one standard deviation); where none has such cells, the image "

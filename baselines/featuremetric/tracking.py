@@ -50,7 +50,7 @@ class Tracking:
         assert prior is not None and prior.cam_from_world_rotation is not None
         start, chosen = _pose(prior), chosen[: options.references]
         with clock.stage("features"):
-            view = self.problems.warp(query, chosen, start)
+            view = self.problems.warp(query, chosen, start, options.coarser)
             longer = max(query.camera.width, query.camera.height)
             view = view.middle(math.ceil(options.side * longer * view.scale))
             maps = self.problems.features(view)
