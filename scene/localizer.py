@@ -126,6 +126,7 @@ class Estimate:
         iterations: number of iterations of the robust estimator or the optimizer.
         seconds: time per stage.
         reason: why there is no pose, in words.
+        tracked: whether only the prior of a tracked query was looked at, and confirmed.
     """
 
     status: Status
@@ -135,6 +136,7 @@ class Estimate:
     iterations: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     reason: str = ""
+    tracked: bool = False
 
     def sigma_position(self) -> float | None:
         """Return the predicted standard deviation of the camera centre (m), None if unknown.

@@ -213,7 +213,9 @@ class FeaturemetricLocalizer:
         if self._tracking is None or not query.tracked or not says_all(query.prior):
             return None
         attempt = self._tracking(query, self._chosen(query), clock)
-        return None if attempt is None else self._estimate([attempt], [attempt.pose], clock)
+        if attempt is None:
+            return None
+        return replace(self._estimate([attempt], [attempt.pose], clock), tracked=True)
 
     def _matched(self, query: Query, clock: Stopwatch) -> Estimate | None:
         """Return the pose that matches of local features give."""

@@ -36,9 +36,7 @@ class Tracking:
     search: SearchOptions
     options: TrackingOptions
 
-    def __call__(
-        self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch
-    ) -> Attempt | None:
+    def __call__(self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch) -> Attempt | None:
         """Align an image from its prior alone; None where that does not confirm the track.
 
         Args:

@@ -2,11 +2,11 @@
 
     python -m tests.benchmarks.tracked PLACE --cache CACHE [--flight SCENE] [--threads 2]
 
-PLACE is a simulated scene with a map and a session ``flight`` (``tests/benchmarks/tracked-place.yaml``),
-or its map alone where SCENE has the session. A frame is read from its JPEG and localized from what
-the frames before predict; the first is told its position to 3 m and its attitude to 3 degrees, the
-others nothing. Seconds are the median's of a frame, by the clock and of the processor; on a machine
-with other work read the ratio.
+PLACE is a simulated scene with a map and a session ``flight``, as of
+``tests/benchmarks/tracked-place.yaml``, or its map alone where SCENE has the session. A frame is
+read from its JPEG and localized from what the frames before predict; the first is told its position
+to 3 m and its attitude to 3 degrees, the others nothing. Seconds are the medians of a frame, by the
+clock and of the processor; on a machine with other work read the ratio.
 """
 
 from __future__ import annotations
