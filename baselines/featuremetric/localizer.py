@@ -139,8 +139,9 @@ class FeaturemetricLocalizer:
             config.reference,
             Levelling.of(sparse_map, config.most_tilt_deg),
         )
-        self._tracking = config.tracking and Tracking(
-            self._problems, config.search, config.tracking
+        options = config.tracking
+        self._tracking = (
+            None if options is None else Tracking(self._problems, config.search, options)
         )
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.

@@ -155,7 +155,7 @@ class TrackingOptions(Config):
     references: int = Field(
         4, ge=1, description="Photographs of the map that the image is aligned to, together."
     )
-    points: int = Field(1024, ge=10, description="Most points, shared by the references.")
+    points: int = Field(512, ge=10, description="Most points, shared by the references.")
     reach_cells: float = Field(
         3.0,
         gt=0,
