@@ -9,7 +9,7 @@ flatly than the map's photographs is seen as by a camera at its place that is ti
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Final
 
@@ -153,6 +153,21 @@ class WarpedImage:
         """Return whether the photograph fills the view."""
         return bool(np.allclose(self.view_from_camera, np.eye(3)))
 
+    def middle(self, side: int) -> WarpedImage:
+        """Return the middle of the view, of at most ``side`` pixels in width and height."""
+        whole = np.array([self.camera.width, self.camera.height])
+        size = np.minimum(whole, side)
+        corner = (whole - size) // 2
+        if not corner.any():
+            return self
+        (left, top), (wide, high) = corner.tolist(), size.tolist()
+        return replace(
+            self,
+            picture=np.ascontiguousarray(self.picture[top : top + high, left : left + wide]),
+            camera=self.camera.cropped(left, top, wide, high),
+            in_photograph=partial(_beyond_corner, self.in_photograph, corner),
+        )
+
     def pose(self, cam_from_world: Pose) -> Pose:
         """Return the view's pose, given the photograph's."""
         return _turned(torch.from_numpy(self.view_from_camera), cam_from_world)
@@ -250,6 +265,12 @@ def level_image(
     picture = cv2.remap(small, there[..., 0], there[..., 1], cv2.INTER_LINEAR)
     along = focal / float(np.mean(camera.focal))
     return WarpedImage(np.asarray(picture, np.uint8), view, view_from_camera, back, along, size)
+
+
+def _beyond_corner(
+    in_photograph: _Map, corner: NDArray[np.int64], xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    return in_photograph(xy + corner)
 
 
 def _affine_back(

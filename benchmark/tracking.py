@@ -88,8 +88,10 @@ class Tracker:
         moving = self._predicted(seconds)
         if moving is None:
             return self._search(query)
-        near = localize_safely(self._localizer, replace(query, prior=moving.prior))
-        if self._agrees(near, moving) and self._fits(near, query.prior):
+        near = self._near(query, moving, tracked=True)
+        if near.tracked and not self._believes(near, moving, query.prior):
+            near = self._near(query, moving, tracked=False)
+        if self._believes(near, moving, query.prior):
             return near
         found = self._search(query)
         if found.status is not Status.OK:
@@ -123,6 +125,15 @@ class Tracker:
         moving = self._motion.after(seconds, self._config.motion)
         known = moving.sigma_m < self._config.lost_sigma_m
         return moving if known and moving.sigma_deg < self._config.lost_sigma_deg else None
+
+    def _near(self, query: Query, moving: Motion, tracked: bool) -> Estimate:
+        """Localize an image from what the motion predicts, and there alone if ``tracked``."""
+        asked = replace(query, prior=moving.prior, tracked=tracked)
+        return localize_safely(self._localizer, asked)
+
+    def _believes(self, estimate: Estimate, moving: Motion, prior: Prior | None) -> bool:
+        """Return whether an answer agrees with the motion and with what the aircraft says."""
+        return self._agrees(estimate, moving) and self._fits(estimate, prior)
 
     def _search(self, query: Query) -> Estimate:
         """Localize an image from what is known without the motion.

@@ -66,6 +66,8 @@ class Query:
         prior: approximate pose, or None.
         references: photographs of the map to match with, most similar first, where retrieval is not
             left to the method; else None.
+        tracked: whether the prior is what the images just before predict, so that a method may
+            look there alone, and search only where that is not confirmed.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Query:
     camera: Camera
     prior: Prior | None = None
     references: tuple[str, ...] | None = None
+    tracked: bool = False
 
 
 def query_error(query: Query) -> str:
@@ -123,6 +126,7 @@ class Estimate:
         iterations: number of iterations of the robust estimator or the optimizer.
         seconds: time per stage.
         reason: why there is no pose, in words.
+        tracked: whether only the prior of a tracked query was looked at, and confirmed.
     """
 
     status: Status
@@ -132,6 +136,7 @@ class Estimate:
     iterations: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     reason: str = ""
+    tracked: bool = False
 
     def sigma_position(self) -> float | None:
         """Return the predicted standard deviation of the camera centre (m), None if unknown.

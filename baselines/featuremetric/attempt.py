@@ -16,6 +16,7 @@ from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.problem import fit
 from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
+from scene.localizer import Estimate, Status, Stopwatch
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,39 @@ def judged(
     elif not around.curvature[0] >= options.least_curvature:
         reason = "the image fits the map's points nearly as well at poses around"
     return Attempt(view, alignment, around, of_chance, reason)
+
+
+def estimated(
+    attempts: Sequence[Attempt], begin: Sequence[Pose], options: SearchOptions, clock: Stopwatch
+) -> Estimate:
+    """Return the best of some attempts; where none is accepted, the first start.
+
+    Args:
+        attempts: what was tried.
+        begin: starts, ``cam_from_world``.
+        options: how covariances are calibrated.
+        clock: the time that was taken.
+    """
+    best = min(attempts, key=lambda attempt: (bool(attempt.reason), attempt.fit))
+    seen = int(best.alignment.seen)
+    iterations = sum(int(each.alignment.iterations) for each in attempts)
+    if best.reason:
+        return Estimate(
+            Status.FALLBACK,
+            begin[0],
+            inliers=seen,
+            iterations=iterations,
+            seconds=clock.seconds,
+            reason=best.reason,
+        )
+    return Estimate(
+        Status.OK,
+        best.pose,
+        calibrated(best, options),
+        inliers=seen,
+        iterations=iterations,
+        seconds=clock.seconds,
+    )
 
 
 def is_clear(row: int, attempts: Sequence[Attempt], options: SearchOptions) -> bool:

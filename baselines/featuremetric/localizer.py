@@ -24,7 +24,7 @@ from baselines.align.options import Options, SearchRadius
 from baselines.align.problem import Problem
 from baselines.featuremetric.attempt import (
     Attempt,
-    calibrated,
+    estimated,
     is_clear,
     judged,
     photograph_pose,
@@ -42,6 +42,7 @@ from baselines.featuremetric.priors import (
 )
 from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
 from baselines.featuremetric.references import ReferenceSource, references
+from baselines.featuremetric.tracking import Tracking
 from baselines.place.finder import PlaceFinder
 from baselines.place.search import Candidate
 from baselines.retrieval import OnDemand, References
@@ -138,6 +139,10 @@ class FeaturemetricLocalizer:
             config.reference,
             Levelling.of(sparse_map, config.most_tilt_deg),
         )
+        options = config.tracking
+        self._tracking = (
+            None if options is None else Tracking(self._problems, config.search, options)
+        )
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.
         described = OnDemand(self._observations.coarse, len(self._observations))
@@ -158,6 +163,8 @@ class FeaturemetricLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         return_freed_above(self._kept_mb * MEGABYTE)
         clock = Stopwatch()
+        if (followed := self._followed(query, clock)) is not None:
+            return followed
         lost = self.config.multistart and query.references is None and not says_all(query.prior)
         matched = self._matched(query, clock) if lost else None
         attempts: list[Attempt] = []
@@ -200,26 +207,16 @@ class FeaturemetricLocalizer:
         self, attempts: Sequence[Attempt], begin: Sequence[Pose], clock: Stopwatch
     ) -> Estimate:
         """Return the best of some attempts; where none is accepted, the first start."""
-        best = min(attempts, key=lambda attempt: (bool(attempt.reason), attempt.fit))
-        seen = int(best.alignment.seen)
-        iterations = sum(int(each.alignment.iterations) for each in attempts)
-        if best.reason:
-            return Estimate(
-                Status.FALLBACK,
-                begin[0],
-                inliers=seen,
-                iterations=iterations,
-                seconds=clock.seconds,
-                reason=best.reason,
-            )
-        return Estimate(
-            Status.OK,
-            best.pose,
-            calibrated(best, self.config.search),
-            inliers=seen,
-            iterations=iterations,
-            seconds=clock.seconds,
-        )
+        return estimated(attempts, begin, self.config.search, clock)
+
+    def _followed(self, query: Query, clock: Stopwatch) -> Estimate | None:
+        """Return the pose near the one that the images before predict; None if unconfirmed."""
+        if self._tracking is None or not query.tracked or not says_all(query.prior):
+            return None
+        attempt = self._tracking(query, self._chosen(query), clock)
+        if attempt is None:
+            return None
+        return replace(self._estimate([attempt], [attempt.pose], clock), tracked=True)
 
     def _matched(self, query: Query, clock: Stopwatch) -> Estimate | None:
         """Return the pose that matches of local features give."""

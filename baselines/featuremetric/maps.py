@@ -104,7 +104,6 @@ class MapExtractor:
         self.longest = longest
         self._bfloat16 = resolved(precision) == "bfloat16"
 
-    @torch.inference_mode()
     def __call__(
         self,
         rgb: NDArray[np.uint8],
@@ -127,11 +126,31 @@ class MapExtractor:
         Returns:
             The warped photograph and its levels, coarse to fine.
         """
+        seen = self.warp(rgb, camera, angle, scale, view_from_camera)
+        return seen, self.features(seen, levels)
+
+    def warp(
+        self,
+        rgb: NDArray[np.uint8],
+        camera: Camera,
+        angle: float,
+        scale: float,
+        view_from_camera: NDArray[np.float64] | None = None,
+    ) -> WarpedImage:
+        """Warp a photograph as the call of the extractor does, with the same arguments."""
         scale = min(scale, self.largest_scale(camera))
         if view_from_camera is None:
-            seen = warp_image(rgb, camera, angle, scale)
-        else:
-            seen = level_image(rgb, camera, view_from_camera, scale)
+            return warp_image(rgb, camera, angle, scale)
+        return level_image(rgb, camera, view_from_camera, scale)
+
+    @torch.inference_mode()
+    def features(self, seen: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
+        """Compute the feature maps of a warped photograph, coarse to fine.
+
+        Args:
+            seen: the warped photograph.
+            levels: how many levels to compute, from the coarsest; None for all.
+        """
         # Rows of pixels of RGB are channels-last as they are.
         image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
         strides = self.network.config.strides
@@ -147,7 +166,7 @@ class MapExtractor:
                 shown = finest if last else _shown(seen, confidence.shape[-2:], stride)
                 confidence = confidence * torch.from_numpy(shown)
             maps.append(FeatureMap(features.float(), confidence, stride))
-        return seen, maps
+        return maps
 
     def largest_scale(self, camera: Camera) -> float:
         """Return the largest scale at which photographs of a camera are seen."""

@@ -136,6 +136,47 @@ class SearchOptions(Config):
     )
 
 
+class TrackingOptions(Config):
+    """How an image of a sequence is followed from the pose that the ones before predict."""
+
+    coarser: float | None = Field(
+        1.0,
+        gt=0,
+        description="Metres of ground per pixel at which the image is looked at, over those of the "
+        "map's photographs, as the network takes time by area; it is never enlarged. None is as in "
+        "any query, which leaves an image as it is where both are nearly the same.",
+    )
+    side: float = Field(
+        1.0,
+        gt=0,
+        description="Side of the middle of the picture, north up, that is looked at, as a share of "
+        "the photograph's longer side: corners that stick out of it are left out.",
+    )
+    references: int = Field(
+        4, ge=1, description="Photographs of the map that the image is aligned to, together."
+    )
+    points: int = Field(512, ge=10, description="Most points, shared by the references.")
+    reach_cells: float = Field(
+        3.0,
+        gt=0,
+        description="Alignment begins on the finest level of which so many cells are more than the "
+        "prediction is unsure by (one standard deviation); where none has such cells, the image "
+        "is not followed.",
+    )
+    rough_convergence: float = Field(
+        4.0, ge=1, description="Factor on the step lengths that end a level before the finest."
+    )
+    accept_fit: float = Field(
+        0.87, gt=0, description="A pose confirms the track when its fit is below this."
+    )
+    most_sigmas: float = Field(
+        4.0,
+        gt=0,
+        description="A pose confirms the track when it is not farther from the prediction than "
+        "this many standard deviations along any axis, and in its attitude.",
+    )
+
+
 class FeaturemetricConfig(Config):
     """Options of a localizer by alignment."""
 
@@ -190,6 +231,11 @@ class FeaturemetricConfig(Config):
     )
     starts: StartOptions = Field(
         StartOptions(), description="Which starting poses an incomplete prior gives."
+    )
+    tracking: TrackingOptions | None = Field(
+        TrackingOptions(),
+        description="How an image of a sequence is followed; where the track is not confirmed, and "
+        "with None, it is localized as any other image near its prior.",
     )
     solver: SolverOptions = Field(
         SolverOptions(), description="How the cost of a level is minimised."

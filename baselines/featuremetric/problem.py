@@ -87,6 +87,7 @@ class ProblemBuilder:
         chosen: NDArray[np.int64],
         start: Pose,
         view_from_camera: NDArray[np.float64] | None = None,
+        coarser: float | None = None,
     ) -> float:
         """Return the scale at which an image has the ground resolution of the map's photographs.
 
@@ -95,6 +96,8 @@ class ProblemBuilder:
             chosen: rows of the photographs.
             start: ``cam_from_world``.
             view_from_camera: (3, 3) how the camera is then turned; None for not at all.
+            coarser: metres per pixel over those of the photographs; None leaves an image as it is
+                where they are nearly the same.
         """
         points = np.concatenate([self.observations[int(row)].xyz for row in chosen])
         own = metres_per_pixel(start, camera, points, view_from_camera)
@@ -102,7 +105,10 @@ class ProblemBuilder:
         # The view must not fall below what the network needs.
         least = LEAST_SIDE / min(camera.width, camera.height)
         wanted = self.observations.metres_per_pixel
-        return max(scale_to(wanted, own, largest, self.reference.same_resolution), least)
+        same = self.reference.same_resolution
+        if coarser is not None:
+            wanted, same = coarser * wanted, 1.0
+        return max(scale_to(wanted, own, largest, same), least)
 
     def view(
         self, query: Query, chosen: NDArray[np.int64], start: Pose, levels: int | None = None
@@ -120,13 +126,28 @@ class ProblemBuilder:
         Returns:
             The warped image and its feature maps, of unit length.
         """
+        view = self.warp(query, chosen, start)
+        return view, self.features(view, levels)
+
+    def warp(
+        self,
+        query: Query,
+        chosen: NDArray[np.int64],
+        start: Pose,
+        coarser: float | None = None,
+    ) -> WarpedImage:
+        """Warp an image as ``view`` does, with the same arguments; ``coarser`` as in ``scale``."""
         turn = self.levelling(start, chosen) if self.levelling else None
-        scale = self.scale(query.camera, chosen, start, turn)
+        scale = self.scale(query.camera, chosen, start, turn, coarser)
         angle = north_angle(start.rotation.numpy())
-        view, maps = self.extract(query.image, query.camera, angle, scale, levels, turn)
-        # Once for all problems that are made of them.
+        return self.extract.warp(query.image, query.camera, angle, scale, turn)
+
+    def features(self, view: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
+        """Return feature maps of a view, of unit length, as ``view`` does."""
         unit = torch.nn.functional.normalize
-        return view, [replace(each, features=unit(each.features, dim=1)) for each in maps]
+        # Once for all problems that are made of them.
+        maps = self.extract.features(view, levels)
+        return [replace(each, features=unit(each.features, dim=1)) for each in maps]
 
     def build(
         self,

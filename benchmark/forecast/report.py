@@ -24,7 +24,7 @@ CAUSES: Mapping[Cause, str] = {
 VERDICTS: Mapping[Verdict, str] = {
     "holds": "fixes all along",
     "gaps": "fixes with gaps that are too long",
-    "fails": "no flying by these fixes",
+    "fails": "too few fixes to fly by",
 }
 
 

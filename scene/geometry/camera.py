@@ -223,6 +223,19 @@ class Camera:
         params = tuple(p * scale.get(n, 1.0) for n, p in zip(names, self.params, strict=True))
         return Camera(self.model, width, height, params)
 
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """Return the camera of a part of the image, whose corner is at pixel (``left``, ``top``).
+
+        Example:
+            >>> camera = Camera("PINHOLE", 640, 480, (500.0, 500.0, 320.0, 240.0))
+            >>> str(camera.cropped(20, 40, 600, 400))
+            'PINHOLE 600 400 500.0 500.0 300.0 200.0'
+        """
+        moved = {"cx": left, "cy": top}
+        names = MODELS[self.model]
+        params = tuple(p - moved.get(n, 0) for n, p in zip(names, self.params, strict=True))
+        return Camera(self.model, width, height, params)
+
 
 @lru_cache(maxsize=1024)
 def _fold_limit(fisheye: bool, distortion: tuple[float, float, float, float]) -> float:

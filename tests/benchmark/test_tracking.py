@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +110,22 @@ def test_a_false_answer_beside_the_prediction_is_checked_and_mended() -> None:
     for frame, estimate in enumerate(estimates):
         assert estimate.cam_from_world is not None
         assert float(estimate.cam_from_world.error_to(pose_at(frame))[0]) < 1e-9
+
+
+def test_a_track_that_contradicts_the_motion_is_localized_as_any_image_near_its_prior() -> None:
+    """Followed, frame 8 is answered 6 m aside; near its prior, where it is: nothing is searched."""
+
+    def answer(query: Query) -> Estimate:
+        aside = 6.0 if frame_of(query) == 8 and query.tracked else 0.0
+        return replace(found(pose_at(frame_of(query), aside)), tracked=query.tracked)
+
+    estimates, localizer, tracker = run(answer)
+    assert tracker.searched == 1
+    assert [query.tracked for query in localizer.seen if frame_of(query) == 8] == [True, False]
+    assert [query.tracked for query in localizer.seen if frame_of(query) == 7] == [True]
+    pose = estimates[8].cam_from_world
+    assert pose is not None and float(pose.error_to(pose_at(8))[0]) < 1e-9
+    assert not localizer.seen[0].tracked  # the first was searched
 
 
 def test_a_search_that_contradicts_a_sure_motion_is_not_believed() -> None:

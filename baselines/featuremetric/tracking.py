@@ -1,0 +1,123 @@
+"""An image of a sequence, followed from the pose that the images before predict.
+
+One start, a few photographs of the map, the middle of the picture, and no level coarser than the
+prediction needs. The pose counts only where its fit and the prediction confirm it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from baselines.align.aligner import Alignment, align
+from baselines.align.problem import Problem
+from baselines.featuremetric.attempt import Attempt, judged
+from baselines.featuremetric.options import SearchOptions, TrackingOptions
+from baselines.featuremetric.problem import ProblemBuilder
+from scene.geometry.pose import Pose
+from scene.localizer import Prior, Query, Stopwatch
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Follows images of a sequence.
+
+    Attributes:
+        problems: builds alignment problems.
+        search: when a pose is accepted at all.
+        options: how an image is followed.
+    """
+
+    problems: ProblemBuilder
+    search: SearchOptions
+    options: TrackingOptions
+
+    def __call__(self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch) -> Attempt | None:
+        """Align an image from its prior alone; None where that does not confirm the track.
+
+        Args:
+            query: the image; its prior has a position and an attitude.
+            chosen: rows of the photographs of the map that are most like it, best first.
+            clock: takes the time.
+        """
+        prior, options = query.prior, self.options
+        assert prior is not None and prior.cam_from_world_rotation is not None
+        start, chosen = _pose(prior), chosen[: options.references]
+        with clock.stage("features"):
+            view = self.problems.warp(query, chosen, start, options.coarser)
+            longer = max(query.camera.width, query.camera.height)
+            view = view.middle(math.ceil(options.side * longer * view.scale))
+            maps = self.problems.features(view)
+        with clock.stage("points"):
+            problem = self.problems.build(view, maps, chosen, start, options.points)
+        with clock.stage("alignment"):
+            first = _first_level(problem, _unsure_px(problem, prior), options.reach_cells)
+            if first is None:
+                return None
+            alignment = _aligned(problem, first, options.rough_convergence)
+            attempt = judged(view, problem, alignment, self.search)
+        if attempt.reason or not attempt.fit < options.accept_fit:
+            return None
+        return attempt if _is_near(attempt.pose, prior, options.most_sigmas) else None
+
+
+def _pose(prior: Prior) -> Pose:
+    """Return the pose of a prior that has a position and an attitude."""
+    rotation = torch.tensor(prior.cam_from_world_rotation, dtype=torch.float64)
+    centre = torch.tensor(prior.position, dtype=torch.float64)
+    return Pose(rotation, -rotation @ centre)
+
+
+def _unsure_px(problem: Problem, prior: Prior) -> float:
+    """Return by how many pixels the points may be off that a prior predicts, one sigma."""
+    depth = float(problem.start.transform(problem.points)[0, :, 2].median())
+    metres = 0.0 if prior.position_sigma is None else float(np.max(prior.position_sigma))
+    radians = math.radians(prior.attitude_sigma_deg or 0.0)
+    focal = float(problem.intrinsics.focal.mean())
+    return focal * (metres / depth + radians) if depth > 0 else math.inf
+
+
+def _first_level(problem: Problem, unsure_px: float, reach_cells: float) -> int | None:
+    """Return the finest level whose features reach as far as a prediction is unsure."""
+    for number in reversed(range(len(problem.levels))):
+        stride = problem.levels[number].stride
+        if unsure_px < reach_cells * float(np.max(stride)):
+            return number
+    return None
+
+
+def _aligned(problem: Problem, first: int, rough_convergence: float) -> Alignment:
+    """Align from a level on; on all levels but the finest only until steps are rather small."""
+    options, iterations = problem.options, torch.zeros(1, dtype=torch.long)
+    rough = options.model_copy(
+        update={
+            "converged_m": options.converged_m * rough_convergence,
+            "converged_deg": options.converged_deg * rough_convergence,
+        }
+    )
+    last = len(problem.levels) - 1
+    for number in range(first, last + 1):
+        level = problem.at_levels(slice(number, number + 1))
+        level = level.with_options(options if number == last else rough)
+        alignment = align(level, with_covariance=False)
+        iterations = iterations + alignment.iterations
+        if alignment.failed[0]:
+            break
+        problem = problem.starting_at(alignment.pose)
+    return replace(alignment, iterations=iterations)
+
+
+def _is_near(pose: Pose, prior: Prior, most_sigmas: float) -> bool:
+    """Return whether a pose is as near to a prior as its standard deviations say."""
+    if prior.position_sigma is not None:
+        away = np.abs(pose.centre().numpy() - prior.position)
+        if not (away <= most_sigmas * prior.position_sigma).all():
+            return False
+    if prior.attitude_sigma_deg is None:
+        return True
+    _, degrees = pose.error_to(_pose(prior))
+    return float(degrees) <= most_sigmas * prior.attitude_sigma_deg
