@@ -12,7 +12,7 @@ from baselines.align.covariance import covariance
 from baselines.align.descent import descend, is_finite
 from baselines.align.local import Local
 from baselines.align.problem import Problem
-from baselines.align.residuals import LevelCost, Linearisation
+from baselines.align.residuals import Linearisation
 from baselines.align.trees import tree_map
 from scene.geometry.pose import Pose
 
@@ -112,14 +112,7 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     iterations, seen = torch.zeros_like(owner), torch.zeros_like(owner)
     by_level = []
     for level, damping in zip(problem.levels, problem.damping, strict=True):
-        cost = LevelCost.of(
-            level,
-            local.points,
-            local.usable,
-            local.intrinsics,
-            options.border_cells,
-            options.robust_scale,
-        )
+        cost = local.cost(level, options)
         cost = cost if starts_per_query == 1 else cost.rows(owner)
         alive = failure == _ALIGNED
         state = descend(cost, tree_map(Tensor.detach, pose), alive, damping, options)

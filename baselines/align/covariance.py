@@ -87,14 +87,7 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
         aligned: ``cam_from_world`` at the minimum.
     """
     options, local = problem.options, Local.of(problem.starting_at(aligned))
-    cost = LevelCost.of(
-        problem.levels[-1],
-        local.points,
-        local.usable,
-        local.intrinsics,
-        options.border_cells,
-        options.robust_scale,
-    )
+    cost = local.cost(problem.levels[-1], options)
     around, patch = cost.linearise(local.start), options.covariance_patch_cells
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2].double()
     depth = torch.where(around.seen, depth, torch.nan)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from baselines.align.options import Options
 from baselines.align.problem import Problem
+from baselines.align.residuals import Level, LevelCost
 from baselines.align.trees import choose, tree_map
 from scene.geometry.pose import Pose
 from scene.geometry.projection import Intrinsics
@@ -56,6 +58,17 @@ class Local:
             origin=origin,
             start=_shifted(begin, origin),
             finite=finite,
+        )
+
+    def cost(self, level: Level, options: Options) -> LevelCost:
+        """Return the cost of a level for one pose ``cam_from_local`` of each query."""
+        return LevelCost.of(
+            level,
+            self.points,
+            self.usable,
+            self.intrinsics,
+            options.border_cells,
+            options.robust_scale,
         )
 
     def from_world(self, cam_from_world: Pose) -> Pose:

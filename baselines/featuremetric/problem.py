@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from baselines.align.local import Local
 from baselines.align.options import Options
 from baselines.align.problem import Problem
-from baselines.align.residuals import Level, LevelCost, robust_cost
+from baselines.align.residuals import Level, robust_cost
 from baselines.align.sampling import per_axis
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.featuremetric.references import ReferenceFeatures, ReferenceOptions, spaced_order
@@ -227,14 +227,7 @@ def fit(problem: Problem, pose: Pose) -> float:
     order = torch.nonzero(seen)[:, 0]
     other = torch.roll(order, len(order) // 2)
     local = Local.of(replace(problem, points=points[:, order], mask=None).starting_at(pose))
-    cost = LevelCost.of(
-        level,
-        local.points,
-        local.usable,
-        local.intrinsics,
-        options.border_cells,
-        options.robust_scale,
-    )
+    cost = local.cost(level, options)
     values, trust = cost.sampled(local.start)
 
     def mean_cost(which: torch.Tensor) -> float:
