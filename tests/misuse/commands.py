@@ -195,7 +195,7 @@ FORECAST = Row(
         "flight": values("nadir", "", "magic", "plan=nowhere", "plan=", LONG),
         "season": values("snow-dusk", "", "snow", "monsoon-noon", "snow-noon-lava", LONG),
         "method": METHOD,
-        "twin": FLAG,
+        "twin": values(None, "nowhere", "hamlet", LONG),
         "start": values("prior", "", "magic", "error=3m", "pairs=nowhere.txt"),
         "views": integer("1"),
         "overrides": values(None, "colour=red", "=1", "", "weak=2", "size=many", "gap_m=.nan"),

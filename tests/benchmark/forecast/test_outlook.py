@@ -95,7 +95,7 @@ def test_the_report_reads_itself() -> None:
     made = report()
     assert Forecast.model_validate_json(made.model_dump_json()) == made
     text = made.text()
-    assert "snow-dusk: no flying by these fixes" in text
+    assert "snow-dusk: too few fixes to fly by" in text
     assert "photograph waypoints 3 to 4" in text
 
 
