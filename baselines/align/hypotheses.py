@@ -153,12 +153,7 @@ def _refined_on_coarsest(
         return torch.cat([prior[:, None], picked], 1)
 
     starts = local.in_world(tree_map(with_prior, local.start, grid))
-    rough = solver.model_copy(
-        update={
-            "converged_m": options.rough_convergence * solver.converged_m,
-            "converged_deg": options.rough_convergence * solver.converged_deg,
-        }
-    )
+    rough = solver.rougher(options.rough_convergence)
     first_steps = min(options.merge_iterations, solver.iterations)
     short = coarsest.with_options(rough.model_copy(update={"iterations": first_steps}))
 

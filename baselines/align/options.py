@@ -67,6 +67,15 @@ class Options(SolverOptions):
         "differentiable by features, confidences and damping, as training needs it.",
     )
 
+    def rougher(self, factor: float) -> Options:
+        """Return options by which longer steps, by this factor, end a level."""
+        return self.model_copy(
+            update={
+                "converged_m": factor * self.converged_m,
+                "converged_deg": factor * self.converged_deg,
+            }
+        )
+
 
 class HypothesisOptions(Config):
     """Options by which starts around an uncertain prior are placed, compared and refined."""

@@ -93,12 +93,7 @@ def _first_level(problem: Problem, unsure_px: float, reach_cells: float) -> int 
 def _aligned(problem: Problem, first: int, rough_convergence: float) -> Alignment:
     """Align from a level on; on all levels but the finest only until steps are rather small."""
     options, iterations = problem.options, torch.zeros(1, dtype=torch.long)
-    rough = options.model_copy(
-        update={
-            "converged_m": options.converged_m * rough_convergence,
-            "converged_deg": options.converged_deg * rough_convergence,
-        }
-    )
+    rough = options.rougher(rough_convergence)
     last = len(problem.levels) - 1
     for number in range(first, last + 1):
         level = problem.at_levels(slice(number, number + 1))
