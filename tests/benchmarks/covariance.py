@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-import baselines.featuremetric.localizer as featuremetric
+import baselines.featuremetric.attempt as attempts
 from baselines.featuremetric.attempt import Attempt, calibrated
 from baselines.featuremetric.options import SearchOptions
 from benchmark.datasets.dataset import Dataset
@@ -138,7 +138,7 @@ def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterat
         return calibrated(attempt, options.model_copy(update=plain))
 
     with (
-        patch.object(featuremetric, "calibrated", measured),
+        patch.object(attempts, "calibrated", measured),
         progress_bar(f"{dataset.name} {method}", len(dataset.queries)) as advance,
     ):
         for done, query in enumerate(dataset.queries, 1):
