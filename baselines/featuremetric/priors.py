@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from baselines.align.options import SearchRadius
 from baselines.featuremetric.options import SearchOptions
@@ -13,6 +14,14 @@ from scene.localizer import Prior
 def known_pose(pose: Pose) -> Prior:
     """Return a prior that knows position and attitude."""
     return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())
+
+
+def pose_of(prior: Prior) -> Pose:
+    """Return the pose of a prior that knows position and attitude."""
+    assert prior.position is not None and prior.cam_from_world_rotation is not None
+    rotation = torch.tensor(prior.cam_from_world_rotation, dtype=torch.float64)
+    centre = torch.tensor(prior.position, dtype=torch.float64)
+    return Pose(rotation, -rotation @ centre)
 
 
 def says_where(prior: Prior | None) -> bool:

@@ -17,6 +17,7 @@ from baselines.align.aligner import Alignment, align
 from baselines.align.problem import Problem
 from baselines.featuremetric.attempt import Attempt, judged
 from baselines.featuremetric.options import SearchOptions, TrackingOptions
+from baselines.featuremetric.priors import pose_of
 from baselines.featuremetric.problem import ProblemBuilder
 from scene.geometry.pose import Pose
 from scene.localizer import Prior, Query, Stopwatch
@@ -45,8 +46,8 @@ class Tracking:
             clock: takes the time.
         """
         prior, options = query.prior, self.options
-        assert prior is not None and prior.cam_from_world_rotation is not None
-        start, chosen = _pose(prior), chosen[: options.references]
+        assert prior is not None
+        start, chosen = pose_of(prior), chosen[: options.references]
         with clock.stage("features"):
             view = self.problems.warp(query, chosen, start, options.coarser)
             longer = max(query.camera.width, query.camera.height)
@@ -63,13 +64,6 @@ class Tracking:
         if attempt.reason or not attempt.fit < options.accept_fit:
             return None
         return attempt if _is_near(attempt.pose, prior, options.most_sigmas) else None
-
-
-def _pose(prior: Prior) -> Pose:
-    """Return the pose of a prior that has a position and an attitude."""
-    rotation = torch.tensor(prior.cam_from_world_rotation, dtype=torch.float64)
-    centre = torch.tensor(prior.position, dtype=torch.float64)
-    return Pose(rotation, -rotation @ centre)
 
 
 def _unsure_px(problem: Problem, prior: Prior) -> float:
@@ -114,5 +108,5 @@ def _is_near(pose: Pose, prior: Prior, most_sigmas: float) -> bool:
             return False
     if prior.attitude_sigma_deg is None:
         return True
-    _, degrees = pose.error_to(_pose(prior))
+    _, degrees = pose.error_to(pose_of(prior))
     return float(degrees) <= most_sigmas * prior.attitude_sigma_deg

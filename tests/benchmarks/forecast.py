@@ -215,7 +215,10 @@ def _reliability(chance: Array, happened: NDArray[np.bool_], out: Path | None) -
     spread = np.maximum(np.stack([y - ends[0], ends[1] - y]), 0)
     ax.errorbar(x, y, spread, fmt="o-", color="#1f6fb4", capsize=3)
     for a, b, n in points:
-        ax.annotate(f"{n}", (a, b), (7, -12), textcoords="offset points", fontsize=9)
+        # Above the points in the lower half, below the others: not over the axes.
+        ax.annotate(
+            f"{n}", (a, b), (7, 6 if b < 0.5 else -12), textcoords="offset points", fontsize=9
+        )
     ax.set(xlabel="forecast probability of a fix", ylabel="share of true fixes")
     ax.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
     figure.savefig(out, dpi=110)

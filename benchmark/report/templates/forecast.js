@@ -18,10 +18,14 @@ const mixed = (p) => {
   return `rgb(${a.map((value, k) => Math.round(value + t * (b[k] - value))).join(" ")})`;
 };
 
+// The colours of the probabilities 0, 0.5 and 1.
+const verdictColour = (verdict) => data.colours[["fails", "gaps", "holds"].indexOf(verdict)];
+
 function verdicts() {
   const row = (name, value) => el("span", { class: "row" }, el("span", {}, name), el("span", {}, value));
   return el("div", { class: "verdicts", role: "group", "aria-label": "Seasons" }, data.seasons.map((season) => el("button", {
     type: "button", class: season.verdict, "data-season": season.name,
+    css: { "border-left-color": verdictColour(season.verdict) },
     "aria-pressed": String(season.name === chosen), onclick: () => { chosen = season.name; paint(); },
   },
   el("span", { class: "name" }, season.name),
