@@ -16,6 +16,9 @@ from scene.maps.sparse_map import MapImage, SparseMap
 
 # Fewer points in view do not determine the resolution of a photograph.
 _MIN_POINTS: Final = 10
+# Sine of the angle below the horizon at which a camera looks at least. One that looks more flatly,
+# as from a car, sees near and far things beside each other: nothing is gained by resizing.
+_LEAST_DOWN: Final = math.sin(math.radians(20))
 DEFAULT_SAME_RESOLUTION: Final = 1.25
 """Ratio of resolutions below which photographs are compared as they are: networks tolerate it, and
 street-level views have no single resolution."""
@@ -29,7 +32,7 @@ def metres_per_pixel(
 ) -> float:
     """Return the ground resolution of a photograph at the median depth of the points it shows.
 
-    It is NaN where these are too few.
+    It is NaN where these are too few, and where the camera looks nearly along the ground.
 
     Args:
         pose: ``cam_from_world``.
@@ -37,12 +40,14 @@ def metres_per_pixel(
         xyz: (N, 3) points that may be in view.
         view_from_camera: (3, 3) how the camera is then turned; None for not at all.
     """
+    axis = np.array([0.0, 0.0, 1.0]) if view_from_camera is None else view_from_camera[2]
+    if -float(axis @ pose.rotation.numpy()[:, 2]) < _LEAST_DOWN:
+        return math.nan
     in_camera = pose.transform(torch.from_numpy(xyz))
     projected = camera.project(in_camera)
     shown = projected.valid & camera.contains(projected.xy)
     if int(shown.sum()) < _MIN_POINTS:
         return math.nan
-    axis = np.array([0.0, 0.0, 1.0]) if view_from_camera is None else view_from_camera[2]
     depth = in_camera[shown] @ torch.from_numpy(np.asarray(axis, np.float64))
     return float(depth.median()) / float(np.mean(camera.focal))
 

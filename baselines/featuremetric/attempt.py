@@ -20,6 +20,21 @@ from scene.localizer import Estimate, Status, Stopwatch
 
 
 @dataclass(frozen=True)
+class Found:
+    """The pose that one start led to.
+
+    Attributes:
+        view: the warped image.
+        problem: what was aligned last.
+        alignment: of the view.
+    """
+
+    view: WarpedImage
+    problem: Problem
+    alignment: Alignment
+
+
+@dataclass(frozen=True)
 class Attempt:
     """The outcome of one start.
 
@@ -48,17 +63,14 @@ class Attempt:
         return photograph_pose(self.view, self.alignment)
 
 
-def judged(
-    view: WarpedImage, problem: Problem, alignment: Alignment, options: SearchOptions
-) -> Attempt:
+def judged(found: Found, options: SearchOptions) -> Attempt:
     """Measure how well the pose of an alignment fits, and how far it may be off.
 
     Args:
-        view: the warped image.
-        problem: what was aligned last.
-        alignment: of the view.
+        found: what was aligned.
         options: when a pose is accepted.
     """
+    view, problem, alignment = found.view, found.problem, found.alignment
     if alignment.failed[0]:
         return Attempt(view, alignment, None, math.inf, alignment.reason(0))
     of_chance, around = fit(problem, alignment.pose), spread(problem, alignment.pose)

@@ -18,12 +18,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.align.aligner import Alignment, align
+from baselines.align.aligner import align
 from baselines.align.hypotheses import align_from_many
 from baselines.align.options import Options, SearchRadius
-from baselines.align.problem import Problem
 from baselines.featuremetric.attempt import (
     Attempt,
+    Found,
     estimated,
     is_clear,
     judged,
@@ -48,7 +48,6 @@ from baselines.place.search import Candidate
 from baselines.retrieval import OnDemand, References
 from baselines.sift import SiftLocalizer
 from baselines.starts import starts
-from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
@@ -112,7 +111,8 @@ class FeaturemetricLocalizer:
         config = self.config
         self._map = sparse_map
         cameras = [image.camera for image in sparse_map.images.values()]
-        self._kept_mb = max(1, config.memory_mb - self._extract.pass_megabytes(cameras))
+        pass_mb = self._extract.pass_megabytes(cameras, config.max_magnification)
+        self._kept_mb = max(1, config.memory_mb - pass_mb)
         self._matches: SiftLocalizer | None = None  # first: it takes more memory than the rest
         if config.multistart and config.matches is not None:
             least_mb = min(self._kept_mb, config.matches.memory_mb)
@@ -344,34 +344,38 @@ class FeaturemetricLocalizer:
         with clock.stage("alignment"):
             if many:
                 few = problem.at_levels(slice(options.compared_levels))
-                alignment = align_from_many(few, radius, options.hypotheses)
-                problem, alignment = self._realigned(query, view, maps, problem, alignment)
+                found = Found(view, problem, align_from_many(few, radius, options.hypotheses))
             else:
-                alignment = align(problem, with_covariance=False)
-            return judged(view, problem, alignment, options)
+                found = Found(view, problem, align(problem, with_covariance=False))
+        if many and not found.alignment.failed[0]:
+            found = self._realigned(query, maps, found, clock)
+        with clock.stage("alignment"):
+            return judged(found, options)
 
     def _realigned(
-        self,
-        query: Query,
-        view: WarpedImage,
-        maps: list[FeatureMap],
-        problem: Problem,
-        alignment: Alignment,
-    ) -> tuple[Problem, Alignment]:
+        self, query: Query, maps: list[FeatureMap], found: Found, clock: Stopwatch
+    ) -> Found:
         """Align once more, to all points in view from the aligned pose.
 
-        A start far off saw other points, and had other photographs beside it.
+        A start far off saw other points and photographs. Images coarser than these are magnified
+        only now: a search reaches less far in a larger picture, and takes longer.
         """
-        if alignment.failed[0]:
-            return problem, alignment
-        pose = photograph_pose(view, alignment)
+        view, most = found.view, self.config.max_magnification
+        pose = photograph_pose(view, found.alignment)
         chosen = self._chosen(replace(query, prior=known_pose(pose)))
-        after = self._problems.build(view, maps, chosen, pose, self.config.points)
-        # The coarsest level has no more to say of a pose that a finer one found.
-        final = align(after.finer() if after.levels[1:] else after, with_covariance=False)
+        larger = self._problems.magnified(query, chosen, pose, view, most)
+        if larger is not None:
+            with clock.stage("features"):
+                view, maps = larger, self._problems.features(larger)
+        with clock.stage("alignment"):
+            after = self._problems.build(view, maps, chosen, pose, self.config.points)
+            # The coarsest level has no more to say of a pose that a finer one of it found.
+            skipped = larger is None and len(after.levels) > 1
+            final = align(after.finer() if skipped else after, with_covariance=False)
         if final.failed[0]:
-            return problem, alignment
-        return after, replace(final, iterations=alignment.iterations + final.iterations)
+            return found
+        iterations = found.alignment.iterations + final.iterations
+        return Found(view, after, replace(final, iterations=iterations))
 
     def _chosen(self, query: Query) -> NDArray[np.int64]:
         """Return the rows of the photographs to align a query to.
@@ -387,8 +391,7 @@ class FeaturemetricLocalizer:
     def _least_side(self, query: Query) -> int:
         """Return the shorter side (px) of the image at the largest scale the network sees."""
         camera = query.camera
-        scale = min(1.0, self._extract.largest_scale(camera))
-        return round(min(camera.width, camera.height) * scale)
+        return round(min(camera.width, camera.height) * self._extract.largest_scale(camera))
 
     def _described(self, query: Query) -> NDArray[np.float32]:
         """Return unit features (n, C) of all coarse cells of the image as it was taken."""

@@ -138,7 +138,7 @@ class MapExtractor:
         view_from_camera: NDArray[np.float64] | None = None,
     ) -> WarpedImage:
         """Warp a photograph as the call of the extractor does, with the same arguments."""
-        scale = min(scale, self.largest_scale(camera))
+        scale = min(scale, self.largest_scale(camera, math.inf))
         if view_from_camera is None:
             return warp_image(rgb, camera, angle, scale)
         return level_image(rgb, camera, view_from_camera, scale)
@@ -168,14 +168,17 @@ class MapExtractor:
             maps.append(FeatureMap(features.float(), confidence, stride))
         return maps
 
-    def largest_scale(self, camera: Camera) -> float:
-        """Return the largest scale at which photographs of a camera are seen."""
-        return min(1.0, self.longest / max(camera.width, camera.height))
+    def largest_scale(self, camera: Camera, magnification: float = 1.0) -> float:
+        """Return the largest scale at which photographs of a camera are seen.
 
-    def pass_megabytes(self, cameras: Iterable[Camera]) -> int:
+        It is at most ``magnification``, and less where the photograph would become too large.
+        """
+        return min(magnification, self.longest / max(camera.width, camera.height))
+
+    def pass_megabytes(self, cameras: Iterable[Camera], magnification: float = 1.0) -> int:
         """Return about what a pass takes for photographs of these cameras, turned by any angle."""
         sides = (
-            self.largest_scale(camera) * math.hypot(camera.width, camera.height)
+            self.largest_scale(camera, magnification) * math.hypot(camera.width, camera.height)
             for camera in cameras
         )
         return round(max(sides, default=0.0) ** 2 * _PASS_BYTES / MEGABYTE)

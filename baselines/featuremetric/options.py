@@ -195,6 +195,12 @@ class FeaturemetricConfig(Config):
     )
     longest: int = Field(1024, ge=64, description="Larger images are resized to this side (px).")
     iterations: int = Field(100, ge=1, description="Most steps per level.")
+    max_magnification: float = Field(
+        1.0,
+        ge=1,
+        description="Images coarser than the map are magnified at most this much to reach its "
+        "resolution, once a pose is found by ``multistart``.",
+    )
     multistart: bool = Field(
         False,
         description="Look around the start too, for priors beyond the reach of the features.",
@@ -258,6 +264,7 @@ class SearchingConfig(FeaturemetricConfig):
     references: int = Field(8, ge=1)
     precision: Precision = Field("auto", validate_default=True)
     multistart: bool = True
+    max_magnification: float = Field(2.0, ge=1)
     most_tilt_deg: float | None = Field(30.0, ge=0)
     place: PlaceOptions = Field(PlaceOptions())
     matches: SiftConfig | None = Field(SiftConfig())

@@ -88,6 +88,7 @@ class ProblemBuilder:
         start: Pose,
         view_from_camera: NDArray[np.float64] | None = None,
         coarser: float | None = None,
+        magnification: float = 1.0,
     ) -> float:
         """Return the scale at which an image has the ground resolution of the map's photographs.
 
@@ -98,10 +99,11 @@ class ProblemBuilder:
             view_from_camera: (3, 3) how the camera is then turned; None for not at all.
             coarser: metres per pixel over those of the photographs; None leaves an image as it is
                 where they are nearly the same.
+            magnification: the largest scale.
         """
         points = np.concatenate([self.observations[int(row)].xyz for row in chosen])
         own = metres_per_pixel(start, camera, points, view_from_camera)
-        largest = self.extract.largest_scale(camera)
+        largest = self.extract.largest_scale(camera, magnification)
         # The view must not fall below what the network needs.
         least = LEAST_SIDE / min(camera.width, camera.height)
         wanted = self.observations.metres_per_pixel
@@ -137,8 +139,42 @@ class ProblemBuilder:
         coarser: float | None = None,
     ) -> WarpedImage:
         """Warp an image as ``view`` does, with the same arguments; ``coarser`` as in ``scale``."""
-        turn = self.levelling(start, chosen) if self.levelling else None
+        turn = self._turn(chosen, start)
         scale = self.scale(query.camera, chosen, start, turn, coarser)
+        return self._warp(query, start, scale, turn)
+
+    def magnified(
+        self,
+        query: Query,
+        chosen: NDArray[np.int64],
+        start: Pose,
+        view: WarpedImage,
+        magnification: float,
+    ) -> WarpedImage | None:
+        """Warp an image that is coarser than the map's photographs so that it has their resolution.
+
+        Args:
+            query: the image.
+            chosen: rows of the photographs.
+            start: ``cam_from_world``.
+            view: the image as it is seen without.
+            magnification: most pixels per pixel of the image.
+
+        Returns:
+            None where the view has nearly that resolution.
+        """
+        turn = self._turn(chosen, start)
+        scale = self.scale(query.camera, chosen, start, turn, magnification=magnification)
+        if scale < self.reference.same_resolution * view.scale:
+            return None
+        return self._warp(query, start, scale, turn)
+
+    def _turn(self, chosen: NDArray[np.int64], start: Pose) -> NDArray[np.float64] | None:
+        return self.levelling(start, chosen) if self.levelling else None
+
+    def _warp(
+        self, query: Query, start: Pose, scale: float, turn: NDArray[np.float64] | None
+    ) -> WarpedImage:
         angle = north_angle(start.rotation.numpy())
         return self.extract.warp(query.image, query.camera, angle, scale, turn)
 

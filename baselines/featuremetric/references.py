@@ -36,7 +36,7 @@ from scene.runtime.progress import progress_bar
 from scene.storage.images import read_rgb
 from scene.storage.lru_cache import LruCache, room
 
-_FORMAT: Final = 3
+_FORMAT: Final = 4
 
 
 class ReferenceOptions(Config):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from baselines.align.aligner import Alignment, align
 from baselines.align.problem import Problem
-from baselines.featuremetric.attempt import Attempt, judged
+from baselines.featuremetric.attempt import Attempt, Found, judged
 from baselines.featuremetric.options import SearchOptions, TrackingOptions
 from baselines.featuremetric.priors import pose_of
 from baselines.featuremetric.problem import ProblemBuilder
@@ -60,7 +60,7 @@ class Tracking:
             if first is None:
                 return None
             alignment = _aligned(problem, first, options.rough_convergence)
-            attempt = judged(view, problem, alignment, self.search)
+            attempt = judged(Found(view, problem, alignment), self.search)
         if attempt.reason or not attempt.fit < options.accept_fit:
             return None
         return attempt if _is_near(attempt.pose, prior, options.most_sigmas) else None

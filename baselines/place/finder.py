@@ -25,7 +25,7 @@ from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.progress import progress_bar
 from scene.storage.images import read_rgb
 
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Beyond this tilt (cosine) the middle of the picture says nothing of the ground's resolution.
