@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.resolution import metres_per_pixel, scale_to
+from baselines.views import levelled
 from tests.baselines.pixloc.made_map import CAMERA, HEIGHT, looking_down
 
 
@@ -15,6 +16,17 @@ def test_ground_seen_from_above() -> None:
     found = metres_per_pixel(looking_down(0, 0), CAMERA, ground)
     assert found == pytest.approx(HEIGHT / np.mean(CAMERA.focal))
     assert math.isnan(metres_per_pixel(looking_down(900, 0), CAMERA, ground))
+
+
+@pytest.mark.parametrize(("tilt", "known"), [(60, True), (69, True), (71, False), (90, False)])
+def test_a_camera_that_looks_along_the_ground_has_no_resolution(tilt: float, known: bool) -> None:
+    x, y = np.meshgrid(np.linspace(-500, 500, 500), np.linspace(-500, 500, 500))
+    ground = np.stack([x, y, 0 * x], -1).reshape(-1, 3)
+    pose = looking_down(0, 0, (tilt, 0, 0))
+    assert math.isfinite(metres_per_pixel(pose, CAMERA, ground)) == known
+    # Seen as by a camera that is turned down, it has one.
+    down = levelled(pose.rotation.numpy(), 0.0) @ pose.rotation.numpy().T
+    assert metres_per_pixel(pose, CAMERA, ground, down) > 0
 
 
 def test_pictures_are_brought_to_one_resolution_where_they_differ() -> None:

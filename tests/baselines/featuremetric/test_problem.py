@@ -48,6 +48,35 @@ def test_an_image_flatter_than_the_photographs_is_levelled(
     assert math.degrees(tilt(view.pose(start).rotation.numpy())) == pytest.approx(left, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("higher", "most", "scale"),
+    [(2.0, 2.0, 2.0), (1.5, 2.0, 1.5), (2.0, 1.6, 1.6), (2.0, 8.0, 2.0)],
+)
+def test_an_image_from_above_the_map_is_magnified_to_its_resolution(
+    higher: float, most: float, scale: float, tmp_path: Path
+) -> None:
+    network = read_network(write_network(tmp_path / "pixloc.safetensors"))[0]
+    extract = MapExtractor(network, 1024, "float32")
+    images = tmp_path / "images"
+    observations = references(
+        ReferenceSource(write_map(images), images, extract, "key", "pixloc", 2000), tmp_path, 2**20
+    )
+    problems, chosen = ProblemBuilder(extract, observations, [], Options()), np.arange(5)
+    low = looking_down(12.0, 0.0)
+    start = Pose(low.rotation, low.translation * low.translation.new_tensor([1, 1, higher]))
+    query = Query("q", photograph(start), CAMERA)
+    view = problems.warp(query, chosen, start)
+    assert view.scale == 1.0
+    larger = problems.magnified(query, chosen, start, view, most)
+    assert larger is not None
+    assert larger.scale == pytest.approx(scale, rel=0.02)
+    # Nothing is gained where the view has the map's resolution, or none may be reached.
+    assert problems.magnified(query, chosen, start, larger, larger.scale) is None
+    assert problems.magnified(query, chosen, start, view, 1.0) is None
+    near = problems.warp(query, chosen, low)
+    assert problems.magnified(query, chosen, low, near, most) is None
+
+
 def test_points_cover_the_image_although_references_overlap_in_its_middle(tmp_path: Path) -> None:
     network = read_network(write_network(tmp_path / "pixloc.safetensors"))[0]
     extract = MapExtractor(network, 1024, "float32")
