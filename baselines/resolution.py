@@ -16,8 +16,8 @@ from scene.maps.sparse_map import MapImage, SparseMap
 
 # Fewer points in view do not determine the resolution of a photograph.
 _MIN_POINTS: Final = 10
-# Sine of the angle below the horizon at which a camera looks at least. One that looks more flatly,
-# as from a car, sees near and far things beside each other: nothing is gained by resizing.
+# Sine of the least angle below the horizon. A camera that looks more flatly, as from a car, sees
+# near and far things side by side: its picture has no one resolution.
 _LEAST_DOWN: Final = math.sin(math.radians(20))
 DEFAULT_SAME_RESOLUTION: Final = 1.25
 """Ratio of resolutions below which photographs are compared as they are: networks tolerate it, and

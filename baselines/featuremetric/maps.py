@@ -175,8 +175,8 @@ class MapExtractor:
         """
         return min(magnification, self.longest / max(camera.width, camera.height))
 
-    def pass_megabytes(self, cameras: Iterable[Camera], magnification: float = 1.0) -> int:
-        """Return about what a pass takes for photographs of these cameras, turned by any angle."""
+    def pass_megabytes(self, cameras: Iterable[Camera], magnification: float) -> int:
+        """Return about what a pass takes for photographs of these cameras, turned and magnified."""
         sides = (
             self.largest_scale(camera, magnification) * math.hypot(camera.width, camera.height)
             for camera in cameras

@@ -195,7 +195,7 @@ def _write_references(
     """
     sparse_map, extract, options = source.sparse_map, source.extract, source.options
     posed = [sparse_map.images[each] for each in sparse_map.names]
-    wanted = of_map(sparse_map, lambda camera: min(1.0, extract.largest_scale(camera)))
+    wanted = of_map(sparse_map, extract.largest_scale)
     levels = len(extract.network.config.strides)
     with (
         written_store(path, levels=levels, metres_per_pixel=wanted) as add,

@@ -91,10 +91,9 @@ class PlaceFinder:
         options = self._options
         kept = MapCache.of(sparse_map, images, cache)
         posed = [sparse_map.images[name] for name in sparse_map.names]
-        sharpest = of_map(sparse_map, lambda camera: min(1.0, self._extract.largest_scale(camera)))
+        sharpest = of_map(sparse_map, self._extract.largest_scale)
         sides = [
-            max(image.camera.width, image.camera.height)
-            * min(1.0, self._extract.largest_scale(image.camera))
+            max(image.camera.width, image.camera.height) * self._extract.largest_scale(image.camera)
             for image in posed
         ]
         self._resolution = sharpest * max(1.0, float(np.median(sides)) / options.longest)

@@ -214,11 +214,11 @@ def _reliability(chance: Array, happened: NDArray[np.bool_], out: Path | None) -
     ends = np.array([wilson(round(b * n), n) for _, b, n in points]).T
     spread = np.maximum(np.stack([y - ends[0], ends[1] - y]), 0)
     ax.errorbar(x, y, spread, fmt="o-", color="#1f6fb4", capsize=3)
+    behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
     for a, b, n in points:
         # Above the points in the lower half, below the others: not over the axes.
-        ax.annotate(
-            f"{n}", (a, b), (7, 6 if b < 0.5 else -12), textcoords="offset points", fontsize=9
-        )
+        offset = (7, 6 if b < 0.5 else -12)
+        ax.annotate(f"{n}", (a, b), offset, textcoords="offset points", fontsize=9, bbox=behind)
     ax.set(xlabel="forecast probability of a fix", ylabel="share of true fixes")
     ax.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
     figure.savefig(out, dpi=110)

@@ -29,19 +29,26 @@ from tests.baselines.pixloc.made_map import (
 )
 
 
-@pytest.mark.parametrize(("degrees", "tilts", "left"), [(55, 0, 30), (25, 0, 25), (55, 40, 55)])
-def test_an_image_flatter_than_the_photographs_is_levelled(
-    degrees: float, tilts: float, left: float, tmp_path: Path
-) -> None:
-    """By as much as it takes to look 30 degrees flatter than they do."""
+@pytest.fixture
+def problems(tmp_path: Path) -> ProblemBuilder:
+    """Builds problems of a made map of five photographs."""
     network = read_network(write_network(tmp_path / "pixloc.safetensors"))[0]
     extract = MapExtractor(network, 1024, "float32")
     images = tmp_path / "images"
     observations = references(
         ReferenceSource(write_map(images), images, extract, "key", "pixloc", 2000), tmp_path, 2**20
     )
+    damping = [factors().detach() for factors in network.damping]
+    return ProblemBuilder(extract, observations, damping, Options())
+
+
+@pytest.mark.parametrize(("degrees", "tilts", "left"), [(55, 0, 30), (25, 0, 25), (55, 40, 55)])
+def test_an_image_flatter_than_the_photographs_is_levelled(
+    degrees: float, tilts: float, left: float, problems: ProblemBuilder
+) -> None:
+    """By as much as it takes to look 30 degrees flatter than they do."""
     levelling = Levelling(np.full(5, math.radians(tilts)), math.radians(30))
-    problems = ProblemBuilder(extract, observations, [], Options(), levelling=levelling)
+    problems = replace(problems, levelling=levelling)
     start = looking_down(12.0, 14.0, (degrees, 0, 0))
     with torch.inference_mode():
         view, _ = problems.view(Query("q", photograph(start), CAMERA), np.arange(5), start)
@@ -53,16 +60,9 @@ def test_an_image_flatter_than_the_photographs_is_levelled(
     [(2.0, 2.0, 2.0), (1.5, 2.0, 1.5), (2.0, 1.6, 1.6), (2.0, 8.0, 2.0)],
 )
 def test_an_image_from_above_the_map_is_magnified_to_its_resolution(
-    higher: float, most: float, scale: float, tmp_path: Path
+    higher: float, most: float, scale: float, problems: ProblemBuilder
 ) -> None:
-    network = read_network(write_network(tmp_path / "pixloc.safetensors"))[0]
-    extract = MapExtractor(network, 1024, "float32")
-    images = tmp_path / "images"
-    observations = references(
-        ReferenceSource(write_map(images), images, extract, "key", "pixloc", 2000), tmp_path, 2**20
-    )
-    problems, chosen = ProblemBuilder(extract, observations, [], Options()), np.arange(5)
-    low = looking_down(12.0, 0.0)
+    low, chosen = looking_down(12.0, 0.0), np.arange(5)
     start = Pose(low.rotation, low.translation * low.translation.new_tensor([1, 1, higher]))
     query = Query("q", photograph(start), CAMERA)
     view = problems.warp(query, chosen, start)
@@ -77,15 +77,9 @@ def test_an_image_from_above_the_map_is_magnified_to_its_resolution(
     assert problems.magnified(query, chosen, low, near, most) is None
 
 
-def test_points_cover_the_image_although_references_overlap_in_its_middle(tmp_path: Path) -> None:
-    network = read_network(write_network(tmp_path / "pixloc.safetensors"))[0]
-    extract = MapExtractor(network, 1024, "float32")
-    images = tmp_path / "images"
-    observations = references(
-        ReferenceSource(write_map(images), images, extract, "key", "pixloc", 2000), tmp_path, 2**20
-    )
-    damping = [factors().detach() for factors in network.damping]
-    problems = ProblemBuilder(extract, observations, damping, Options())
+def test_points_cover_the_image_although_references_overlap_in_its_middle(
+    problems: ProblemBuilder,
+) -> None:
     start = looking_down(12.0, 0.0)  # above the middle one of five
     chosen = np.arange(5)
     with torch.inference_mode():
