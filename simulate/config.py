@@ -296,14 +296,14 @@ def _session_from_words(text: str, first: bool) -> dict[str, object]:
     if not colon:
         raise ValueError(f"a session is written condition:flight[:role][:change], got {text!r}")
     session: dict[str, object] = {"condition": name, "role": "map" if first else "query"}
-    # The name of a plan's file may hold colons of its own.
-    plan = flight.startswith("plan=")
+    # The name of a file or a folder may hold colons of its own.
+    named = flight.startswith(("plan=", "flown="))
     head, _, last = flight.rpartition(":")
-    if head and (last.partition("=")[0] in Change.model_fields if plan else "=" in last):
+    if head and (last.partition("=")[0] in Change.model_fields if named else "=" in last):
         session["change"] = dict(_setting(word) for word in last.split(","))
         flight = head
     head, _, last = flight.rpartition(":")
-    if head and (last in get_args(Role) or not plan):
+    if head and (last in get_args(Role) or not named):
         session["role"] = last
         flight = head
     return session | {"flight": flight}

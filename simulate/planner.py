@@ -16,6 +16,7 @@ from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import is_free
 from simulate.flight.config import (
     CorridorFlight,
+    FlownFlight,
     FreeFlight,
     GridFlight,
     NadirFlight,
@@ -25,6 +26,7 @@ from simulate.flight.config import (
     plan_digest,
 )
 from simulate.flight.flights import plan_grid, plan_nadir, plan_oblique
+from simulate.flight.flown import flown_poses
 from simulate.flight.gimbal import Aims, perturbed_poses
 from simulate.flight.qgroundcontrol import read_plan
 from simulate.flight.routes import corridor_aims, free_aims, street_aims
@@ -106,6 +108,13 @@ def _plan_mission(
     return perturbed_poses(aims, site.wind, rng)
 
 
+def _plan_flown(
+    flight: FlownFlight, site: FlightSite, _frames: None, _rng: np.random.Generator
+) -> Array:
+    """Plan what was flown; the wind of that day is in its poses."""
+    return flown_poses(flight, site)
+
+
 PLANNERS: dict[type[Config], Planner] = {
     NadirFlight: plan_nadir,
     GridFlight: plan_grid,
@@ -114,5 +123,6 @@ PLANNERS: dict[type[Config], Planner] = {
     FreeFlight: _plan_free,
     StreetFlight: _plan_street,
     PlanFlight: _plan_mission,
+    FlownFlight: _plan_flown,
 }
 """The planner of each kind of flight, by the type of its configuration."""

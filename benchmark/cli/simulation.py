@@ -24,10 +24,11 @@ Sessions = Annotated[
     typer.Option(
         metavar="CONDITION:FLIGHT[:ROLE][:CHANGE]",
         help="A flight under a condition, such as winter-dusk:oblique; repeat the option for "
-        "several. FLIGHT is nadir, grid, oblique, corridor, free, street or plan=FILE (a plan "
-        "of QGroundControl). ROLE is map or query; by default the first flight builds the map "
-        "and the others are queries. CHANGE says what has changed since the place was built, "
-        "such as cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
+        "several. FLIGHT is nadir, grid, oblique, corridor, free, street, plan=FILE (a plan of "
+        "QGroundControl) or flown=SCENE (a scene's photographs again). ROLE is map or query; by "
+        "default the first flight builds the map and the others are queries. CHANGE says what has "
+        "changed since the place was built, such as "
+        "cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
     ),
 ]
 SiteScene = Annotated[

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from scene.config import Config
-from scene.storage.files import read_text
+from scene.storage.files import read_text, sha256_of
 
 Positive = Annotated[float, Field(gt=0)]
 Overlap = Annotated[float, Field(ge=0, le=0.95)]
@@ -257,6 +257,44 @@ class PlanFlight(_Flight):
         return True
 
 
+class FlownFlight(_Flight):
+    """The photographs of a finished scene in the same world, from where they were taken.
+
+    Attributes:
+        scene: The folder of the scene, relative to the working directory.
+        photographs: Those of its map, its queries, or both.
+        sha256: Digest of the scene's manifest. It is computed when left out.
+    """
+
+    kind: Literal["flown"] = "flown"
+    scene: Path
+    photographs: Literal["map", "queries", "all"] = "all"
+    sha256: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_digest(cls, values: object) -> object:
+        if not isinstance(values, dict) or values.get("sha256"):
+            return values
+        scene = values.get("scene")
+        if not isinstance(scene, str | Path):
+            return values
+        return values | {"sha256": scene_digest(Path(scene))}
+
+    @property
+    def counts_photographs(self) -> bool:
+        return True
+
+
+def scene_digest(scene: Path) -> str:
+    """Return the SHA-256 of a scene's manifest, which holds the digests of its other files.
+
+    Raises:
+        InputError: The folder is no finished scene.
+    """
+    return sha256_of(scene / "scene.json")
+
+
 def plan_digest(file: Path) -> str:
     """Return the SHA-256 of a mission plan.
 
@@ -266,12 +304,17 @@ def plan_digest(file: Path) -> str:
     return hashlib.sha256(read_text(file, "mission plan").encode()).hexdigest()
 
 
+_PATHS = {"plan": "file", "flown": "scene"}
+"""The field of each kind of flight that is written with a path."""
+
+
 def _from_word(flight: object) -> object:
-    """Read a flight that is written as one word: its kind, or "plan=FILE"."""
+    """Read a flight that is written as one word: its kind, "plan=FILE" or "flown=SCENE"."""
     if not isinstance(flight, str):
         return flight
-    kind, equals, file = flight.partition("=")
-    return {"kind": kind, "file": file} if equals and kind == "plan" else {"kind": flight}
+    kind, equals, path = flight.partition("=")
+    field = _PATHS.get(kind) if equals else None
+    return {"kind": flight} if field is None else {"kind": kind, field: path}
 
 
 Flight = Annotated[
@@ -282,7 +325,8 @@ Flight = Annotated[
         | CorridorFlight
         | FreeFlight
         | StreetFlight
-        | PlanFlight,
+        | PlanFlight
+        | FlownFlight,
         Field(discriminator="kind"),
     ],
     BeforeValidator(_from_word),

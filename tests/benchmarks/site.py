@@ -1,12 +1,12 @@
-"""How real a twin is: it is held against the simulated scene that it was made from.
+"""How real a twin is: it is held against the scene that it was made from.
 
     python -m tests.benchmarks.site cross MAP QUERIES --out OUT  # queries in the map of another
     python -m tests.benchmarks.site compare REAL TWIN             # colours, classes
     python -m tests.benchmarks.site strip REAL TWIN --out JPG     # photographs beside each other
     python -m tests.benchmarks.site classes REAL                  # classes, without a twin
 
-Both scenes have the same sessions and the same world. The folder of ``cross`` is a scene that
-``evaluate`` reads; its photographs are links.
+Both scenes have the same world, and the same sessions where they are compared. The folder of
+``cross`` is a scene that ``evaluate`` reads; its photographs are links.
 """
 
 from __future__ import annotations
@@ -70,9 +70,12 @@ def main() -> None:
 
 
 def cross(mapped: Scene, queried: Scene, out: Path) -> None:
-    """Make a scene of the map of one scene and the queries of another."""
-    for session in mapped.sessions:
-        owner = queried if session in queried.splits.queries else mapped
+    """Make a scene of the map of one scene and the queries of another, in the same world."""
+    owners = {name.split("/")[0]: mapped for name in mapped.splits.map}
+    if both := owners.keys() & queried.splits.queries.keys():
+        raise SystemExit(f"session {min(both)} has the map of one scene and queries of the other")
+    owners |= dict.fromkeys(queried.splits.queries, queried)
+    for session, owner in owners.items():
         shutil.copytree(
             owner.images_root / session, out / "sessions" / session, copy_function=_link
         )
@@ -80,7 +83,12 @@ def cross(mapped: Scene, queried: Scene, out: Path) -> None:
     shutil.copyfile(mapped.path / "objects.json", out / "objects.json")
     splits = Splits(map=mapped.splits.map, queries=queried.splits.queries)
     write_json(out / "splits.json", splits)
-    finish_scene(out, mapped.manifest.model_copy(update={"pixels_sha256": {}}))
+    changed = {
+        "sessions": {name: owner.sessions[name] for name, owner in owners.items()},
+        "reference": max(mapped.manifest.reference, queried.manifest.reference),  # "sfm" if any
+        "pixels_sha256": {},
+    }
+    finish_scene(out, mapped.manifest.model_copy(update=changed))
 
 
 def compare_colours(real: Scene, twin: Scene) -> None:

@@ -413,7 +413,7 @@ COMMANDS: dict[str, Row] = {
                 *("summer-noon:nadir:map:cars_moved=2", "summer-noon:nadir:map:colour=red"),
                 *("summer-noon:nadir:map:cars_moved=", "summer-noon:plan="),
                 *("summer-noon:plan=nowhere", "summer-noon:plan=mine"),
-                "summer-noon:plan=/dev/zero",
+                *("summer-noon:plan=/dev/zero", "summer-noon:flown=nowhere"),
             ),
             "frames": integer("2"),
             "size": integer("64"),
