@@ -1,5 +1,6 @@
 """How real a twin is: it is held against the scene that it was made from.
 
+    python -m tests.benchmarks.site flown FLIGHT --out YAML       # its own flight, in two seasons
     python -m tests.benchmarks.site cross MAP QUERIES --out OUT  # queries in the map of another
     python -m tests.benchmarks.site compare REAL TWIN             # colours, classes
     python -m tests.benchmarks.site strip REAL TWIN --out JPG     # photographs beside each other
@@ -17,9 +18,11 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmark.forecast.views import _camera
 from scene.bundle.manifest import Splits, write_json
 from scene.bundle.scene import Scene, finish_scene
 from scene.storage.images import read_rgb
@@ -46,11 +49,12 @@ _FACES_UP = 30  # of 127: what looks aside is no surface of a model from above
 def main() -> None:
     """Run one of the comparisons."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("cross", "compare", "strip", "classes"))
+    parser.add_argument("what", choices=("flown", "cross", "compare", "strip", "classes"))
     parser.add_argument("first", type=Path)
     parser.add_argument("second", type=Path, nargs="?")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--frame", type=int, default=8)
+    parser.add_argument("--size", type=int, default=800, help="longer side of the twin's pictures")
     given = parser.parse_args()
     first = Scene.open(given.first)
     if given.what == "classes":
@@ -58,6 +62,9 @@ def main() -> None:
         area_m = first.manifest.config["area"]
         world, _ = build_site(site, area_m, first.manifest.origin, 0, Path(tempfile.gettempdir()))
         compare_classes(first, world)
+        return
+    if given.what == "flown":
+        write_flown(first, given.size, given.out)
         return
     second = Scene.open(given.second)
     if given.what == "cross":
@@ -67,6 +74,27 @@ def main() -> None:
     else:
         compare_colours(first, second)
         compare_classes(first, load_surveyed(second.path / PLACE, 0))
+
+
+def write_flown(scene: Scene, size: int, out: Path) -> None:
+    """Write the configuration of a twin that is flown as its scene was, in summer and in snow."""
+    flights = {"map": "map", "summer": "queries", "snow": "queries"}
+    sessions = [
+        {
+            "name": name,
+            "condition": "snow-dusk" if name == "snow" else "summer-noon",
+            "role": "map" if name == "map" else "query",
+            "flight": {"kind": "flown", "scene": str(scene.path), "photographs": photographs},
+        }
+        for name, photographs in flights.items()
+    ]
+    config = {
+        "preset": "site",
+        "site": {"scene": str(scene.path)},
+        "camera": _camera(scene.sparse_map(), size),
+        "sessions": sessions,
+    }
+    out.write_text(yaml.safe_dump(config, sort_keys=False))
 
 
 def cross(mapped: Scene, queried: Scene, out: Path) -> None:
