@@ -18,6 +18,7 @@ from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import (
     MAP_PLAN,
     QUERY_PLAN,
+    WRITTEN_WITH_PATH,
     Flight,
     FlightPlan,
     NadirFlight,
@@ -297,7 +298,7 @@ def _session_from_words(text: str, first: bool) -> dict[str, object]:
         raise ValueError(f"a session is written condition:flight[:role][:change], got {text!r}")
     session: dict[str, object] = {"condition": name, "role": "map" if first else "query"}
     # The name of a file or a folder may hold colons of its own.
-    named = flight.startswith(("plan=", "flown="))
+    named = flight.partition("=")[0] in WRITTEN_WITH_PATH
     head, _, last = flight.rpartition(":")
     if head and (last.partition("=")[0] in Change.model_fields if named else "=" in last):
         session["change"] = dict(_setting(word) for word in last.split(","))

@@ -15,6 +15,7 @@ from scene.bundle.scene import Scene
 from scene.config import describe
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
+from scene.geometry.geodesy import is_same_place
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.escaping import for_terminal
 from scene.storage.names import is_utf8
@@ -29,8 +30,8 @@ from simulate.twin.options import SiteConfig
 
 Array = NDArray[np.float64]
 
-# A map's origin and its twin's are one when they differ by no more, degrees and metres.
-_SAME_DEG, _SAME_M = 1e-7, 0.1
+# A map's origin and its twin's are one when their heights differ by no more, metres.
+_SAME_UP_M = 0.1
 
 
 def views_config(
@@ -68,7 +69,7 @@ def views_config(
         "preset": SITE,
         "seed": config.seed,
         "frames": config.waypoints,
-        "camera": _camera(sparse_map, config.size),
+        "camera": usual_camera(sparse_map, config.size),
         "site": site,
         "sessions": sessions,
         "map_plan": QUERY_PLAN,
@@ -96,7 +97,7 @@ def _as_query(session: SessionConfig) -> SessionConfig:
     return session.model_copy(update={"role": "query"})
 
 
-def _camera(sparse_map: SparseMap, size: int) -> dict[str, Any]:
+def usual_camera(sparse_map: SparseMap, size: int) -> dict[str, Any]:
     """Return the camera of most photographs of a map, made smaller where it is larger."""
     cameras: list[Camera] = [image.camera for image in sparse_map.images.values()]
     usual = max(cameras, key=cameras.count)
@@ -126,9 +127,7 @@ def _site_of(twin: Scene, scene: Scene) -> SiteConfig:
             f"{twin.path} is no twin of a site: make one with 'simulate --preset site --from "
             f"{scene.path}', or leave --twin out"
         )
-    own, other = twin.manifest.origin, scene.manifest.origin
-    apart = max(abs(own.latitude - other.latitude), abs(own.longitude - other.longitude))
-    if apart > _SAME_DEG or abs(own.altitude - other.altitude) > _SAME_M:
+    if not is_same_place(twin.manifest.origin, scene.manifest.origin, _SAME_UP_M):
         raise InputError(
             f"{twin.path} is the twin of another place than {scene.path}: their origins differ"
         )

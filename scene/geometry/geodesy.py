@@ -28,12 +28,19 @@ and its square would soon overflow."""
 
 # No aircraft flies higher than this (m).
 _MAX_ALTITUDE_M = 1e6
+_CENTIMETRE_DEG = 1e-7
 
 
 def is_on_earth(place: Geodetic) -> bool:
     """Return whether a place is one where an aircraft can be; a NaN coordinate makes it false."""
     lat, lon, alt = place
     return abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= _MAX_ALTITUDE_M
+
+
+def is_same_place(a: Geodetic, b: Geodetic, up_m: float) -> bool:
+    """Return whether two places differ by a centimetre across, and ``up_m`` up, at most."""
+    across_deg = max(abs(a.latitude - b.latitude), abs(a.longitude - b.longitude))
+    return across_deg <= _CENTIMETRE_DEG and abs(a.altitude - b.altitude) <= up_m
 
 
 def ecef_from_geodetic(place: Geodetic) -> NDArray[np.float64]:

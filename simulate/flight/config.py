@@ -7,8 +7,9 @@ query flights differ when neither says anything.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
@@ -245,12 +246,7 @@ class PlanFlight(_Flight):
     @model_validator(mode="before")
     @classmethod
     def _take_digest(cls, values: object) -> object:
-        if not isinstance(values, dict) or values.get("sha256"):
-            return values
-        file = values.get("file")
-        if not isinstance(file, str | Path):
-            return values
-        return values | {"sha256": plan_digest(Path(file))}
+        return _with_digest(values, "file", plan_digest)
 
     @property
     def counts_photographs(self) -> bool:
@@ -274,16 +270,19 @@ class FlownFlight(_Flight):
     @model_validator(mode="before")
     @classmethod
     def _take_digest(cls, values: object) -> object:
-        if not isinstance(values, dict) or values.get("sha256"):
-            return values
-        scene = values.get("scene")
-        if not isinstance(scene, str | Path):
-            return values
-        return values | {"sha256": scene_digest(Path(scene))}
+        return _with_digest(values, "scene", scene_digest)
 
     @property
     def counts_photographs(self) -> bool:
         return True
+
+
+def _with_digest(values: object, field: str, digest: Callable[[Path], str]) -> object:
+    """Add the digest of the path in a field, unless it is given or there is no path."""
+    if not isinstance(values, dict) or values.get("sha256"):
+        return values
+    path = values.get(field)
+    return values | {"sha256": digest(Path(path))} if isinstance(path, str | Path) else values
 
 
 def scene_digest(scene: Path) -> str:
@@ -304,7 +303,7 @@ def plan_digest(file: Path) -> str:
     return hashlib.sha256(read_text(file, "mission plan").encode()).hexdigest()
 
 
-_PATHS = {"plan": "file", "flown": "scene"}
+WRITTEN_WITH_PATH: Final = {"plan": "file", "flown": "scene"}
 """The field of each kind of flight that is written with a path."""
 
 
@@ -313,7 +312,7 @@ def _from_word(flight: object) -> object:
     if not isinstance(flight, str):
         return flight
     kind, equals, path = flight.partition("=")
-    field = _PATHS.get(kind) if equals else None
+    field = WRITTEN_WITH_PATH.get(kind) if equals else None
     return {"kind": flight} if field is None else {"kind": kind, field: path}
 
 

@@ -7,17 +7,18 @@ from numpy.typing import NDArray
 
 from scene.bundle.scene import Scene
 from scene.errors import InputError
+from scene.geometry.geodesy import is_same_place
 from simulate.flight.config import FlownFlight, scene_digest
 from simulate.flight.site import FlightSite
 
 Array = NDArray[np.float64]
 
-# Two origins are one when they differ by no more, degrees and metres.
-_SAME_DEG, _SAME_M = 1e-7, 0.01
+# Two origins are one when their heights differ by no more, metres.
+_SAME_UP_M = 0.01
 
 
 def flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
-    """Return the poses ``cam_from_world`` (N, 4, 4) of what a scene's photographs show, in order.
+    """Return the poses ``cam_from_world`` (N, 4, 4) of a scene's photographs, in their order.
 
     Raises:
         InputError: The scene is not finished or has changed, its world is another one, or it has no
@@ -26,15 +27,13 @@ def flown_poses(flight: FlownFlight, site: FlightSite) -> Array:
     scene = Scene.open(flight.scene)
     if scene_digest(flight.scene) != flight.sha256:
         raise InputError(f"scene {flight.scene} has changed since it was flown: restore it")
-    own, other = site.origin, scene.manifest.origin
-    apart_deg = max(abs(own.latitude - other.latitude), abs(own.longitude - other.longitude))
-    if apart_deg > _SAME_DEG or abs(own.altitude - other.altitude) > _SAME_M:
+    if not is_same_place(site.origin, scene.manifest.origin, _SAME_UP_M):
         raise InputError(
             f"scene {flight.scene} has its origin elsewhere than this place, so its photographs "
             "cannot be repeated here"
         )
-    queries = [name for names in scene.splits.queries.values() for name in names]
-    chosen = {"map": scene.splits.map, "queries": queries}.get(flight.photographs)
+    queries = {name for names in scene.splits.queries.values() for name in names}
+    chosen = {"map": set(scene.splits.map), "queries": queries}.get(flight.photographs)
     poses = [
         frames.cam_from_world[row]
         for frames in map(scene.frames, scene.sessions)

@@ -22,7 +22,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from benchmark.forecast.views import _camera
+from benchmark.forecast.views import usual_camera
 from scene.bundle.manifest import Splits, write_json
 from scene.bundle.scene import Scene, finish_scene
 from scene.storage.images import read_rgb
@@ -91,7 +91,7 @@ def write_flown(scene: Scene, size: int, out: Path) -> None:
     config = {
         "preset": "site",
         "site": {"scene": str(scene.path)},
-        "camera": _camera(scene.sparse_map(), size),
+        "camera": usual_camera(scene.sparse_map(), size),
         "sessions": sessions,
     }
     out.write_text(yaml.safe_dump(config, sort_keys=False))
