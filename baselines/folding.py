@@ -57,6 +57,11 @@ becomes what it stands for in every configuration, so that results record it."""
 _FUSED: Final = getattr(torch.ops.mkldnn, "_convolution_pointwise", None)
 
 
+def _computed_here(dtype: torch.dtype) -> bool:
+    """Return whether oneDNN computes in a type on this processor: half types need units."""
+    return dtype == torch.float32 or torch.ops.mkldnn._is_mkldnn_bf16_supported()
+
+
 class ConvReLU(nn.Module):
     """A 3x3 convolution and a ReLU in one pass."""
 
@@ -70,7 +75,7 @@ class ConvReLU(nn.Module):
         """Return the maps (B, C, h, w) after both."""
         layer = self.convolution
         maps = maps.to(layer.weight.dtype)
-        if _FUSED is None or maps.device.type != "cpu":
+        if _FUSED is None or maps.device.type != "cpu" or not _computed_here(maps.dtype):
             return torch.relu_(layer(maps))
         where = (layer.padding, layer.stride, layer.dilation, layer.groups)
         result: Tensor = _FUSED(maps, layer.weight, layer.bias, *where, "relu", [], "")

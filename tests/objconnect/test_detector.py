@@ -205,7 +205,8 @@ def test_training_changes_the_detector_alone(rendered: Scene) -> None:
     network = {"detector": {"size": 16, "vector": 8}}
     training = ObjectTraining(TrainConfig(network=network))
     before = {k: v.clone() for k, v in training.network.state_dict().items()}
-    optimizer = torch.optim.Adam(training.groups(1e-2)[0]["params"], 1e-2)
+    # At 1e-2 all cells of so small a detector may die in the first steps, by rounding.
+    optimizer = torch.optim.Adam(training.groups(2e-3)[0]["params"], 2e-3)
     losses = []
     for step in range(40):
         loss, figures = training.loss(batch, step / 40)
