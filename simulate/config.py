@@ -32,6 +32,7 @@ from simulate.twin.options import SiteConfig
 
 # The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
+_LEAST_M = 120.0  # side of a place that is made up: streets and blocks need room
 NotNegative = Annotated[float, Field(ge=0)]
 Role = Literal["map", "query"]
 
@@ -140,7 +141,7 @@ class SimulateConfig(Config):
     Attributes:
         preset: kind of place, such as town or farmland.
         seed: random seed of the place and of every noise; the same seed gives the same scene.
-        area: side of the square place, metres.
+        area: side of the square place, metres; 120 or more but for a site.
         size: long side of the photographs, pixels, unless the camera has its own size.
         fov_deg: horizontal field of view of the square photographs taken without a ``camera``.
         camera: camera of sessions without their own; None is a square pinhole of ``size`` and
@@ -168,7 +169,7 @@ class SimulateConfig(Config):
 
     preset: str = "town"
     seed: int = Field(0, ge=0)
-    area: float = Field(200.0, ge=120, le=2000)
+    area: float = Field(200.0, ge=40, le=2000)
     size: int = Field(512, ge=64, le=4096)
     fov_deg: float = Field(60.0, gt=5, lt=120)
     camera: CameraConfig | None = None
@@ -230,6 +231,8 @@ class SimulateConfig(Config):
             raise ValueError("the preset site needs --from SCENE, or --ortho and --dsm")
         if self.preset != SITE and self.site is not None:
             raise ValueError(f"files of a site are for the preset site, not for {self.preset}")
+        if self.preset != SITE and self.area < _LEAST_M:
+            raise ValueError(f"area: a place has {_LEAST_M:.0f} m or more, got {self.area:g}")
         return self
 
     @model_validator(mode="after")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,11 +21,12 @@ from simulate.place.world import MIRRORED_M, Heightfield, Imagery, World
 from simulate.twin.albedo import even_walls, reflectance, soften_shadows
 from simulate.twin.classes import NAMES, classify, from_mask
 from simulate.twin.options import SiteConfig, digests
+from simulate.twin.photographs import Photograph, colours_seen
 from simulate.twin.report import SiteReport
-from simulate.twin.sampling import Cells, colours, heights, known_square, labels
+from simulate.twin.sampling import Cells, colours, heights, known_reach, known_square, labels
 from simulate.twin.snow import snow_that_stays
 from simulate.twin.source import Files, opened
-from simulate.twin.terrain import close_holes, ground_below, steepness, sunlit
+from simulate.twin.terrain import close_holes, drop_islands, ground_below, steepness, sunlit
 
 Float = NDArray[np.float32]
 
@@ -70,13 +72,16 @@ def _build(
 ) -> tuple[World, SiteReport]:
     grids = _grids(files, area_m, origin)
     surface = heights(files.heights, origin, grids.nodes, site.undulation)
+    surface = drop_islands(surface, grids.nodes.spacing_m)
     rgb = colours(files.colours, origin, grids.texels)
-    holes = _holes(surface, rgb, grids, site.most_holes)
-    surface, _ = close_holes(surface, grids.nodes.spacing_m)
-    rgb, _ = close_holes(rgb, grids.texels.spacing_m)
-    bare = ground_below(surface, grids.nodes.spacing_m)
     n, texel_m = len(rgb), grids.texels.spacing_m
+    flat = _holes(surface, grids.nodes, grids.margin_m, site.most_closed, "surface model")
+    surface, _ = close_holes(surface, grids.nodes.spacing_m)
     fine = _finer(surface, n)
+    rgb = _painted(rgb, fine, grids.texels, files.photographs)
+    holes = _holes(rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto")
+    rgb, _ = close_holes(rgb, texel_m)
+    bare = ground_below(surface, grids.nodes.spacing_m)
     found = classify(rgb, fine, _finer(bare, n), texel_m)
     if site.classes is not None:
         mask = labels(Raster.open(site.classes, "orthophoto"), origin, grids.texels)
@@ -85,6 +90,7 @@ def _build(
         texel_m=round(texel_m, 4),
         spacing_m=round(grids.nodes.spacing_m, 4),
         margin_m=round(grids.margin_m, 2),
+        closed=round(flat, 4),
         holes=round(holes, 4),
         classes={name: round(float((found == k).mean()), 4) for k, name in NAMES.items()},
     )
@@ -116,6 +122,8 @@ def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
             f"at latitude {origin.latitude:.5f}, longitude {origin.longitude:.5f}: give others, or "
             "leave the origin out"
         )
+    if files.photographs:  # what lies around is painted as far as they show it
+        known_m = known_reach(files.colours, origin)
     margin_m = float(np.clip(known_m - 0.5 * area_m, 0.0, MIRRORED_M))
     half_m = 0.5 * area_m + margin_m
     pixel, step = max(files.colours.grid.pixel), max(files.heights.grid.pixel)
@@ -138,23 +146,35 @@ def _level(raster: Raster, origin: Geodetic) -> float:
     return float(np.median(known)) - origin.altitude if known.size else 0.0
 
 
-def _holes(surface: Float, rgb: Float, grids: _Grids, most: float) -> float:
-    """Return the share of the place itself that has no data.
+def _holes(values: Float, cells: Cells, margin_m: float, most: float, what: str) -> float:
+    """Return the share of the place itself that has no data in a raster.
 
     Raises:
         InputError: It is larger than ``most``.
     """
-    shares = []
-    for values, cells in ((surface, grids.nodes), (rgb[..., 0], grids.texels)):
-        inside = np.abs(cells.axis) <= -cells.axis[0] - grids.margin_m
-        shares.append(float((~np.isfinite(values[np.ix_(inside, inside)])).mean()))
-    if max(shares) > most:
-        what = ("surface model", "orthophoto")[int(np.argmax(shares))]
+    inside = np.abs(cells.axis) <= -cells.axis[0] - margin_m
+    share = float((~np.isfinite(values[np.ix_(inside, inside)])).mean())
+    if share > most:
         raise InputError(
-            f"{100 * max(shares):.0f} % of the place have no data in the {what}, at most "
+            f"{100 * share:.0f} % of the place have no data in the {what}, at most "
             f"{100 * most:.0f} % can be closed: choose a smaller --area, or photograph more of it"
         )
-    return max(shares)
+    return share
+
+
+def _painted(rgb: Float, fine: Float, cells: Cells, photographs: Sequence[Photograph]) -> Float:
+    """Return the colours (n, n, 3) with those that photographs show where there were none.
+
+    The heights (n, n) of the surface are closed there, so that what stands in such a hole lies
+    flat, with its colours.
+    """
+    rows, columns = np.nonzero(~np.isfinite(rgb[..., 0]))
+    if not photographs or not len(rows):
+        return rgb
+    x, y, z = cells.axis[columns], cells.axis[rows], fine[rows, columns]
+    painted = rgb.copy()
+    painted[rows, columns] = colours_seen(photographs, np.stack([x, y, z], -1).astype(float))
+    return painted
 
 
 def _finer(values: Float, n: int) -> Float:
@@ -193,10 +213,15 @@ def _albedo(
 
 def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:
     notes = list(files.notes)
+    if report.closed > _SAID_HOLES:
+        notes.append(
+            f"closed: {100 * report.closed:.1f} % of the place had no height and got that of their "
+            "neighbours"
+        )
     if report.holes > _SAID_HOLES:
         notes.append(
-            f"holes: {100 * report.holes:.1f} % of the place had no data and were closed from "
-            "around"
+            f"holes: {100 * report.holes:.1f} % of the place had no colours and were closed "
+            "from around"
         )
     if report.sun is None:
         notes.append(

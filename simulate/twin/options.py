@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import Field, field_validator, model_validator
 
@@ -13,6 +13,9 @@ from scene.storage.files import sha256_of
 from simulate.look.conditions import SEASONS
 
 _FILES = ("ortho", "dsm", "classes")
+
+LEAST_SITE_M: Final = 40.0
+"""Least side of a site, metres; a place that is made up has 120 m or more."""
 
 
 class SiteConfig(Config):
@@ -31,7 +34,8 @@ class SiteConfig(Config):
         season: season that the orthophoto shows.
         albedo: mean share of the light that the site reflects. None makes the twin as bright at
             noon in summer as the orthophoto is.
-        most_holes: largest share of the place that may be without data; holes are closed.
+        most_holes: largest share of the place that may be without colours; holes are closed.
+        most_closed: largest share of the place that may be without heights; they are closed, too.
         sha256: digests of the files. They are computed when left out, so that a scene records the
             very site it was made of.
     """
@@ -45,6 +49,7 @@ class SiteConfig(Config):
     season: str = "summer"
     albedo: float | None = Field(None, gt=0, le=0.6)
     most_holes: float = Field(0.3, ge=0, lt=1)
+    most_closed: float = Field(0.5, ge=0, lt=1)
     sha256: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="before")

@@ -17,7 +17,8 @@ class SiteReport(BaseModel):
         texel_m: side of a pixel of the texture, metres.
         spacing_m: distance between the nodes of the surface, metres.
         margin_m: width of the strip around the place that is known, too, metres.
-        holes: share of the place that had no data and was closed.
+        closed: share of the place that had no height and got that of its neighbours.
+        holes: share of the place that had no colours and got those around.
         classes: share of the place by class.
         sun: azimuth and elevation of the sun in the orthophoto, degrees; None where not known.
         shade: share of the place that lay in the shade then.
@@ -30,6 +31,7 @@ class SiteReport(BaseModel):
     texel_m: float
     spacing_m: float
     margin_m: float
+    closed: float
     holes: float
     classes: dict[str, float]
     sun: tuple[float, float] | None = None

@@ -82,10 +82,16 @@ def known_square(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
 
     It is not positive where the origin lies outside one of them.
     """
-    return min(_reach(raster, origin) for raster in rasters)
+    return float(min(_reach(raster, origin).min() for raster in rasters))
 
 
-def _reach(raster: Raster, origin: Geodetic) -> float:
+def known_reach(raster: Raster, origin: Geodetic) -> float:
+    """Return the half side, metres, of the square around an origin that reaches a far edge."""
+    return float(_reach(raster, origin).max())
+
+
+def _reach(raster: Raster, origin: Geodetic) -> Array:
+    """Return the half side of the square around an origin that touches each edge of a raster."""
     left, bottom, right, top = raster.grid.box
     corners = [(left, bottom), (right, bottom), (right, top), (left, top)]
     height = origin.altitude
@@ -96,7 +102,7 @@ def _reach(raster: Raster, origin: Geodetic) -> float:
     outward = np.stack([side[:, 1], -side[:, 0]], -1)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     # A square of half side h touches a line of normal n at the distance h (|nx| + |ny|).
-    return float(((outward * around).sum(1) / np.abs(outward).sum(1)).min())
+    return np.asarray((outward * around).sum(1) / np.abs(outward).sum(1))
 
 
 def _around(

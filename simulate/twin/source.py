@@ -17,23 +17,33 @@ from scene.exports import ortho
 from scene.geo.rasters import Raster
 from scene.geometry.geodesy import Geodetic
 from scene.storage.scratch import scratch
-from simulate.twin.options import SiteConfig
+from simulate.twin.options import LEAST_SITE_M, SiteConfig
+from simulate.twin.photographs import Photograph, map_photographs, photographed_square
 from simulate.twin.sampling import known_square
 
 _FEWEST = 8  # photographs that show a site
 # Photographs lie on one line when they leave it by less than this share of its length.
 _THIN = 0.12
 _COARSE = 64  # cells a side of the surface model whose median is the height of the ground
-_LEAST_M, _MOST_M = 120.0, 2000.0
+_MOST_M = 2000.0
 
 
 class Files(NamedTuple):
-    """The rasters of a site, the time they show, and what is to be said of them."""
+    """What a site is made of.
+
+    Attributes:
+        colours: orthophoto.
+        heights: surface model.
+        taken: the time they show, where it is known.
+        photographs: those of the map, where the site is a scene.
+        notes: what is to be said of them.
+    """
 
     colours: Raster
     heights: Raster
     taken: datetime | None
-    notes: tuple[str, ...]
+    photographs: tuple[Photograph, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class Extent(NamedTuple):
@@ -52,7 +62,7 @@ def opened(site: SiteConfig, beside: Path) -> Iterator[Files]:
     """
     if site.scene is None:
         colours, heights = _rasters(site)
-        yield Files(colours, heights, site.taken, ())
+        yield Files(colours, heights, site.taken)
         return
     scene = Scene.open(site.scene)
     notes, taken = _surveyed_by(scene)
@@ -61,7 +71,8 @@ def opened(site: SiteConfig, beside: Path) -> Iterator[Files]:
         ortho.write(scene, sessions, folder, folder)
         colours = Raster.open(folder / ortho.ORTHOPHOTO, "orthophoto")
         heights = Raster.open(folder / ortho.SURFACE, "surface model")
-        yield Files(colours, heights, site.taken or taken, notes)
+        photographs = tuple(map_photographs(scene))
+        yield Files(colours, heights, site.taken or taken, photographs, notes)
 
 
 def extent(site: SiteConfig, sized: bool = False) -> Extent:
@@ -83,10 +94,10 @@ def extent(site: SiteConfig, sized: bool = False) -> Extent:
     colours, heights = _rasters(site)
     origin = _middle(colours, heights, site.undulation)
     side_m = 2 * known_square((colours, heights), origin)
-    if side_m < _LEAST_M and not sized:
+    if side_m < LEAST_SITE_M and not sized:
         raise InputError(
             f"{site.ortho} and {site.dsm} show a square of {max(side_m, 0):.0f} m in common: a "
-            f"place has {_LEAST_M:.0f} m or more"
+            f"site has {LEAST_SITE_M:.0f} m or more"
         )
     return Extent(origin, float(min(np.floor(side_m), _MOST_M)))
 
@@ -129,15 +140,24 @@ def _centres(scene: Scene) -> NDArray[np.float64]:
 
 
 def _side(scene: Scene) -> float:
-    """Return the side of the square around the origin that the photographs were taken over."""
+    """Return the side of the square around the origin that the map's photographs show."""
     own = scene.manifest.config.get("area")
     if isinstance(own, int | float):
         return float(own)
-    east, north = _centres(scene)[:, :2].T
-    if not len(east):
+    photographs = map_photographs(scene)
+    if not photographs:
         raise InputError(f"no photograph of {scene.path} belongs to its map")
-    half = min(east.max(), -east.min(), north.max(), -north.min())
-    return float(np.clip(np.floor(2 * half), _LEAST_M, _MOST_M))
+    points = scene.sparse_map().xyz
+    if not len(points):
+        raise InputError(f"the map of {scene.path} has no points")
+    most_m = min(2 * float(np.abs(points[:, :2]).max()), _MOST_M)
+    side_m = photographed_square(photographs, float(np.median(points[:, 2])), most_m)
+    if side_m < LEAST_SITE_M:
+        raise InputError(
+            f"two photographs of {scene.path} see a square of {side_m:.0f} m around its origin: a "
+            f"site has {LEAST_SITE_M:.0f} m or more"
+        )
+    return float(np.floor(side_m))
 
 
 def _surveyed_by(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:

@@ -15,16 +15,32 @@ _STEP_M = 0.4  # what stands out by less, at the smallest window, is ground
 _SLOPE = 0.15  # ground rises by at most this much per metre of a window
 _HIGHEST_STEP_M = 2.5
 _CELL_M = 1.0  # the filter works on cells of this size
-_SMOOTH_M = 2.0  # standard deviation of the filter over the ground that is found
+# Standard deviations of the filters over closed holes (m), each from so many of it deep on, and
+# alone from twice as deep on.
+_SMOOTH_M = (1.0, 2.0, 4.0, 8.0, 16.0)
+_DEPTHS = 2.0
+_GROUND_M = 2.0  # standard deviation of the filter over the ground that is found
+_SIGMA = 4.0  # cells: a wider filter works on larger cells
+_ISLAND_M2 = 10.0  # smaller patches of heights in a hole are no surface
 
 
-def close_holes(values: Float, spacing_m: float, smooth_m: float = 1.0) -> tuple[Float, Mask]:
-    """Give each cell without data the value of the nearest one, smoothed inside the hole.
+def drop_islands(surface: Float, spacing_m: float) -> Float:
+    """Return heights (n, n) without the small patches in large holes, which are mostly wrong.
+
+    Where dense depth fails, in woods and on water, what is left of it agrees by chance.
+    """
+    known = np.isfinite(surface).astype(np.uint8)
+    _, patch, stats, _ = cv2.connectedComponentsWithStats(known, connectivity=8)
+    small = stats[:, cv2.CC_STAT_AREA] * spacing_m**2 < _ISLAND_M2
+    return np.where(small[patch], np.float32(np.nan), surface)
+
+
+def close_holes(values: Float, spacing_m: float) -> tuple[Float, Mask]:
+    """Give each cell without data the value of the nearest one, the smoother the deeper it lies.
 
     Args:
         values: (n, n) or (n, n, bands), NaN where nothing is known.
         spacing_m: side of a cell, metres.
-        smooth_m: standard deviation of the smoothing, metres.
 
     Returns:
         The closed values, and the mask (n, n) of the cells that were empty.
@@ -33,7 +49,7 @@ def close_holes(values: Float, spacing_m: float, smooth_m: float = 1.0) -> tuple
     hole = ~np.isfinite(flat)
     if not hole.any() or hole.all():
         return values, hole
-    _, nearest = cv2.distanceTransformWithLabels(
+    depth, nearest = cv2.distanceTransformWithLabels(
         hole.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     rows, columns = np.nonzero(~hole)
@@ -42,9 +58,26 @@ def close_holes(values: Float, spacing_m: float, smooth_m: float = 1.0) -> tuple
     source = index[nearest[hole]]
     closed = values.copy()
     closed[hole] = values[rows[source], columns[source]]
-    soft = cv2.GaussianBlur(closed, (0, 0), max(smooth_m / spacing_m, 0.5))
-    closed[hole] = soft[hole]
+    # Values of two edges meet in a step where both are as near, which is deep in the hole.
+    share = hole.astype(np.float32)
+    for smooth_m in _SMOOTH_M:
+        sigma = max(smooth_m / spacing_m, 0.5)
+        if smooth_m > _SMOOTH_M[0]:
+            share = np.clip(depth / (_DEPTHS * sigma) - 1, 0, 1)
+        if not share.any():
+            break
+        weight = share if closed.ndim == 2 else share[..., None]
+        closed = closed + weight * (_blurred(closed, sigma) - closed)
     return closed, hole
+
+
+def _blurred(values: Float, sigma: float) -> Float:
+    """Smooth a grid; a wide filter works on fewer cells, which takes a fraction of the time."""
+    n = len(values)
+    m = min(n, max(4, round(n * _SIGMA / sigma)))
+    small = cv2.resize(values, (m, m), interpolation=cv2.INTER_AREA) if m < n else values
+    soft = cv2.GaussianBlur(small, (0, 0), sigma * m / n)
+    return np.asarray(cv2.resize(soft, (n, n)) if m < n else soft, np.float32)
 
 
 def ground_below(surface: Float, spacing_m: float) -> Float:
@@ -71,8 +104,8 @@ def ground_below(surface: Float, spacing_m: float) -> Float:
         allowed = min(_STEP_M + _SLOPE * (width - before), _HIGHEST_STEP_M)
         stands |= filtered - opened > (allowed if before else _STEP_M)
         before, filtered = width, opened
-    ground, _ = close_holes(np.where(stands, np.float32(np.nan), small), cell, _SMOOTH_M)
-    ground = cv2.GaussianBlur(ground, (0, 0), _SMOOTH_M / cell)
+    ground, _ = close_holes(np.where(stands, np.float32(np.nan), small), cell)
+    ground = cv2.GaussianBlur(ground, (0, 0), _GROUND_M / cell)
     full = cv2.resize(ground, (n, n), interpolation=cv2.INTER_LINEAR)
     return np.asarray(np.minimum(full, surface))
 

@@ -68,18 +68,6 @@ def test_packing_a_frame(benchmark: BenchmarkFixture, renderer: Renderer) -> Non
 
 
 @pytest.mark.slow
-def test_layers_cost_less_than_a_tenth(renderer: Renderer) -> None:
-    """In processor seconds, which other work on the machine stretches less than seconds."""
-    seconds = {}
-    for kind in ("bare", "ours"):
-        renderer.ask(kind, 0)  # other passes: Blender takes the scene in anew
-        seconds[kind] = [renderer.ask(kind, frame)[0] for frame in range(POSES)]
-    bare, ours = np.median(seconds["bare"]), np.median(seconds["ours"])
-    print(f"bare {bare:.2f} s, ours {ours:.2f} s, ratio {ours / bare:.3f}")
-    assert ours < 1.10 * bare
-
-
-@pytest.mark.slow
 def test_memory_does_not_grow(tmp_path: Path) -> None:
     """300 frames of 64 px in one process: under 100 MB more than after the first ten."""
     config = CONFIG.model_copy(update={"size": 64, "spp": 1})

@@ -111,7 +111,8 @@ def make_scene(path: Path) -> Path:
     added = AddedPoint(id=60, object=0, confidence=0.5)
     digest = scene.sparse_map().without(np.arange(60) == 59).sha256
     write_json(path / "map" / "supplement.json", Supplement(points=(added,), map_sha256=digest))
-    finish_scene(path, scene.manifest)
+    # Like that of a simulated scene: two photographs of noise would show no square of a site.
+    finish_scene(path, scene.manifest.model_copy(update={"config": {"area": 120.0}}))
     return path
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from benchmark.tracks.renders import (
 )
 from scene.bundle.scene import Scene
 from scene.errors import InputError
+from scene.geometry.camera import Camera
 from scene.storage.images import read_rgb
 
 
@@ -68,6 +70,11 @@ def test_rounding_is_alike(render: Render) -> None:
     assert difference(render, render) == ""
     assert difference(render, brighter(render, 2, 5, 0.4)) == ""
     assert difference(render, moved(render, 2, 5e-6)) == ""
+    camera = Camera.parse(render.frames[2].camera.split())
+    focal = float(np.nextafter(camera.params[0], np.inf))
+    rounded = replace(camera, params=(focal, *camera.params[1:]))
+    assert str(rounded) != str(camera)
+    assert difference(render, changed(render, 2, camera=str(rounded))) == ""
     points = render.map_points + int(0.01 * render.map_points)
     assert difference(render, render.model_copy(update={"map_points": points})) == ""
 
@@ -77,7 +84,10 @@ def test_what_differs_is_named(render: Render) -> None:
     said = difference(render, brighter(render, 2, 5, -0.7))
     assert said == f"{name} differs by 0.7 grey levels"
     assert difference(render, moved(render, 2, 1e-3)) == f"another pose of {name}"
-    assert difference(render, changed(render, 2, camera="PINHOLE")) == f"another camera of {name}"
+    for camera in ("PINHOLE 96 96 100.001 100 48 48", "PINHOLE 96 98 100 100 48 48"):
+        before = changed(render, 2, camera="PINHOLE 96 96 100 100 48 48")
+        said = difference(before, changed(render, 2, camera=camera))
+        assert said == f"another camera of {name}"
     assert difference(render, changed(render, 2, name="x.jpg")) == "other frames"
     fewer = render.model_copy(update={"frames": render.frames[1:]})
     assert difference(render, fewer) == "other frames"

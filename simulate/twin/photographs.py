@@ -1,0 +1,137 @@
+"""The photographs of a site's map: how many of them see a point, and the colour that it has there.
+
+Nothing hides a point here: on a site without exact heights nobody knows what does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from scene.bundle.scene import Scene
+from scene.geometry.camera import Camera
+from scene.runtime.progress import progress_bar
+from scene.storage.images import read_rgb
+
+Array = NDArray[np.float64]
+
+_AT_ONCE: Final = 1 << 20  # points that are projected at once
+# A surface needs two photographs to have a height. A square is photographed when all but this share
+# of it was seen by two.
+_FEWEST_VIEWS: Final = 2
+_UNSEEN: Final = 0.05
+_COARSE: Final = 256  # cells a side of the square in which views are counted
+
+
+class Photograph(NamedTuple):
+    """A photograph of the map.
+
+    Attributes:
+        path: its file.
+        camera: with its lens.
+        cam_from_world: (4, 4).
+    """
+
+    path: Path
+    camera: Camera
+    cam_from_world: Array
+
+    def sees(self, points: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return pixels (N, 2) of world points (N, 3), and which of them lie in the picture."""
+        import torch
+
+        pixels, seen = [], []
+        for k in range(0, len(points), _AT_ONCE):
+            local = points[k : k + _AT_ONCE] @ self.cam_from_world[:3, :3].T
+            projected = self.camera.project(torch.from_numpy(local + self.cam_from_world[:3, 3]))
+            inside = projected.valid & self.camera.contains(projected.xy)
+            pixels.append(projected.xy.numpy().astype(np.float32))
+            seen.append(inside.numpy())
+        return np.concatenate(pixels), np.concatenate(seen)
+
+
+def map_photographs(scene: Scene) -> list[Photograph]:
+    """Return the photographs of a scene's map.
+
+    Raises:
+        InputError: A list of frames is damaged.
+    """
+    mapped = set(scene.splits.map)
+    return [
+        Photograph(scene.images_root / name, frames.cameras[k], frames.cam_from_world[k])
+        for frames in map(scene.frames, scene.sessions)
+        for k, name in enumerate(frames.names)
+        if name in mapped
+    ]
+
+
+def photographed_square(photographs: Sequence[Photograph], height: float, most_m: float) -> float:
+    """Return the side of the largest square around the origin that two photographs see.
+
+    Args:
+        photographs: Those of the map.
+        height: Of the level ground, metres above the origin.
+        most_m: Largest side, metres.
+
+    Returns:
+        Metres; 0 where the origin itself was not photographed.
+    """
+    axis = (np.arange(_COARSE) + 0.5) / _COARSE - 0.5
+    x, y = (most_m * grid.ravel() for grid in np.meshgrid(axis, axis))
+    ground = np.stack([x, y, np.full(len(x), height)], -1)
+    views = np.zeros(len(ground), int)
+    for photograph in photographs:
+        views += photograph.sees(ground)[1]
+    # The square that a point lies on, as the side that it has; sorted from the middle outwards.
+    sides = 2 * np.maximum(abs(x), abs(y))
+    order = np.argsort(sides, kind="stable")
+    unseen = np.cumsum(views[order] < _FEWEST_VIEWS) / np.arange(1, len(order) + 1)
+    good = np.nonzero(unseen <= _UNSEEN)[0]
+    return float(sides[order][good[-1]]) if len(good) else 0.0
+
+
+def colours_seen(photographs: Sequence[Photograph], points: Array) -> NDArray[np.float32]:
+    """Return the colours of world points in the photograph that looks at each most from above.
+
+    Args:
+        photographs: Those of the map.
+        points: (N, 3) metres.
+
+    Returns:
+        Colours (N, 3) in 0..255, NaN where no photograph sees the point.
+
+    Raises:
+        InputError: A photograph is missing or damaged.
+    """
+    colours = np.full((len(points), 3), np.nan, np.float32)
+    best = np.zeros(len(points))
+    with progress_bar("colours of photographs", len(photographs)) as advance:
+        for count, photograph in enumerate(photographs, 1):
+            pixels, seen = photograph.sees(points)
+            pose = photograph.cam_from_world
+            ray = points - (-pose[:3, :3].T @ pose[:3, 3])
+            down = -ray[:, 2] / np.linalg.norm(ray, axis=1)
+            better = np.nonzero(seen & (down > best))[0]
+            if len(better):
+                rgb = read_rgb(photograph.path, photograph.camera)
+                best[better] = down[better]
+                colours[better] = _at(rgb, pixels[better])
+            advance(count)
+    return colours
+
+
+def _at(rgb: NDArray[np.uint8], pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Interpolate a picture (H, W, 3) at pixels (N, 2), whose centres lie at halves."""
+    found = []
+    for k in range(0, len(pixels), 1 << 14):  # OpenCV's pictures have at most 2^15 rows
+        x, y = (pixels[k : k + (1 << 14)] - 0.5).T
+        at = cv2.remap(
+            rgb, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        found.append(at.reshape(-1, 3))
+    return np.asarray(np.concatenate(found), np.float32)
