@@ -76,13 +76,14 @@ def _build(
     rgb = colours(files.colours, origin, grids.texels)
     n, texel_m = len(rgb), grids.texels.spacing_m
     flat = _holes(surface, grids.nodes, grids.margin_m, site.most_closed, "surface model")
-    surface, _ = close_holes(surface, grids.nodes.spacing_m)
+    surface, closed = close_holes(surface, grids.nodes.spacing_m)
     fine = _finer(surface, n)
     rgb = _painted(rgb, fine, grids.texels, files.photographs)
     holes = _holes(rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto")
     rgb, _ = close_holes(rgb, texel_m)
     bare = ground_below(surface, grids.nodes.spacing_m)
-    found = classify(rgb, fine, _finer(bare, n), texel_m)
+    unknown = _finer(closed.astype(np.float32), n) > 0.5
+    found = classify(rgb, fine, _finer(bare, n), texel_m, unknown)
     if site.classes is not None:
         mask = labels(Raster.open(site.classes, "orthophoto"), origin, grids.texels)
         found = from_mask(mask, found)

@@ -26,6 +26,7 @@ _SCALE_M = 0.6  # colours and heights are compared over this distance
 # A crown deviates from a plane by at least the first (m), and by the second where it is but faintly
 # green, as dry or brown leaves are.
 _PLANE_M, _ROUGH_M, _FAINT = 0.2, 0.5, 0.015
+_GRAINY = 0.25  # leaves with their shadows; lawns have 0.1 to 0.15
 _LEVEL = 0.06  # slope of water
 _DARK = 0.34  # brightest water, of 1
 _CALM = 0.045  # deviation of the brightness of water
@@ -33,14 +34,19 @@ _LEAST_WATER_M2, _LEAST_M2 = 120.0, 6.0  # smaller patches belong to what is aro
 _NARROWEST_WATER_M = 2.5
 
 
-def classify(rgb: Float, surface: Float, ground: Float, cell_m: float) -> Labels:
+def classify(
+    rgb: Float, surface: Float, ground: Float, cell_m: float, closed: Mask | None = None
+) -> Labels:
     """Tell water, vegetation, ground, roofs and crowns apart.
+
+    Where heights are not known, crowns are what is greenish and has the grain of leaves.
 
     Args:
         rgb: colours (n, n, 3) in 0..255.
         surface: heights (n, n), metres.
         ground: heights of the ground (n, n), metres.
         cell_m: side of a cell, metres.
+        closed: where heights are not known, (n, n).
 
     Returns:
         Labels (n, n) of ``scene.bundle.labels.CLASSES``.
@@ -57,6 +63,10 @@ def classify(rgb: Float, surface: Float, ground: Float, cell_m: float) -> Labels
     leafy = (green & (rough > _PLANE_M)) | ((excess > _FAINT) & (rough > _ROUGH_M))
     crown = _majority(leafy, high, cell_m)
     labels[high] = np.where(crown, CROWN, ROOF)[high]
+    if closed is not None:
+        flat = closed & ~high & (labels != WATER)
+        leaves = _majority((excess > 0) & (_grain(rgb, cell_m) > _GRAINY), flat, cell_m)
+        labels[_patches(leaves & flat, _LEAST_M2, cell_m)] = CROWN
     return labels
 
 
@@ -80,6 +90,15 @@ def _excess_green(rgb: Float) -> Float:
     red, green, blue = np.moveaxis(rgb, -1, 0)
     total = np.maximum(red + green + blue, np.float32(0.05))
     return np.asarray((2 * green - red - blue) / total, np.float32)
+
+
+def _grain(rgb: Float, cell_m: float) -> Float:
+    """Return how far brightness deviates within a metre, as a share of it, (n, n)."""
+    value = rgb.mean(-1)
+    sigma = 1.0 / cell_m
+    mean = cv2.GaussianBlur(value, (0, 0), sigma)
+    spread = cv2.GaussianBlur(value * value, (0, 0), sigma) - mean * mean
+    return np.asarray(np.sqrt(np.maximum(spread, 0)) / np.maximum(mean, 1))
 
 
 def _water(rgb: Float, soft: Float, surface: Float, above: Float, cell_m: float) -> Mask:

@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("first", type=Path)
     parser.add_argument("second", type=Path, nargs="?")
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--frame", type=int, default=8)
+    parser.add_argument("--query", type=int, default=0, help="number of the query to draw")
     parser.add_argument("--size", type=int, default=800, help="longer side of the twin's pictures")
     given = parser.parse_args()
     first = Scene.open(given.first)
@@ -70,7 +70,7 @@ def main() -> None:
     if given.what == "cross":
         cross(first, second, given.out)
     elif given.what == "strip":
-        strip(first, second, given.out, given.frame)
+        strip(first, second, given.out, given.query)
     else:
         compare_colours(first, second)
         compare_classes(first, load_surveyed(second.path / PLACE, 0))
@@ -154,21 +154,21 @@ def compare_classes(real: Scene, world: World) -> None:
             print(f"{NAMES[label]}: {row.sum()} points, {shares}")
 
 
-def strip(real: Scene, twin: Scene, out: Path, frame: int) -> None:
-    """Draw the photographs of one exposure: real and twin in summer, twin and real in winter."""
-    summer, winter = list(real.splits.queries)
-    order = ((real, summer), (twin, summer), (twin, winter), (real, winter))
-    pictures = [_photographs(scene, session, frame)[0] for scene, session in order]
-    Image.fromarray(np.hstack(pictures)).save(out, quality=80)
+def strip(real: Scene, twin: Scene, out: Path, query: int) -> None:
+    """Draw one query: real and twin in summer, twin in winter, and real in winter where it is."""
+    there, *later = real.splits.queries
+    summer, winter = list(twin.splits.queries)
+    order = [(real, there), (twin, summer), (twin, winter), *((real, s) for s in later[:1])]
+    names = [(scene, scene.splits.queries[session][query]) for scene, session in order]
+    pictures = [Image.fromarray(read_rgb(scene.images_root / name)) for scene, name in names]
+    size = min(picture.size for picture in pictures)
+    Image.fromarray(np.hstack([np.asarray(p.resize(size)) for p in pictures])).save(out, quality=80)
 
 
-def _photographs(scene: Scene, session: str, only: int | None = None) -> NDArray[np.uint8]:
+def _photographs(scene: Scene, session: str) -> NDArray[np.uint8]:
     """Read the photographs of a session, (N, H, W, 3)."""
     frames = scene.frames(session)
-    chosen = range(len(frames)) if only is None else [only]
-    return np.stack(
-        [read_rgb(scene.images_root / frames.names[k], frames.cameras[k]) for k in chosen]
-    )
+    return np.stack([read_rgb(scene.images_root / name) for name in frames.names])
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -22,6 +23,7 @@ from simulate.look.surveyed import bake_surveyed, mirror_surveyed
 from simulate.place.surveyed import load_surveyed, save_surveyed
 from simulate.place.world import World
 from simulate.twin.build import build_site
+from simulate.twin.classes import CROWN, LOW, PAVED, classify
 from simulate.twin.options import SiteConfig
 from simulate.twin.report import SiteReport
 from simulate.twin.sampling import Cells, colours, heights
@@ -168,6 +170,25 @@ def test_a_large_hole_has_no_steps() -> None:
     assert np.abs(np.diff(closed, axis=1)).max() < 0.3
     assert np.abs(closed[:, 60:64]).max() < 0.2
     assert np.abs(closed[:, 176:180] - 10).max() < 0.2
+
+
+def test_woods_without_heights_are_crowns() -> None:
+    """They have the grain of leaves; a lawn has not, and a grainy pavement is not green."""
+    rng = np.random.default_rng(4)
+    shade = cv2.resize(rng.uniform(0.2, 1.8, (150, 150)).astype(np.float32), (300, 300))[..., None]
+    green, grey = (np.array(colour, np.float32) for colour in ((70, 110, 50), (120, 110, 120)))
+    rgb = np.broadcast_to(green, (300, 300, 3)).copy()
+    rgb[:, :100] *= shade[:, :100]
+    rgb[:, 200:] = grey * shade[:, 200:]
+    level = np.zeros((300, 300), np.float32)
+    found = classify(rgb, level, level, 0.1, np.ones((300, 300), bool))
+    for columns, label in (
+        (slice(20, 80), CROWN),
+        (slice(120, 180), LOW),
+        (slice(220, 280), PAVED),
+    ):
+        assert (found[:, columns] == label).mean() > 0.95
+    assert not (classify(rgb, level, level, 0.1) == CROWN).any()
 
 
 def test_islands_are_dropped() -> None:
