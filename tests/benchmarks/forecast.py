@@ -41,8 +41,8 @@ _BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 _RESAMPLED = 2000
 
 
-def write_plan(path: Path) -> None:
-    """Write a plan of 20 waypoints in four lines over 132 m around 47 N, 8 E.
+def write_plan(path: Path, each: int) -> None:
+    """Write a plan of four lines of ``each`` waypoints over 132 m around 47 N, 8 E.
 
     The lines lie 70, 45, 60 and 75 m above home; on the last two, the gimbal is at -65 degrees.
     """
@@ -58,7 +58,7 @@ def write_plan(path: Path) -> None:
     ):
         if line in (0, 2):
             add(1000, [-90 if line == 0 else -65, 0, 0, 0, 0, 0, 0], 2)
-        for x in np.linspace(-66, 66, 5) * (1 if line % 2 == 0 else -1):
+        for x in np.linspace(-66, 66, each) * (1 if line % 2 == 0 else -1):
             add(16, [0, 0, 0, None, 47.0 + north_m / 111180.0, 8.0 + x / east, height_m], 3)
     mission = {"hoverSpeed": 6, "items": items, "plannedHomePosition": [47.0, 8.0, 450.0]}
     plan = {"fileType": "Plan", "version": 1, "mission": mission}
@@ -229,11 +229,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("plan", "fit", "measure"))
     parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--each", type=int, default=5, help="waypoints in a line of the plan")
     parser.add_argument("--base", type=float, default=0.5)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     if given.what == "plan":
-        write_plan(given.folders[0])
+        write_plan(given.folders[0], given.each)
         return
     towns = [read(folder) for folder in given.folders]
     if given.what == "fit":

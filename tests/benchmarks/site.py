@@ -3,6 +3,7 @@
     python -m tests.benchmarks.site flown FLIGHT --out YAML       # its own flight, in two seasons
     python -m tests.benchmarks.site cross MAP QUERIES --out OUT  # queries in the map of another
     python -m tests.benchmarks.site compare REAL TWIN             # colours, classes
+    python -m tests.benchmarks.site features FLIGHT TWIN          # colours, features by class
     python -m tests.benchmarks.site strip REAL TWIN --out JPG     # photographs beside each other
     python -m tests.benchmarks.site classes REAL                  # classes, without a twin
 
@@ -17,6 +18,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import cv2
 import numpy as np
 import yaml
 from numpy.typing import NDArray
@@ -42,6 +44,8 @@ _TRUTH = {
     ROOF: ("building",),
     CROWN: ("tree",),
 }
+WHAT = ("flown", "cross", "compare", "features", "strip", "classes")
+_WIDEST = 520  # pixels of a photograph in a strip
 _STEP = 4  # every so many rows and columns of a photograph are compared
 _FACES_UP = 30  # of 127: what looks aside is no surface of a model from above
 
@@ -49,7 +53,7 @@ _FACES_UP = 30  # of 127: what looks aside is no surface of a model from above
 def main() -> None:
     """Run one of the comparisons."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("flown", "cross", "compare", "strip", "classes"))
+    parser.add_argument("what", choices=WHAT)
     parser.add_argument("first", type=Path)
     parser.add_argument("second", type=Path, nargs="?")
     parser.add_argument("--out", type=Path)
@@ -69,6 +73,8 @@ def main() -> None:
     second = Scene.open(given.second)
     if given.what == "cross":
         cross(first, second, given.out)
+    elif given.what == "features":
+        compare_features(first, second)
     elif given.what == "strip":
         strip(first, second, given.out, given.query)
     else:
@@ -154,6 +160,43 @@ def compare_classes(real: Scene, world: World) -> None:
             print(f"{NAMES[label]}: {row.sum()} points, {shares}")
 
 
+def compare_features(flight: Scene, twin: Scene) -> None:
+    """Print colours and SIFT features of a flight's queries and of a twin that was flown as it was.
+
+    A pixel of both shows the same, so that the classes are the twin's. Photographs of the flight
+    get the size of the twin's.
+    """
+    (there,) = flight.splits.queries.values()
+    session = next(iter(twin.splits.queries))
+    frames = twin.frames(session)
+    seen = {}
+    with twin.dense(session) as dense:
+        for k, name in enumerate(frames.names):
+            rendered = read_rgb(twin.images_root / name)
+            labels, (height, width) = dense.read("semantic", k), rendered.shape[:2]
+            taken = cv2.resize(
+                read_rgb(flight.images_root / there[k]),
+                (width, height),
+                interpolation=cv2.INTER_AREA,
+            )
+            for source, rgb in (("flight", taken), ("twin", rendered)):
+                points = cv2.SIFT_create().detect(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
+                x, y = np.array([point.pt for point in points], int).reshape(-1, 2).T
+                for label in NAMES:
+                    mask = labels == label
+                    kept = seen.setdefault((label, source), ([], []))
+                    kept[0].append(rgb[mask])
+                    kept[1].append(int(mask[y, x].sum()))
+    for (label, source), (pixels, features) in seen.items():
+        colours = np.concatenate(pixels)
+        if len(colours):
+            print(
+                f"{NAMES[label]}, {source}: {len(colours)} pixels, mean "
+                f"{colours.mean(0).round().tolist()}, deviation {colours.std(0).round().tolist()}, "
+                f"{1e4 * sum(features) / len(colours):.1f} features in 10,000 pixels"
+            )
+
+
 def strip(real: Scene, twin: Scene, out: Path, query: int) -> None:
     """Draw one query: real and twin in summer, twin in winter, and real in winter where it is."""
     there, *later = real.splits.queries
@@ -161,7 +204,8 @@ def strip(real: Scene, twin: Scene, out: Path, query: int) -> None:
     order = [(real, there), (twin, summer), (twin, winter), *((real, s) for s in later[:1])]
     names = [(scene, scene.splits.queries[session][query]) for scene, session in order]
     pictures = [Image.fromarray(read_rgb(scene.images_root / name)) for scene, name in names]
-    size = min(picture.size for picture in pictures)
+    width, height = min(picture.size for picture in pictures)
+    size = (min(width, _WIDEST), round(height * min(1, _WIDEST / width)))
     Image.fromarray(np.hstack([np.asarray(p.resize(size)) for p in pictures])).save(out, quality=80)
 
 

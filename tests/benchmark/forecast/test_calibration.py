@@ -76,12 +76,13 @@ def test_the_fit_ends_where_classes_are_apart() -> None:
     assert np.isfinite(weights).all() and weights[1] > 1
 
 
-def test_the_project_has_a_calibration_of_training_towns_alone() -> None:
-    shipped = calibration_of("sift")
+@pytest.mark.parametrize("method", ["sift", "objconnect"])
+def test_the_project_has_a_calibration_of_training_towns_alone(method: str) -> None:
+    shipped = calibration_of(method)
     assert shipped.queries >= 60
-    seeds = [int(name.strip().lstrip("R")) for name in shipped.source.split(",")]
+    seeds = [int(name.strip().lstrip("I")) for name in shipped.source.split(",")]
     assert min(seeds) >= 1000
-    assert calibration_of("sift", wanted=False) == UNCALIBRATED
+    assert calibration_of(method, wanted=False) == UNCALIBRATED
     assert calibration_of("nobody's") == UNCALIBRATED
 
 
