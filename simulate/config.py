@@ -28,7 +28,7 @@ from simulate.flight.site import MAX_PHOTOGRAPHS
 from simulate.look.conditions import PLACE, condition
 from simulate.place.change import Change
 from simulate.place.presets import SITE, preset
-from simulate.twin.options import SiteConfig
+from simulate.twin.options import LEAST_SITE_M, SiteConfig
 
 # The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
@@ -169,7 +169,7 @@ class SimulateConfig(Config):
 
     preset: str = "town"
     seed: int = Field(0, ge=0)
-    area: float = Field(200.0, ge=40, le=2000)
+    area: float = Field(200.0, ge=LEAST_SITE_M, le=2000)
     size: int = Field(512, ge=64, le=4096)
     fov_deg: float = Field(60.0, gt=5, lt=120)
     camera: CameraConfig | None = None

@@ -41,6 +41,11 @@ class Photograph(NamedTuple):
     camera: Camera
     cam_from_world: Array
 
+    @property
+    def centre(self) -> Array:
+        """Return where it was taken, (3,) metres."""
+        return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
+
     def sees(self, points: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Return pixels (N, 2) of world points (N, 3), and which of them lie in the picture."""
         import torch
@@ -113,8 +118,7 @@ def colours_seen(photographs: Sequence[Photograph], points: Array) -> NDArray[np
     with progress_bar("colours of photographs", len(photographs)) as advance:
         for count, photograph in enumerate(photographs, 1):
             pixels, seen = photograph.sees(points)
-            pose = photograph.cam_from_world
-            ray = points - (-pose[:3, :3].T @ pose[:3, 3])
+            ray = points - photograph.centre
             down = -ray[:, 2] / np.linalg.norm(ray, axis=1)
             better = np.nonzero(seen & (down > best))[0]
             if len(better):

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scene.bundle.scene import Scene
 from scene.errors import InputError
@@ -128,17 +127,6 @@ def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
     return middle._replace(altitude=height + undulation)
 
 
-def _centres(scene: Scene) -> NDArray[np.float64]:
-    """Return where the photographs of a scene's map were taken, (N, 3) metres."""
-    mapped = set(scene.splits.map)
-    centres = [np.empty((0, 3))]
-    for session in scene.sessions:
-        frames = scene.frames(session)
-        of_map = [name in mapped for name in frames.names]
-        centres.append(frames.poses.centre().numpy()[of_map])
-    return np.concatenate(centres)
-
-
 def _side(scene: Scene) -> float:
     """Return the side of the square around the origin that the map's photographs show."""
     own = scene.manifest.config.get("area")
@@ -166,7 +154,7 @@ def _surveyed_by(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
     Raises:
         InputError: There are too few.
     """
-    centres = _centres(scene)
+    centres = np.array([photograph.centre for photograph in map_photographs(scene)])
     if len(centres) < _FEWEST:
         raise InputError(
             f"{scene.path} has {len(centres)} photographs in its map, {_FEWEST} are the fewest "
