@@ -27,21 +27,37 @@ _STEPS = (-4, -2, 0, 2, 4)
 _NOISE = 1e-5
 
 
+class Samples(NamedTuple):
+    """Samples around those pixels of a window that a source shows, S around each of m.
+
+    Attributes:
+        which: (m,) of the window's n pixels.
+        x: column (m,) of the middle of the pixel.
+        y: row (m,) of the middle of the pixel.
+        weights: weights (S, m) of the samples, whose sum is one.
+        correlator: factors (S, m). The sum of their products with another window is the
+            covariance of both windows over the standard deviation of this one.
+    """
+
+    which: Tensor
+    x: Tensor
+    y: Tensor
+    weights: Tensor
+    correlator: Tensor
+
+
 class Window(NamedTuple):
-    """Samples around each of n pixels of the reference view, S per pixel.
+    """Surroundings of n pixels of the reference view.
 
     Attributes:
         rows: row (n,) of the pixel.
         columns: column (n,) of the pixel.
-        weights: weights (S, n) of the samples, whose sum is one.
-        correlator: factors (S, n). The sum of their products with another window is the
-            covariance of both windows over the standard deviation of this one.
+        samples: for each source, of the pixels that it shows.
     """
 
     rows: Tensor
     columns: Tensor
-    weights: Tensor
-    correlator: Tensor
+    samples: tuple[Samples, ...]
 
 
 class Photometry:
@@ -94,7 +110,13 @@ class Photometry:
         weights = weights / weights.sum(0)
         central = grey - (weights * grey).sum(0)
         deviation = ((weights * central**2).sum(0) + _NOISE).sqrt()
-        return Window(rows, columns, weights, weights * central / deviation)
+        correlator = weights * central / deviation
+        samples = []
+        for seen in self._seen[:, rows, columns]:
+            which = seen.nonzero()[:, 0]
+            x, y = columns[which] + 0.5, rows[which] + 0.5
+            samples.append(Samples(which, x, y, weights[:, which], correlator[:, which]))
+        return Window(rows, columns, tuple(samples))
 
     def cost(self, window: Window, planes: Tensor) -> Tensor:
         """Return the cost of a plane at each pixel, the mean over the better half of its sources.
@@ -103,41 +125,44 @@ class Photometry:
             window: around n pixels.
             planes: (3, n).
         """
-        each = torch.stack([self._cost_in(k, window, planes) for k in range(len(self._sources))])
-        at = window.rows, window.columns
-        each = torch.where(self._seen[:, *at], each, torch.inf).sort(0).values
-        best = self._best[at]
+        each = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
+        for k, samples in enumerate(window.samples):
+            each[k, samples.which] = self._cost_in(k, samples, planes[:, samples.which])
+        each = each.sort(0).values
+        best = self._best[window.rows, window.columns]
         counted = torch.arange(len(each), device=best.device)[:, None] < best
         mean = torch.where(counted, each, 0).sum(0) / best.clamp_min(1)
         return torch.where(best > 0, mean, WORST)
 
-    def _cost_in(self, k: int, window: Window, planes: Tensor) -> Tensor:
+    def _cost_in(self, k: int, samples: Samples, planes: Tensor) -> Tensor:
+        """Return the cost (m,) of planes (3, m) in a source."""
+        _, x, y, weights, correlator = samples
         w, gx, gy = planes
         warp = self._there[k]
-        x, y = window.columns + 0.5, window.rows + 0.5
         at = warp(x, y, w)
         ux, uy, vx, vy = warp.slopes(at, gx, gy)
-        # In grid_sample's units, -1 and 1 are the edges of the picture.
+        # In grid_sample's units, -1 and 1 are the edges of the picture. It reads x and y of many
+        # samples at once where each lies in one piece.
         side = len(_STEPS)
-        grid = torch.empty(side, side, len(w), 2, device=w.device)
+        grid = torch.empty(2, side, side, len(w), device=w.device)
         step = self._steps[:, None]
         for axis, (centre, along_x, along_y, size) in enumerate(
             ((at.u, ux, uy, warp.width), (at.v, vx, vy, warp.height))
         ):
             columns = step * (along_x * (2 / size)) + (centre * (2 / size) - 1)
             rows = step * (along_y * (2 / size))
-            torch.add(rows[:, None], columns[None], out=grid[..., axis])
+            torch.add(rows[:, None], columns[None], out=grid[axis])
         # A batch, because torch parallelises over batches and not within single pictures.
         grey = grid_sample(
             self._sources[k].expand(side, -1, -1, -1),
-            grid,
+            grid.permute(1, 2, 3, 0),
             padding_mode="border",
             align_corners=False,
         ).view(side * side, -1)
-        weighted = window.weights * grey
+        weighted = weights * grey
         mean = weighted.sum(0)
         variance = weighted.mul_(grey).sum(0) - mean * mean
-        correlation = grey.mul_(window.correlator).sum(0) / (variance.clamp_min(0) + _NOISE).sqrt()
+        correlation = grey.mul_(correlator).sum(0) / (variance.clamp_min(0) + _NOISE).sqrt()
         cost = 1 - correlation.clamp(-1, 1)
         if self._inverse_depths is not None:
             pixels, _ = round_trip(warp, self._back[k], self._inverse_depths[k], x, y, w)
