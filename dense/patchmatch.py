@@ -108,7 +108,7 @@ def consistent_estimate(
         options: options of the search.
     """
     search = _Search(reference, sources, planes[0], inverse_depths, generator, options)
-    return search.run(search.evaluate(planes), options.rounds, 0.5)
+    return search.run(search.best_of([planes]), options.rounds, 0.5)
 
 
 def _shrunk(view: StereoView, factor: int) -> StereoView:
@@ -166,19 +166,17 @@ class _Search:
 
     def best_of(self, guesses: Sequence[Tensor]) -> Estimate:
         """Return the cheapest of several planes at each pixel, (3, H, W)."""
-        tried = [self.evaluate(guess) for guess in guesses]
-        cost, which = torch.stack([estimate.cost for estimate in tried]).min(0)
-        planes = torch.stack([estimate.planes for estimate in tried])
-        return Estimate(planes.gather(0, which.expand(1, 3, -1, -1))[0], cost)
-
-    def evaluate(self, planes: Tensor) -> Estimate:
-        """Return the cost of one plane at each pixel."""
+        planes = guesses[0].clone()
         cost = torch.empty(self._shape, device=self._device)
         for colour in self._colours:
             for rows, columns in _chunks(colour):
                 window = self._photometry.window(rows, columns)
-                cost[rows, columns] = self._photometry.cost(window, planes[:, rows, columns])
-        return Estimate(planes.clone(), cost)
+                offered = [guess[:, rows, columns] for guess in guesses]
+                each = torch.stack([self._photometry.cost(window, offer) for offer in offered])
+                cost[rows, columns], which = each.min(0)
+                best = torch.stack(offered).gather(0, which.expand(1, 3, -1))[0]
+                planes[:, rows, columns] = best
+        return Estimate(planes, cost)
 
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
         """Propagate and refine planes, ``rounds`` times over both colours."""
@@ -243,9 +241,9 @@ def _from_neighbour(
     """Return the plane of the cheapest neighbour in a region, moved to each pixel (n,)."""
     dx, dy = torch.tensor(region, device=rows.device).T[..., None]
     costs = cost[rows + dy + _REACH, columns + dx + _REACH]
-    which = costs.argmin(0)
+    least, which = costs.min(0)
     # Where all neighbours are outside the picture, the pixel's own plane is taken.
-    inside = torch.isfinite(costs.gather(0, which[None])[0])
+    inside = torch.isfinite(least)
     dx, dy = (torch.where(inside, d[which, 0], 0) for d in (dx, dy))
     return moved(planes[:, rows + dy, columns + dx], -dx, -dy)
 

@@ -104,7 +104,9 @@ class Photometry:
 
     def window(self, rows: Tensor, columns: Tensor) -> Window:
         """Return the windows around pixels (n,) of the reference."""
-        grey = self._padded.view(-1)[self._offsets + rows * self._padded.shape[1] + columns]
+        around = self._offsets + rows * self._padded.shape[1] + columns
+        # index_select is several times as fast as indexing.
+        grey = self._padded.view(-1).index_select(0, around.view(-1)).view(around.shape)
         difference = (grey - self._grey[rows, columns]).abs()
         weights = self._near * torch.exp(difference / -self._options.sigma_grey)
         weights = weights / weights.sum(0)
@@ -115,7 +117,8 @@ class Photometry:
         for seen in self._seen[:, rows, columns]:
             which = seen.nonzero()[:, 0]
             x, y = columns[which] + 0.5, rows[which] + 0.5
-            samples.append(Samples(which, x, y, weights[:, which], correlator[:, which]))
+            there = weights.index_select(1, which), correlator.index_select(1, which)
+            samples.append(Samples(which, x, y, *there))
         return Window(rows, columns, tuple(samples))
 
     def cost(self, window: Window, planes: Tensor) -> Tensor:
@@ -127,8 +130,8 @@ class Photometry:
         """
         each = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
         for k, samples in enumerate(window.samples):
-            each[k, samples.which] = self._cost_in(k, samples, planes[:, samples.which])
-        each = each.sort(0).values
+            each[k, samples.which] = self._cost_in(k, samples, planes.index_select(1, samples.which))
+        each = _ascending(each)
         best = self._best[window.rows, window.columns]
         counted = torch.arange(len(each), device=best.device)[:, None] < best
         mean = torch.where(counted, each, 0).sum(0) / best.clamp_min(1)
@@ -169,3 +172,13 @@ class Photometry:
             limited = pixels.clamp_max(self._options.geometric_limit_px)
             cost = cost + self._options.geometric_weight * limited
         return torch.where(at.seen, cost, WORST)
+
+
+def _ascending(each: Tensor) -> Tensor:
+    """Sort costs (K, n) over K sources, nine times as fast as ``sort`` does for so few."""
+    rows = list(each)
+    for last in range(len(rows) - 1, 0, -1):
+        for k in range(last):
+            below, above = rows[k], rows[k + 1]
+            rows[k], rows[k + 1] = torch.minimum(below, above), torch.maximum(below, above)
+    return torch.stack(rows)
