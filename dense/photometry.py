@@ -130,7 +130,9 @@ class Photometry:
         """
         each = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
         for k, samples in enumerate(window.samples):
-            each[k, samples.which] = self._cost_in(k, samples, planes.index_select(1, samples.which))
+            each[k, samples.which] = self._cost_in(
+                k, samples, planes.index_select(1, samples.which)
+            )
         each = _ascending(each)
         best = self._best[window.rows, window.columns]
         counted = torch.arange(len(each), device=best.device)[:, None] < best
