@@ -36,10 +36,11 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
     localizer = ObjConnectLocalizer(ObjConnectConfig(weights=weights))
     with tempfile.TemporaryDirectory() as cache:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
-        chosen = localizer._retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
+        refine = localizer._refine
+        chosen = refine.retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
         (start,) = starts(query.prior, dataset.load_map(), chosen)
-        view, maps = localizer._problems.view(query, chosen, start)
-        problem = localizer._problems.build(view, maps, chosen, start, localizer.config.points)
+        view, maps = refine.problems.view(query, chosen, start)
+        problem = refine.problems.build(view, maps, chosen, start, localizer.config.points)
     network, _ = read_network(weights)
     image = torch.from_numpy(view.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
 

@@ -11,6 +11,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from baselines.featuremetric.global_search import GlobalSearch
 from baselines.featuremetric.maps import MapExtractor
 from baselines.place.search import Candidate
 from benchmark.datasets.open import open_datasets
@@ -158,7 +159,7 @@ def test_objects_are_asked_where_the_search_fails(
     localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
     (dataset,) = open_datasets(rendered.path)
     localizer.prepare(dataset.load_map(), dataset.images, tmp_path)
-    monkeypatch.setattr(localizer, "_found_places", lambda query, clock: [])
+    monkeypatch.setattr(GlobalSearch, "_found_places", lambda *_: [])
     query = next(query for query in dataset.queries if "summer" in query.name)
     calls: list[str] = []
     other = localizer._other
