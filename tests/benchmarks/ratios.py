@@ -27,6 +27,7 @@ from scene.storage.files import parse_json, read_text
 _YARDSTICKS: Final = ("bare", "pycolmap", "opencv", "products", "untracked")
 # Runs on different days differ by this share, though rounds of one run differ less.
 _LEAST_SPREAD: Final = 0.1
+KIND: Final = "file of ratios"
 
 
 class Ratio(Config):
@@ -145,9 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.command == "write":
             write_json(given.ratios, ratios_of(given.run))
             return 0
-        now, before = (
-            read_json(path, Ratios, "file of ratios") for path in (given.ratios, given.against)
-        )
+        now, before = (read_json(path, Ratios, KIND) for path in (given.ratios, given.against))
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.benchmarks.ratios import main, ratios_of
+from scene.bundle.manifest import read_json
+from tests.benchmarks import ratio_picture
+from tests.benchmarks.ratios import KIND, Ratios, main, ratios_of
 
 
 def run(path: Path, medians: dict[str, float], iqr: float = 0.02, group: str = "match") -> Path:
@@ -89,3 +91,24 @@ def test_runs_that_share_nothing_are_not_compared(
     before = written(tmp_path, "before", 1.0)
     assert main(["check", str(tmp_path / "other.json"), "--against", str(before)]) == 2
     assert "share no ratio" in capsys.readouterr().err
+
+
+def test_versions_are_drawn_in_order(tmp_path: Path) -> None:
+    first, second = written(tmp_path, "v2", 2.0), written(tmp_path, "v1", 0.5)
+    out = tmp_path / "ratios.png"
+    assert ratio_picture.main([str(first), str(second), "--out", str(out)]) == 0
+    assert out.stat().st_size > 1000
+    figure = ratio_picture.figure_of(
+        {path.stem: read_json(path, Ratios, KIND) for path in (first, second)}
+    )
+    (panel,) = [axes for axes in figure.axes if axes.get_visible()]
+    assert [label.get_text() for label in panel.get_xticklabels()] == ["v2", "v1"]
+    assert panel.lines[0].get_ydata().tolist() == [2.0, 0.5]  # type: ignore[union-attr]
+
+
+def test_what_is_no_file_of_ratios_is_not_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "ratios.png"
+    assert ratio_picture.main([str(tmp_path / "none.json"), "--out", str(out)]) == 2
+    assert capsys.readouterr().err.startswith("error: ") and not out.exists()
