@@ -21,9 +21,11 @@ from baselines.training.config import TrainConfig
 from benchmark.datasets.dataset import Dataset
 from benchmark.evaluate import evaluate, method_of, results_path
 from benchmark.paired import compare, mcnemar
+from benchmark.query_result import TOTAL, QueryResult
 from benchmark.registry import create, trainable
 from benchmark.report.markdown import escaped
-from benchmark.results import TOTAL, QueryResult, Results, load
+from benchmark.results import Results
+from benchmark.results_files import load
 from benchmark.score import THRESHOLDS, is_correct, recall
 from benchmark.starts import Start
 from objconnect.config import ObjConnectNetConfig

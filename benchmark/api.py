@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from benchmark.report.leaderboard import leaderboard as leaderboard
     from benchmark.report.view import view as view
     from benchmark.results import Results as Results
-    from benchmark.results import load as read_results  # noqa: F401
+    from benchmark.results_files import load as read_results  # noqa: F401
     from benchmark.sequence import SequenceInputs as SequenceInputs
     from benchmark.sequence import SequenceOutput as SequenceOutput
     from benchmark.sequence import localize_sequence as localize_sequence
@@ -81,7 +81,7 @@ _MODULES = {
     "open_datasets": "benchmark.datasets.open",
     "open_map": "benchmark.localize:open_place",
     "read_model": "scene.maps.colmap_files",
-    "read_results": "benchmark.results:load",
+    "read_results": "benchmark.results_files:load",
     # Localize.
     "create_localizer": "benchmark.registry:create",
     "localize": "benchmark.localize",

@@ -20,21 +20,16 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Final, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from benchmark.datasets.dataset import Dataset
 from benchmark.evaluate import identity, localize_safely, method_of, require_folder, score_query
-from benchmark.results import (
-    BASIN,
-    DatasetId,
-    Environment,
-    Method,
-    QueryResult,
-    Recall,
-    method_in,
-)
+from benchmark.query_result import QueryResult
+from benchmark.results import DatasetId, Environment, Method
+from benchmark.results_files import BASIN, method_in
 from benchmark.score import THRESHOLDS, is_correct, wilson
 from benchmark.starts import moved_prior
+from benchmark.summary import Recall
 from scene.bundle.manifest import read_json
 from scene.errors import InputError
 from scene.geometry.geodesy import FARTHEST_M
@@ -42,6 +37,7 @@ from scene.localizer import Localizer, Status
 from scene.runtime.progress import progress_bar
 from scene.storage.atomic import write_text
 from scene.storage.outputs import check_outputs
+from scene.storage.records import Record
 from scene.storage.scratch import cache_or_scratch
 
 _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
@@ -66,11 +62,7 @@ DEFAULT_SIZES: Final = tuple(
 )
 
 
-class _File(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Level(_File):
+class Level(Record):
     """The counts of one size of error.
 
     Attributes:
@@ -104,7 +96,7 @@ class Level(_File):
         return Recall(value=100 * correct / self.queries, low=100 * low, high=100 * high)
 
 
-class Basin(_File):
+class Basin(Record):
     """The file ``RESULTS/<dataset>/<method>.basin.json`` of one method on one data set."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")

@@ -22,21 +22,12 @@ import torch
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import changes, require_unchanged
 from benchmark.journal import Journal, journal_path
+from benchmark.query_result import LARGEST_NEES, TOTAL, PoseNumbers, QueryResult
 from benchmark.registry import create, known
 from benchmark.report.album import ALBUM, ALBUM_MARK, album_parts, keep_album
 from benchmark.report.pictures import median_query, query_overlay
-from benchmark.results import (
-    LARGEST_NEES,
-    TOTAL,
-    DatasetId,
-    Environment,
-    Method,
-    PoseNumbers,
-    QueryResult,
-    Results,
-    claim_results,
-    load,
-)
+from benchmark.results import DatasetId, Environment, Method, Results
+from benchmark.results_files import claim_results, load
 from benchmark.starts import NONE, PRIOR, LoadQuery, Start
 from benchmark.uncertainty import normalised_error
 from scene.errors import InputError

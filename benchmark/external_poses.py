@@ -8,7 +8,8 @@ from pathlib import Path
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.textfiles import read_poses
 from benchmark.evaluate import identity, score_query
-from benchmark.results import BASIN, Method, Results, claim_results
+from benchmark.results import Method, Results
+from benchmark.results_files import BASIN, claim_results
 from benchmark.starts import parse_start
 from scene.errors import InputError
 from scene.localizer import Estimate, Status

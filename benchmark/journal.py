@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 
 from pydantic import ValidationError
 
-from benchmark.results import Named
+from benchmark.query_result import Named
 from scene.errors import WriteError
 from scene.storage.atomic import TEMPORARY_PREFIX
 from scene.storage.files import parse_json

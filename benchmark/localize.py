@@ -24,7 +24,8 @@ from benchmark.photographs import (
     warn_of_rolling_shutter,
     with_estimates,
 )
-from benchmark.results import Environment, Named, PoseNumbers
+from benchmark.query_result import Named, PoseNumbers
+from benchmark.results import Environment
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geo.crs import Projection, geoid_undulation

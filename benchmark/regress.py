@@ -10,7 +10,8 @@ from typing import Any, Final
 
 from benchmark.paired import PairedChange, compare
 from benchmark.report.tables import ALL
-from benchmark.results import Results, load, method_in, results_files
+from benchmark.results import Results
+from benchmark.results_files import load, method_in, results_files
 from benchmark.score import THRESHOLDS, is_correct
 from scene.errors import InputError
 from scene.runtime.escaping import for_terminal

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from benchmark.api import read_results
-from benchmark.results import BASIN
+from benchmark.results_files import BASIN
 
 
 def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:

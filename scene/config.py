@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, ValidationError, field_validator
 
 from scene.errors import InputError
 from scene.storage.files import read_text
+from scene.storage.records import Record
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "configs"
 """The folder of the configurations that come with the project."""
@@ -20,14 +21,12 @@ LARGEST: Final = 2**31 - 1
 """The largest absolute value of a number in a configuration: seed, count, pixels, metres, ..."""
 
 
-class Config(BaseModel):
+class Config(Record):
     """Base class of every configuration: immutable, and an unknown key is an error.
 
     So are infinite numbers and numbers beyond 31 bits and a sign, which libraries would truncate,
     or fail on after a long run.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     @field_validator("*")
     @classmethod

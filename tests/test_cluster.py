@@ -12,8 +12,10 @@ import pytest
 
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
+from benchmark.query_result import QueryResult
 from benchmark.registry import create
-from benchmark.results import QueryResult, Results, load
+from benchmark.results import Results
+from benchmark.results_files import load
 from dense.command import dense
 from mapping.build import build_map
 from scene.bundle.scene import Scene

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmark.cli import app
-from benchmark.results import load
+from benchmark.results_files import load
 from scene.bundle.scene import Scene
 
 

@@ -16,9 +16,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from scene.storage.files import parse_json
+from scene.storage.records import Record
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ _ADDED: Final = 0.5  # found and not found are each seen half a time more than t
 _USUAL_VIEWS: Final = 6.0
 
 
-class Calibration(BaseModel):
+class Calibration(Record):
     """What was learned of a method from training towns.
 
     Attributes:
@@ -43,8 +43,6 @@ class Calibration(BaseModel):
         queries: number of true queries it was fitted to; 0 for none.
         source: the training towns.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     weights: tuple[float, float, float, float]
     eph_scale: float = 1.0

@@ -17,7 +17,8 @@ from benchmark.datasets.simulated import TRACK
 from benchmark.evaluate import localize_safely, method_of
 from benchmark.forecast.config import ForecastConfig
 from benchmark.journal import Journal, journal_path
-from benchmark.results import Environment, Named
+from benchmark.query_result import Named
+from benchmark.results import Environment
 from benchmark.score import Threshold, is_correct, is_false_fix
 from benchmark.starts import Start, parse_start
 from scene.bundle.scene import Scene

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict
-
 from benchmark.forecast.calibration import Calibration
 from benchmark.forecast.config import ForecastConfig
 from benchmark.results import Environment, Method
 from scene.runtime.escaping import for_terminal
+from scene.storage.records import Record
 
 Cause = Literal["few points", "look"]
 Verdict = Literal["holds", "gaps", "fails"]
@@ -28,11 +27,7 @@ VERDICTS: Mapping[Verdict, str] = {
 }
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Outlook(_Part):
+class Outlook(Record):
     """What is expected at a waypoint in one season.
 
     Attributes:
@@ -55,7 +50,7 @@ class Outlook(_Part):
     cause: Cause | None
 
 
-class Waypoint(_Part):
+class Waypoint(Record):
     """A waypoint.
 
     Attributes:
@@ -79,7 +74,7 @@ class Waypoint(_Part):
     seasons: dict[str, Outlook]
 
 
-class Stretch(_Part):
+class Stretch(Record):
     """Successive waypoints at which a fix is unlikely.
 
     Attributes:
@@ -97,7 +92,7 @@ class Stretch(_Part):
     cause: Cause
 
 
-class Season(_Part):
+class Season(Record):
     """What is expected of a flight in one season.
 
     Attributes:
@@ -123,7 +118,7 @@ class Season(_Part):
     stretches: tuple[Stretch, ...]
 
 
-class Request(_Part):
+class Request(Record):
     """A part of the flight that more photographs of the map would help.
 
     Attributes:
@@ -143,7 +138,7 @@ class Request(_Part):
     latitude: float
 
 
-class Forecast(_Part):
+class Forecast(Record):
     """The report of a forecast.
 
     Attributes:

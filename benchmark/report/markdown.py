@@ -6,10 +6,11 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from benchmark.query_result import TOTAL
 from benchmark.report.paper import TITLE, Line, columns
 from benchmark.report.tables import Table, saturation
-from benchmark.results import TOTAL, Recall
 from benchmark.score import THRESHOLDS
+from benchmark.summary import Recall
 from scene.runtime.escaping import for_terminal
 
 # Characters that Markdown takes for markup. An underscore within a word is not markup.

@@ -22,12 +22,14 @@ from PIL import Image
 from benchmark.basin import Basin, load_basin
 from benchmark.clustered import MIN_CLUSTERS, difference_interval
 from benchmark.paired import compare, mcnemar
+from benchmark.query_result import TOTAL, QueryResult
 from benchmark.report.album import ALBUM, SIDE, Album, Entry, read_album, webp
 from benchmark.report.paper import TITLE, Line, columns, note, side_by_side
 from benchmark.report.self_contained import fill
 from benchmark.report.tables import ALL, Group, Run, saturation, start_in_words, table
-from benchmark.results import BASIN, TOTAL, QueryResult, Recall, Summary, Uncertainty
+from benchmark.results_files import BASIN
 from benchmark.score import THRESHOLDS, is_correct
+from benchmark.summary import Recall, Summary, Uncertainty
 from benchmark.uncertainty import risk_coverage
 from scene.geometry.pose import Pose
 from scene.localizer import Status

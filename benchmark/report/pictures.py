@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmark.datasets.dataset import BenchmarkQuery
-from benchmark.results import QueryResult
+from benchmark.query_result import QueryResult
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.localizer import Status

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.results import Results, Summary, load, results_files
+from benchmark.results import Results
+from benchmark.results_files import load, results_files
 from benchmark.score import THRESHOLDS
+from benchmark.summary import Summary
 from scene.bundle.manifest import ALL_CONDITIONS
 from scene.errors import InputError
 from scene.runtime.escaping import for_terminal

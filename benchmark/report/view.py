@@ -20,7 +20,8 @@ from benchmark.report.album import webp
 from benchmark.report.self_contained import fill
 from benchmark.report.view_content import Cloud, MapObject, Method, QueryEstimate, ViewContent
 from benchmark.report.view_picture import draw
-from benchmark.results import Results, load, results_files
+from benchmark.results import Results
+from benchmark.results_files import load, results_files
 from dense.command import DENSE
 from dense.workspace import Workspace
 from objconnect.scene_landmarks import read_landmarks

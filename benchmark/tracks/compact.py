@@ -13,17 +13,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.results import (
-    PACKED,
-    QueryResult,
-    Results,
-    load,
-    method_in,
-    rescore,
-    results_files,
-    summarize,
-    summarize_parts,
-)
+from benchmark.query_result import QueryResult
+from benchmark.results import Results, rescore
+from benchmark.results_files import PACKED, load, method_in, results_files
+from benchmark.summary import summarize, summarize_parts
 from benchmark.tracks.description import DESCRIPTION, Track, load_track
 from scene.errors import InputError
 from scene.storage.atomic import atomic_write

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
-    ConfigDict,
     Field,
     FiniteFloat,
     ValidationError,
@@ -22,6 +21,7 @@ from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, is_on_earth
 from scene.storage.atomic import write_text
 from scene.storage.files import is_safe_path, parse_json, read_text
+from scene.storage.records import Record
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 SizeClass = Literal["small", "medium", "large"]
@@ -53,11 +53,7 @@ Name = Annotated[str, AfterValidator(_name)]
 FolderName = Annotated[str, AfterValidator(_folder)]
 
 
-class _File(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class DeclaredChange(_File):
+class DeclaredChange(Record):
     """The differences between a session's objects and those of other sessions, by object id.
 
     An id always means one box of ``objects.json``: an object that moved has another id in its new
@@ -76,7 +72,7 @@ class DeclaredChange(_File):
     bare: tuple[int, ...] = ()
 
 
-class Session(_File):
+class Session(Record):
     """One flight under one condition.
 
     Attributes:
@@ -97,7 +93,7 @@ class Session(_File):
     readout_s: FiniteFloat = 0.0
 
 
-class Manifest(_File):
+class Manifest(Record):
     """``scene.json``: what the scene is and how it was made. It is the last file to be written.
 
     Attributes:
@@ -123,7 +119,7 @@ class Manifest(_File):
     reference: Literal["exact", "sfm"] = "exact"
     sessions: dict[FolderName, Session] = Field(min_length=1)
     sha256: dict[str, str]
-    pixels_sha256: dict[str, dict[str, str]] = {}
+    pixels_sha256: dict[str, dict[str, str]] = Field(default_factory=dict)
 
     @field_validator("origin")
     @classmethod
@@ -133,7 +129,7 @@ class Manifest(_File):
         return origin
 
 
-class SceneObject(_File):
+class SceneObject(Record):
     """One object of the world.
 
     Attributes:
@@ -153,7 +149,7 @@ class SceneObject(_File):
     size_class: SizeClass
 
 
-class Surroundings(_File):
+class Surroundings(Record):
     """A named part of the place, for example "urban".
 
     Attributes:
@@ -179,7 +175,7 @@ class Surroundings(_File):
         return np.asarray((crosses & (at > east)).sum(1) % 2 == 1)
 
 
-class Objects(_File):
+class Objects(Record):
     """``objects.json``: semantic classes, all objects, and the parts of the place.
 
     Attributes:
@@ -201,7 +197,7 @@ class Objects(_File):
         return names
 
 
-class Splits(_File):
+class Splits(Record):
     """``splits.json``: which frames build the map and which are queries.
 
     Attributes:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from benchmark.results import QueryResult
+from benchmark.query_result import QueryResult
 from scene.bundle.frames import Frames, write_frames
 from scene.bundle.manifest import Manifest, Session, Splits, write_json
 from scene.bundle.scene import finish_scene

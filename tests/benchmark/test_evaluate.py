@@ -10,8 +10,10 @@ import torch
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.journal import Journal
+from benchmark.query_result import QueryResult
 from benchmark.registry import create
-from benchmark.results import QueryResult, Results, load
+from benchmark.results import Results
+from benchmark.results_files import load
 from benchmark.starts import NONE, PRIOR, Start
 from scene.bundle.scene import Scene
 from scene.errors import InputError

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.datasets.open import open_datasets
-from benchmark.results import load
+from benchmark.results_files import load
 from scene.geometry.pose import Pose
 from tests.benchmark.made_data import moved, pose_at
 from tests.benchmark.test_cli import error_line, invoke

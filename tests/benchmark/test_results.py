@@ -7,13 +7,8 @@ from typing import Any
 
 import pytest
 
-from benchmark.results import (
-    DatasetId,
-    Method,
-    Results,
-    load,
-    rescore,
-)
+from benchmark.results import DatasetId, Method, Results, rescore
+from benchmark.results_files import load
 from scene.errors import InputError
 from tests.benchmark.made_data import scored_query
 

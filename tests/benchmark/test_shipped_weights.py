@@ -22,8 +22,8 @@ from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import create
-from benchmark.results import Summary
 from benchmark.starts import parse_start
+from benchmark.summary import Summary
 from mapping.build import build_map
 from objconnect import localizer as objconnect
 from simulate.command import simulate

@@ -11,7 +11,8 @@ from scipy import stats
 
 from benchmark.clustered import difference_interval
 from benchmark.paired import compare, mcnemar
-from benchmark.results import DatasetId, Method, QueryResult, Results
+from benchmark.query_result import QueryResult
+from benchmark.results import DatasetId, Method, Results
 from benchmark.score import THRESHOLDS, is_correct
 from benchmark.uncertainty import risk_coverage
 from scene.localizer import Status

@@ -14,7 +14,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmark.results import Results, load, results_files
+from benchmark.results import Results
+from benchmark.results_files import load, results_files
 from benchmark.tracks.compact import write_compact
 from tests.benchmark.tracks.test_compact import made, run_of
 

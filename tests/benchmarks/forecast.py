@@ -32,7 +32,8 @@ from benchmark.forecast.calibration import (
 from benchmark.forecast.observe import Observation
 from benchmark.forecast.outlook import evidence_by_season
 from benchmark.forecast.report import Forecast
-from benchmark.results import QueryResult, load
+from benchmark.query_result import QueryResult
+from benchmark.results_files import load
 from benchmark.score import Threshold, is_correct, is_false_fix, wilson
 from scene.bundle.manifest import read_json
 

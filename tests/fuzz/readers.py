@@ -32,8 +32,10 @@ from benchmark.datasets.textfiles import (
 )
 from benchmark.journal import Journal
 from benchmark.localize import _origin
+from benchmark.query_result import QueryResult
 from benchmark.report.album import Album, Entry, Neighbour, read_album, write_album
-from benchmark.results import QueryResult, Results, load
+from benchmark.results import Results
+from benchmark.results_files import load
 from benchmark.starts import parse_start
 from benchmark.tracks.compact import write_compact
 from benchmark.tracks.description import Track

@@ -30,7 +30,7 @@ from benchmark.datasets.textfiles import (
 from benchmark.localize import open_place
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.markdown import escaped
-from benchmark.results import load
+from benchmark.results_files import load
 from ingest.photographs import read_flight
 from scene.errors import InputError
 from scene.exports.export import export

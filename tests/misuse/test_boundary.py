@@ -414,7 +414,8 @@ def test_a_regression_alone_is_1(tmp_path: Path) -> None:
     before["queries"] = before["queries"][:-1]
     worse.write_text(json.dumps(before))
     assert run(["regress", str(tmp_path), "--against", str(GATE)]).code == 2  # figures do not fit
-    from benchmark.results import Results, load
+    from benchmark.results import Results
+    from benchmark.results_files import load
 
     whole = load(GATE / "gate" / "sift.json")
     Results.of(whole.method, whole.dataset, whole.start, whole.queries[:-1]).write(worse)

@@ -21,7 +21,7 @@ from PIL import Image
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
 from benchmark.registry import METHODS, create
-from benchmark.results import load
+from benchmark.results_files import load
 from benchmark.submission import submit
 from scene.errors import InputError
 from scene.localizer import Estimate, Query, Status

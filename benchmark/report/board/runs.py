@@ -13,7 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.results import QueryResult, Results, load
+from benchmark.query_result import QueryResult
+from benchmark.results import Results
+from benchmark.results_files import load
 from benchmark.score import THRESHOLDS, is_correct
 from benchmark.tracks.compact import RESULTS
 from benchmark.tracks.description import DESCRIPTION, Place, Track, load_track

@@ -18,7 +18,8 @@ from benchmark.report.album import ALBUM, SIDE, Album, read_album, write_album
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.page import PICTURE_BYTES
 from benchmark.report.self_contained import embedded
-from benchmark.results import Results, load, rescore
+from benchmark.results import Results, rescore
+from benchmark.results_files import load
 from scene.localizer import Status
 from tests.benchmark.made_data import FakeLocalizer, write_flight, write_scene
 from tests.benchmark.report.test_leaderboard import run

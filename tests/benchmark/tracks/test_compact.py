@@ -13,9 +13,11 @@ from typing import Any
 import pytest
 import yaml
 
+from benchmark.query_result import QueryResult
 from benchmark.regress import regress, update
 from benchmark.report.leaderboard import leaderboard
-from benchmark.results import DatasetId, Method, QueryResult, Results, load, method_in
+from benchmark.results import DatasetId, Method, Results
+from benchmark.results_files import load, method_in
 from benchmark.score import THRESHOLDS, is_correct, is_false_fix
 from benchmark.tracks.compact import compact, store, targets_of, write_compact
 from scene.errors import InputError, WriteError

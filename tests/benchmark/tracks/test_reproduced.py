@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluate import evaluate
+from benchmark.query_result import QueryResult
 from benchmark.registry import create
 from benchmark.report.board.runs import read_board
-from benchmark.results import QueryResult
 from benchmark.score import THRESHOLDS, is_correct
 from benchmark.starts import parse_start
 from benchmark.tracks.command import track

@@ -14,7 +14,7 @@ import torch
 
 from benchmark.datasets.open import open_datasets
 from benchmark.journal import Journal
-from benchmark.results import QueryResult
+from benchmark.query_result import QueryResult
 from scene.bundle.frames import read_frames, write_frames
 from scene.colmap.database import MappingJob
 from scene.colmap.sift import SiftOptions
@@ -215,7 +215,7 @@ def test_a_killed_evaluation_has_noted_every_query(tmp_path: Path) -> None:
     code = (
         "import os, pathlib, signal, sys\n"
         "from benchmark.journal import Journal\n"
-        "from benchmark.results import QueryResult\n"
+        "from benchmark.query_result import QueryResult\n"
         "from tests.benchmark.made_data import scored_query\n"
         "with Journal(pathlib.Path(sys.argv[1]), 'key', QueryResult) as journal:\n"
         "    for k in range(5):\n"

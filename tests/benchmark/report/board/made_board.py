@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.results import DatasetId, Method, QueryResult, Results
+from benchmark.query_result import QueryResult
+from benchmark.results import DatasetId, Method, Results
 from benchmark.tracks.description import Place, Track, write_track
 from benchmark.tracks.difficulty import Difficulty, QueryRow, write_queries
 from tests.benchmark.made_data import scored_query

@@ -16,7 +16,7 @@ from benchmark.paired import mcnemar
 from benchmark.report.album import read_album
 from benchmark.report.board.command import BoardReport, board
 from benchmark.report.board.pictures import keep_pictures, main
-from benchmark.results import load
+from benchmark.results_files import load
 from benchmark.score import THRESHOLDS, is_correct
 from benchmark.starts import NONE
 from benchmark.tracks.compact import store, targets_of

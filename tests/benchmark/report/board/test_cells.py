@@ -5,10 +5,10 @@ from math import sqrt
 import numpy as np
 import pytest
 
+from benchmark.query_result import QueryResult
 from benchmark.report.board.cells import Cell, bounded_recall, cells
 from benchmark.report.board.difficulty import AXES, binned
 from benchmark.report.board.runs import BoardQuery
-from benchmark.results import QueryResult
 from benchmark.score import THRESHOLDS
 from benchmark.tracks.difficulty import Difficulty, QueryRow
 from scene.localizer import Status

@@ -10,7 +10,8 @@ import pytest
 from benchmark.report.board.cells import cells
 from benchmark.report.board.command import board
 from benchmark.report.board.runs import read_board, read_boards
-from benchmark.results import load, rescore
+from benchmark.results import rescore
+from benchmark.results_files import load
 from benchmark.score import THRESHOLDS
 from benchmark.tracks.compact import write_compact
 from benchmark.tracks.description import load_track, write_track
