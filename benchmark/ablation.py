@@ -19,12 +19,12 @@ from baselines.pixloc.localizer import SHIPPED
 from baselines.training.command import train
 from baselines.training.config import TrainConfig
 from benchmark.datasets.dataset import Dataset
-from benchmark.evaluate import evaluate, method_of, results_path
+from benchmark.evaluate import evaluate, results_path
 from benchmark.paired import compare, mcnemar
 from benchmark.query_result import TOTAL, QueryResult
 from benchmark.registry import create, trainable
 from benchmark.report.markdown import escaped
-from benchmark.results import Results
+from benchmark.results import Method, Results
 from benchmark.results_files import load
 from benchmark.score import THRESHOLDS, is_correct, recall
 from benchmark.starts import Start
@@ -129,7 +129,7 @@ def ablate(
         for dataset in datasets:
             path = results_path(folder, dataset, localizer)
             run = load(path) if path.is_file() else None
-            wanted = (method_of(localizer), dataset.sha256, start.name)
+            wanted = (Method.of(localizer), dataset.sha256, start.name)
             if run is None or (run.method, run.dataset.sha256, run.start) != wanted:
                 run = evaluate(dataset, localizer, folder, start, cache=out / "cache")
             runs.append(run)

@@ -23,11 +23,12 @@ from typing import Annotated, Final, Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from benchmark.datasets.dataset import Dataset
-from benchmark.evaluate import identity, localize_safely, method_of, require_folder, score_query
+from benchmark.evaluate import require_folder
 from benchmark.query_result import QueryResult
 from benchmark.results import DatasetId, Environment, Method
 from benchmark.results_files import BASIN, method_in
 from benchmark.score import THRESHOLDS, is_correct, wilson
+from benchmark.scored_query import localize_safely, score_query
 from benchmark.starts import moved_prior
 from benchmark.summary import Recall
 from scene.bundle.manifest import read_json
@@ -193,8 +194,8 @@ def basin(
                 answers[level].append(score_query(query, estimate, sparse_map, seconds))
                 advance(number * len(sizes) + level + 1)
     result = Basin(
-        method=method_of(localizer),
-        dataset=identity(dataset),
+        method=Method.of(localizer),
+        dataset=DatasetId.of(dataset),
         seed=seed,
         environment=Environment.current(),
         levels=tuple(_level(*pair) for pair in zip(sizes, answers, strict=True)),

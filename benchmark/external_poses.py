@@ -7,9 +7,9 @@ from pathlib import Path
 
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.textfiles import read_poses
-from benchmark.evaluate import identity, score_query
-from benchmark.results import Method, Results
+from benchmark.results import DatasetId, Method, Results
 from benchmark.results_files import BASIN, claim_results
+from benchmark.scored_query import score_query
 from benchmark.starts import parse_start
 from scene.errors import InputError
 from scene.localizer import Estimate, Status
@@ -65,7 +65,9 @@ def score(
         made_by = Method.external(method, digest)
         target = out / dataset.name / f"{method}.json"
         claim_results(target, made_by, out)
-        results[target] = Results.of(made_by, identity(dataset), starting_information.name, queries)
+        results[target] = Results.of(
+            made_by, DatasetId.of(dataset), starting_information.name, queries
+        )
     if unused:
         raise InputError(
             f"{poses}: {len(unused)} poses are of no query of the reference, such as {min(unused)}"

@@ -14,7 +14,6 @@ from pydantic import Field
 
 from benchmark.answers import Geography, Located, contents, outputs
 from benchmark.datasets.simulated import is_scene
-from benchmark.evaluate import localize_safely, method_of
 from benchmark.journal import Journal, journal_path
 from benchmark.photographs import (
     PhotographReader,
@@ -25,7 +24,8 @@ from benchmark.photographs import (
     with_estimates,
 )
 from benchmark.query_result import Named, PoseNumbers
-from benchmark.results import Environment
+from benchmark.results import Environment, Method
+from benchmark.scored_query import localize_safely
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geo.crs import Projection, geoid_undulation
@@ -268,7 +268,7 @@ def _digest(photograph: QueryPhotograph, path: Path) -> str:
 
 def journal_key(place: Place, localizer: Localizer) -> str:
     """Return the digest of everything but the photographs that decides the answers."""
-    words = [method_of(localizer).model_dump_json(), place.sparse_map.sha256]
+    words = [Method.of(localizer).model_dump_json(), place.sparse_map.sha256]
     words += digests((place.images / name for name in place.sparse_map.names), "missing")
     words.append(Environment.current().model_dump_json())
     return hashlib.sha256("\n".join(words).encode()).hexdigest()

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from scene.bundle.manifest import Condition
 from scene.geometry.geodesy import FARTHEST_M
+from scene.geometry.pose import Pose
 from scene.localizer import Status
 from scene.storage.records import Record
 
@@ -65,3 +66,8 @@ class QueryResult(Named):
     iterations: _Count
     inliers: _Count
     seconds: dict[str, _Time]
+
+
+def pose_of(numbers: PoseNumbers) -> Pose:
+    """Return the pose that a results file holds as qw qx qy qz tx ty tz."""
+    return Pose.from_quaternion(numbers[:4], numbers[4:])

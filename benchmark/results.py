@@ -10,8 +10,10 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from benchmark.datasets.dataset import Dataset
 from benchmark.query_result import QueryResult
 from benchmark.summary import Summary, summarize, summarize_parts
+from scene.localizer import Localizer
 from scene.storage.atomic import write_text
 from scene.storage.records import Record
 
@@ -25,6 +27,15 @@ class Method(Record):
     name: str
     config: dict[str, Any]
     weights_sha256: str | None
+
+    @staticmethod
+    def of(localizer: Localizer) -> Method:
+        """Return what results record of a localizer."""
+        return Method(
+            name=localizer.name,
+            config=localizer.config.model_dump(mode="json"),
+            weights_sha256=localizer.weights_sha256,
+        )
 
     @staticmethod
     def external(name: str, poses_sha256: str) -> Method:
@@ -44,6 +55,16 @@ class DatasetId(Record):
     track: str
     sha256: str
     map_conditions: tuple[str, ...]
+
+    @staticmethod
+    def of(dataset: Dataset) -> DatasetId:
+        """Return what results record of a data set."""
+        return DatasetId(
+            name=dataset.name,
+            track=dataset.track,
+            sha256=dataset.sha256,
+            map_conditions=dataset.map_conditions,
+        )
 
 
 class Environment(Record):

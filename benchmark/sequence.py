@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.answers import Geography, Located, contents, outputs
-from benchmark.evaluate import method_of
 from benchmark.journal import Journal, journal_path
 from benchmark.localize import (
     Answer,
@@ -22,6 +21,7 @@ from benchmark.localize import (
     photographs_in,
 )
 from benchmark.photographs import PhotographReader, Place, priors_of, warn_of_rolling_shutter
+from benchmark.results import Method
 from benchmark.shots import (
     Footage,
     Shot,
@@ -285,7 +285,7 @@ def _record(located: Sequence[Located], localizer: Localizer, job: _Job) -> str:
         **job.source,
         "images": len(located),
         "found": sum(item.found for item in located),
-        "method": method_of(localizer).model_dump(mode="json"),
+        "method": Method.of(localizer).model_dump(mode="json"),
         "sequence": job.config.model_dump(mode="json"),
     }
     return json.dumps(values, indent=1) + "\n"

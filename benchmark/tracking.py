@@ -13,8 +13,8 @@ import numpy as np
 from pydantic import Field
 
 from benchmark.answers import Located
-from benchmark.evaluate import localize_safely
 from benchmark.motion import Array, Motion, MotionOptions
+from benchmark.scored_query import localize_safely
 from scene.config import Config
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
 

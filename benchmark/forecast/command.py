@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from benchmark.evaluate import method_of
 from benchmark.forecast.calibration import calibration_of
 from benchmark.forecast.config import ForecastConfig
 from benchmark.forecast.observe import observe, start_of
@@ -14,7 +13,7 @@ from benchmark.forecast.page import MARK, page
 from benchmark.forecast.picture import draw, ground_from_above
 from benchmark.forecast.report import SCHEMA, Forecast, photographs_wanted
 from benchmark.forecast.views import route_of, views_config
-from benchmark.results import Environment
+from benchmark.results import Environment, Method
 from scene.bundle.manifest import read_json
 from scene.bundle.scene import Scene
 from scene.errors import InputError
@@ -94,7 +93,7 @@ def forecast(
             flight=first.file.name if isinstance(first, PlanFlight) else flight,
             flight_sha256=first.sha256 if isinstance(first, PlanFlight) else None,
             twin=None if other is None else other.name,
-            method=method_of(localizer),
+            method=Method.of(localizer),
             config=config,
             calibration=calibration,
             environment=Environment.current(),

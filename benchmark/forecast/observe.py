@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from benchmark.answers import Located
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.simulated import TRACK
-from benchmark.evaluate import localize_safely, method_of
 from benchmark.forecast.config import ForecastConfig
 from benchmark.journal import Journal, journal_path
 from benchmark.query_result import Named
-from benchmark.results import Environment
+from benchmark.results import Environment, Method
 from benchmark.score import Threshold, is_correct, is_false_fix
+from benchmark.scored_query import localize_safely
 from benchmark.starts import Start, parse_start
 from scene.bundle.scene import Scene
 from scene.errors import InputError
@@ -134,7 +134,7 @@ def observe(
 def _key(
     scene: Scene, views: Scene, localizer: Localizer, start: Start, sparse_map: SparseMap
 ) -> str:
-    words = [method_of(localizer).model_dump_json(), sparse_map.sha256, start.name]
+    words = [Method.of(localizer).model_dump_json(), sparse_map.sha256, start.name]
     words += [*digests((scene.images_root / name for name in sparse_map.names), "missing")]
     words += [*views.manifest.sha256.values(), Environment.current().model_dump_json()]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()

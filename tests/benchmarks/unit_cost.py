@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from benchmark.datasets.simulated import open_scene
-from benchmark.evaluate import localize_safely
 from benchmark.registry import create
+from benchmark.scored_query import localize_safely
 from benchmark.starts import PRIOR
 from scene.bundle.scene import Scene
 from scene.colmap.sift import SiftOptions, extract_sift
