@@ -24,6 +24,7 @@ class HeadlineRow:
         season: "changed", "same" or a condition.
         part: "all" or a part of the track.
         method: name of the method.
+        cell_queries: queries of the cell, of which a method may have answered a part.
         half_width: half the width of the cell's 95 % interval at a recall of 90 %, points.
         surest: recall at 0.5 m 5° at bounded risk, see ``benchmark.report.board.cells``; None where
             the method predicts no sigma.
@@ -34,6 +35,7 @@ class HeadlineRow:
     season: str
     part: str
     method: str
+    cell_queries: int
     half_width: float
     surest: Recall | None
     summary: Summary
@@ -56,6 +58,7 @@ def _row(cell: Cell, run: BoardRun) -> HeadlineRow:
         season=cell.season,
         part=cell.part,
         method=run.method,
+        cell_queries=len(cell.rows),
         half_width=cell.half_width,
         surest=None if surest is None else Recall(**surest._asdict()),
         summary=summarize(answers, 0.0, None),
@@ -106,7 +109,7 @@ def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
                 escaped(row.season),
                 escaped(row.part),
                 escaped(row.method),
-                str(summary.queries),
+                _asked(summary.queries, row.cell_queries),
                 f"{row.half_width:.1f}",
                 *(recall_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 "–" if row.surest is None else recall_text(row.surest),
@@ -116,3 +119,8 @@ def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
                 number(summary.seconds.per_query.get(TOTAL)),
             ]
         )
+
+
+def _asked(asked: int, of: int) -> str:
+    """Return how many queries of a cell a method was asked; a part of them is no equal footing."""
+    return str(asked) if asked == of else f"{asked} of {of}"

@@ -49,7 +49,7 @@
     const rows = withFigures().map((run) => ({ run, label: labelOf(run), s: cell().runs[run].summary, bounded: cell().runs[run].bounded[state.threshold] }));
     return sortedTable("Results of the cell", columns(), ["look at"], rows, (row) => el("tr", {},
       el("th", { scope: "row", class: "word" }, swatch(row.run), row.label),
-      el("td", {}, String(row.s.queries)),
+      el("td", {}, row.s.queries === cell().queries ? String(row.s.queries) : [String(row.s.queries), el("small", {}, `of ${cell().queries}`)]),
       row.s.recall.map((value) => recallCell(row.run, value)),
       plainCell(row.bounded), plainCell(row.s.wrong),
       [row.s.t, row.s.r].map((value) => el("td", {}, digits(value))),
@@ -77,10 +77,10 @@
         inOrder.map((c) => {
           const figures = c.runs[run];
           if (!figures) return el("td", { class: "cell" }, "–");
-          const value = figures.summary.recall[state.threshold];
+          const value = figures.summary.recall[state.threshold], part = figures.summary.queries;
           return el("td", { class: "cell", "aria-current": String(c === cell()), css: { background: `hsl(var(--heat) / ${(0.04 + 0.56 * value[0] / 100).toFixed(3)})` } },
             el("button", { type: "button", title: `${labelOf(run)}, ${seasonName(c.season)}, ${partName(c.part)}: ${percent(value)} % ${interval(value)} of ${figures.summary.queries}; shows the cell`,
-              onclick: () => choose({ season: c.season, part: c.part }) }, value[0].toFixed(1)));
+              onclick: () => choose({ season: c.season, part: c.part }) }, value[0].toFixed(1), part === c.queries ? null : el("small", {}, `of ${part}`)));
         }))))));
   };
 

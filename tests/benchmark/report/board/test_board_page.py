@@ -120,6 +120,20 @@ def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) ->
     )
 
 
+def test_a_method_that_was_asked_a_part_of_the_queries_says_so(
+    tmp_path: Path, browser: Browser
+) -> None:
+    made = write_board(tmp_path / "tracks", starts=["none"])
+    (made / "uav-seasons" / "results" / "none" / "town-2" / "pixloc.json").unlink()
+    board(made, tmp_path / "out")
+    assert "| changed | all | pixloc | 32 of 48 |" in (tmp_path / "out/leaderboard.md").read_text()
+    browser.open(tmp_path / "out" / "leaderboard.html")
+    first = [browser.texts(f"#rows tr:nth-child({k}) td")[0] for k in (1, 2, 3)]
+    assert first == ["48", "32\nof 48", "48"]
+    heat = [browser.texts(f".heat tbody tr:nth-child({k}) td:nth-child(2) small") for k in (1, 2)]
+    assert heat == [[], ["of 32"]]
+
+
 def test_filters_change_the_table(page: Browser, report: BoardReport) -> None:
     for start, words in (("none", "no prior"), ("error=3m,5deg", "a prior wrong by 3m,5deg")):
         choose(page, "start", words)
