@@ -13,15 +13,15 @@ from pydantic import Field
 from torch import Tensor
 
 from baselines.featuremetric.maps import MapExtractor
+from baselines.featuremetric.references import ReferenceSource
 from baselines.place.search import Candidate
 from objconnect.connect import ConnectOptions, Connector
 from objconnect.landmarks import LandmarkOptions
 from objconnect.network import ObjConnectNet
-from objconnect.object_map import ObjectFinder, map_ground
+from objconnect.object_map import ObjectFinder, ViewCollector, map_ground
 from scene.config import Config
 from scene.geometry.pose import so3_exp
 from scene.localizer import Prior, Query
-from scene.maps.sparse_map import SparseMap
 
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
@@ -71,21 +71,30 @@ class ObjectPlaceFinder:
         self._graph, self._options = network.constellation, options
         self._find = ObjectFinder(extract, network.detector, options.landmarks)
         self._connect: Connector | None = None
+        self._collected: ViewCollector | None = None
         self.is_first = True
 
-    def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
-        """Find the objects of a map, or read them from the cache.
+    def watcher(self, source: ReferenceSource, cache: Path) -> ViewCollector | None:
+        """Return what finds objects in the feature maps of a map's photographs.
+
+        It is None where the cache holds the objects.
+        """
+        known = self._find.file(source, cache).is_file()
+        self._collected = None if known else ViewCollector(self._find, source.sparse_map)
+        return self._collected
+
+    def prepare(self, source: ReferenceSource, cache: Path) -> None:
+        """Find the objects of a map, or take those that the watcher found or the cache holds.
 
         Args:
-            sparse_map: the map.
-            images: folder that the names of its photographs are relative to.
-            key: of the network.
+            source: what references of the map are computed from.
             cache: folder of files named by a digest of all that the objects depend on.
 
         Raises:
             InputError: a photograph is missing, broken or changed meanwhile.
         """
-        landmarks = self._find.kept_landmarks(sparse_map, images, key, cache)
+        landmarks = self._find.kept_landmarks(source, cache, self._collected)
+        self._collected, sparse_map = None, source.sparse_map
         ground = map_ground(sparse_map)
         # Photographs of a street look over the ground, and show no object from above.
         self._connect = None

@@ -13,6 +13,7 @@ from typing import Final, Protocol
 from baselines.align.options import SearchRadius
 from baselines.featuremetric.attempt import Attempt, estimated, is_clear, stayed_near
 from baselines.featuremetric.priors import says_where
+from baselines.featuremetric.references import ReferenceSource, Watch
 from baselines.featuremetric.refiner import Refiner
 from baselines.place.finder import PlaceFinder
 from baselines.place.search import Candidate
@@ -33,8 +34,12 @@ class OtherFinder(Protocol):
 
     is_first: bool
 
-    def prepare(self, sparse_map: SparseMap, images: Path, key: str, cache: Path) -> None:
-        """Prepare for a map; ``key`` identifies the network, ``cache`` keeps files."""
+    def watcher(self, source: ReferenceSource, cache: Path) -> Watch | None:
+        """Return what is to see the photographs of a map before ``prepare``; None where nothing."""
+        ...
+
+    def prepare(self, source: ReferenceSource, cache: Path) -> None:
+        """Prepare for a map; ``cache`` keeps files."""
         ...
 
     def find(self, query: Query) -> list[Candidate]:

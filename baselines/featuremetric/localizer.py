@@ -92,7 +92,9 @@ class FeaturemetricLocalizer:
             config.reference,
             config.corner,
         )
-        observations = references(source, cache, self._kept_mb)
+        other = self._other if config.multistart else None
+        watch = None if other is None else other.watcher(source, cache)
+        observations = references(source, cache, self._kept_mb, watch)
         solver = Options(**config.solver.model_dump(), iterations=config.iterations)
         problems = ProblemBuilder(
             self._extract,
@@ -115,9 +117,9 @@ class FeaturemetricLocalizer:
         if config.multistart and config.place.candidates:
             places = PlaceFinder(self._extract, config.place)
             places.prepare(sparse_map, images, source.extractor_key, cache)
-        if config.multistart and self._other is not None:
-            self._other.prepare(sparse_map, images, source.extractor_key, cache)
-        self._search = GlobalSearch(self._refine, sparse_map, places, self._other)
+        if other is not None:
+            other.prepare(source, cache)
+        self._search = GlobalSearch(self._refine, sparse_map, places, other)
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:

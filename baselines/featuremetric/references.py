@@ -5,7 +5,7 @@ Only features at points are needed of the photographs, and these are few.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -37,6 +37,11 @@ from scene.storage.images import read_rgb
 from scene.storage.lru_cache import LruCache, room
 
 _FORMAT: Final = 4
+
+PhotographMaps = tuple[MapImage, WarpedImage, list[FeatureMap]]
+"""A photograph of the map, how it is seen, and its feature maps."""
+Watch = Callable[[MapImage, WarpedImage, list[FeatureMap]], None]
+"""Sees the feature maps of every photograph of a map while these are computed."""
 
 
 class ReferenceOptions(Config):
@@ -149,13 +154,16 @@ def _read(store: ArrayStore, names: Sequence[str], photograph: int) -> Observati
     return Observations(xyz, tuple(features), confidence)
 
 
-def references(source: ReferenceSource, cache: Path, memory_mb: int) -> ReferenceFeatures:
+def references(
+    source: ReferenceSource, cache: Path, memory_mb: int, watch: Watch | None = None
+) -> ReferenceFeatures:
     """Return the observations of a map's photographs, from the cache where it holds them.
 
     Args:
         source: what they are computed from.
         cache: folder of files, each named by a digest of all that decides its content.
         memory_mb: for the whole process; observations stay in memory as far as there is room.
+        watch: sees the feature maps, where these are computed.
 
     Raises:
         InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
@@ -175,7 +183,7 @@ def references(source: ReferenceSource, cache: Path, memory_mb: int) -> Referenc
             corner_file = kept.path("corners", _FORMAT, corners, longest, corner_key)
             check = kept.require_unchanged
             corner_points = all_corners(find, sparse_map.names, corner_file, check)
-        _write_references(path, source, corner_points, kept.require_unchanged)
+        _write_references(path, source, corner_points, kept.require_unchanged, watch)
     return ReferenceFeatures(path, room(memory_mb))
 
 
@@ -184,6 +192,7 @@ def _write_references(
     source: ReferenceSource,
     corner_points: Sequence[NDArray[np.float64]],
     check: Callable[[], None],
+    watch: Watch | None,
 ) -> None:
     """Run the network on every photograph of a map and keep the features at its points.
 
@@ -192,30 +201,47 @@ def _write_references(
         source: what the observations are computed from.
         corner_points: further points (N, 3) of each photograph.
         check: called at the end; where it raises, nothing is kept.
+        watch: sees the feature maps.
     """
     sparse_map, extract, options = source.sparse_map, source.extract, source.options
     posed = [sparse_map.images[each] for each in sparse_map.names]
     wanted = of_map(sparse_map, extract.largest_scale)
+    looked_at = photograph_maps(source, posed)
     levels = len(extract.network.config.strides)
     with (
         written_store(path, levels=levels, metres_per_pixel=wanted) as add,
         progress_bar(f"{source.name} map features", len(posed)) as advance,
     ):
-        for done, (image, corners) in enumerate(zip(posed, corner_points, strict=True), 1):
-            rgb = read_rgb(source.images / image.name, image.camera)
-            own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
-            largest = extract.largest_scale(image.camera)
-            scale = scale_to(wanted, own, largest, options.same_resolution)
-            angle = north_angle(image.cam_from_world[:3, :3])
-            view, maps = extract(rgb, image.camera, angle, scale)
+        for done, (each, corners) in enumerate(zip(looked_at, corner_points, strict=True), 1):
+            image, view, maps = each
+            if watch is not None:
+                watch(image, view, maps)
             points = np.concatenate([_reliable_points(image, sparse_map, options), corners])
             seen = observe(view, maps, image.pose, points, source.points, options.grid)
             features = {f"features/{level}": of for level, of in enumerate(seen.features)}
             add({"xyz": seen.xyz, "confidence": seen.confidence, **features})
-            del view, maps
+            del each, view, maps
             return_freed()
             advance(done)
         check()
+
+
+def photograph_maps(
+    source: ReferenceSource, photographs: Sequence[MapImage]
+) -> Iterator[PhotographMaps]:
+    """Yield photographs of a map north up, at the resolution of the map, with feature maps.
+
+    Raises:
+        InputError: a photograph is missing, broken or not of its camera's size.
+    """
+    sparse_map, extract = source.sparse_map, source.extract
+    wanted = of_map(sparse_map, extract.largest_scale)
+    for image in photographs:
+        rgb = read_rgb(source.images / image.name, image.camera)
+        own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
+        largest = extract.largest_scale(image.camera)
+        scale = scale_to(wanted, own, largest, source.options.same_resolution)
+        yield image, *extract(rgb, image.camera, north_angle(image.cam_from_world[:3, :3]), scale)
 
 
 def observe(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from baselines.featuremetric.global_search import GlobalSearch
 from baselines.featuremetric.maps import MapExtractor
+from baselines.featuremetric.references import ReferenceSource, references
 from baselines.place.search import Candidate
 from benchmark.datasets.open import open_datasets
 from objconnect.finder import ObjectPlaceFinder, ObjectPlaceOptions, headings_around
@@ -22,6 +23,7 @@ from objconnect.network import read_network
 from scene.bundle.scene import Scene
 from scene.geometry.pose import so3_exp
 from scene.localizer import Prior, Query, Status
+from scene.maps.sparse_map import SparseMap
 
 DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0])).double()
 ROTATION = (DOWN @ so3_exp(torch.ones(3).double() / 9)).numpy()
@@ -56,21 +58,47 @@ def finder() -> ObjectPlaceFinder:
     return ObjectPlaceFinder(network, MapExtractor(network, 512, "float32"), ObjectPlaceOptions())
 
 
+def source_of(
+    finder: ObjectPlaceFinder, sparse_map: SparseMap, scene: Scene, key: str = "a key"
+) -> ReferenceSource:
+    extract = finder._find._extract
+    return ReferenceSource(sparse_map, scene.images_root, extract, key, "objconnect", 64)
+
+
+def test_objects_are_found_in_the_feature_maps_of_references(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The network sees every photograph once, and finds the objects that it would find alone."""
+    source = source_of(finder, rendered.sparse_map(), rendered)
+    alone, beside = tmp_path / "alone", tmp_path / "beside"
+    finder.prepare(source, alone)
+    references(source, beside, 64, finder.watcher(source, beside))
+    with monkeypatch.context() as patched:
+        patched.setattr(MapExtractor, "features", None)
+        finder.prepare(source, beside)
+    assert finder.watcher(source, beside) is None
+    (one,), (other,) = (folder.glob("objects-*.h5") for folder in (alone, beside))
+    assert one.name == other.name
+    found, again = Landmarks.read(one), Landmarks.read(other)
+    np.testing.assert_array_equal(found.xyz, again.xyz)
+    np.testing.assert_array_equal(found.vectors, again.vectors)
+
+
 def test_the_map_is_looked_at_once(
     finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sparse_map = rendered.sparse_map()
-    finder.prepare(sparse_map, rendered.images_root, "a key", tmp_path)
+    finder.prepare(source_of(finder, sparse_map, rendered), tmp_path)
     (kept,) = tmp_path.glob("objects-*.h5")
     assert len(Landmarks.read(kept)) >= 10
 
     def again(*_: object) -> None:
         raise AssertionError("looked at twice")
 
-    monkeypatch.setattr("objconnect.object_map.ObjectFinder.landmarks", again)
-    finder.prepare(sparse_map, rendered.images_root, "a key", tmp_path)
+    monkeypatch.setattr("objconnect.object_map.ObjectFinder.views_in", again)
+    finder.prepare(source_of(finder, sparse_map, rendered), tmp_path)
     with pytest.raises(AssertionError, match="twice"):
-        finder.prepare(sparse_map, rendered.images_root, "another network", tmp_path)
+        finder.prepare(source_of(finder, sparse_map, rendered, "another network"), tmp_path)
 
 
 def test_a_map_seen_along_the_ground_has_no_objects(
@@ -84,7 +112,7 @@ def test_a_map_seen_along_the_ground_has_no_objects(
         for name, image in sparse_map.images.items()
     }
     flat = replace(sparse_map, images=images)
-    finder.prepare(flat, rendered.images_root, "a key", tmp_path)
+    finder.prepare(source_of(finder, flat, rendered), tmp_path)
     assert len(Landmarks.read(next(tmp_path.glob("objects-*.h5")))) == 0
     camera = flat.images[flat.names[0]].camera
     image = np.zeros((camera.height, camera.width, 3), np.uint8)
@@ -94,7 +122,7 @@ def test_a_map_seen_along_the_ground_has_no_objects(
 def test_landmarks_lie_where_objects_are(
     finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path
 ) -> None:
-    finder.prepare(rendered.sparse_map(), rendered.images_root, "a key", tmp_path)
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered), tmp_path)
     landmarks = Landmarks.read(next(tmp_path.glob("objects-*.h5")))
     true = np.array([item.centre for item in rendered.objects.objects])[:, :2]
     found = landmarks.xyz[:, :2].astype(np.float64)
@@ -113,7 +141,7 @@ def test_the_place_of_a_query_is_among_those_found(
 ) -> None:
     """In the map's own season, told nothing."""
     (dataset,) = open_datasets(rendered.path)
-    finder.prepare(rendered.sparse_map(), rendered.images_root, "a key", tmp_path)
+    finder.prepare(source_of(finder, rendered.sparse_map(), rendered), tmp_path)
     right = []
     for query in dataset.queries:
         if "summer" in query.name:
