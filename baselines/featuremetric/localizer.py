@@ -129,10 +129,11 @@ class FeaturemetricLocalizer:
         if (side := self._least_side(query)) < LEAST_SIDE:
             reason = f"the image is {side} pixels wide or high, {LEAST_SIDE} are needed"
             return Estimate(Status.FAILED, reason=reason)
-        return_freed_above(self._kept_mb * MEGABYTE)
         clock = Stopwatch()
         if (followed := self._followed(query, clock)) is not None:
             return followed
+        # A frame that is followed takes so little that to take it anew each time costs more.
+        return_freed_above(self._kept_mb * MEGABYTE)
         lost = query.references is None and not says_all(query.prior)
         if self.config.multistart and lost and (found := self._search(query, clock)) is not None:
             return found

@@ -139,6 +139,11 @@ class Intrinsics:
         """
         if self.fisheye:
             return self._distort_fisheye(uv, jacobian)
+        if not self.distortion.any():
+            # Most cameras of a simulation; an alignment projects hundreds of times.
+            inside = uv.square().sum(-1) < self.limit[..., None] ** 2
+            eye = torch.eye(2, dtype=uv.dtype, device=uv.device)
+            return uv, eye.expand(*uv.shape[:-1], 2, 2) if jacobian else None, inside
         k1, k2, p1, p2 = (c[..., None] for c in self.distortion.unbind(-1))
         u, v = uv.unbind(-1)
         uu, vv, uv2 = u * u, v * v, 2 * u * v

@@ -1,12 +1,13 @@
 """A flight followed as a sequence, beside the same without tracking, frame by frame in turn.
 
-    python -m tests.benchmarks.tracked PLACE --cache CACHE [--flight SCENE] [--threads 2]
+    python -m tests.benchmarks.tracked PLACE --cache CACHE [--flight SCENE] [--threads 2] [--alone]
 
 PLACE is a simulated scene with a map and a session ``flight``, as of
 ``tests/benchmarks/tracked-place.yaml``, or its map alone where SCENE has the session. A frame is
 read from its JPEG and localized from what the frames before predict; the first is told its position
 to 3 m and its attitude to 3 degrees, the others nothing. Seconds are the medians of a frame, by the
-clock and of the processor; on a machine with other work read the ratio.
+clock and of the processor; on a machine with other work read the ratio. ``--alone`` only follows
+the sequence: a query without tracking gives back memory, which the next frame must take again.
 """
 
 from __future__ import annotations
@@ -142,16 +143,17 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="take every so many frames")
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--alone", action="store_true")
     parser.add_argument("--set", default="{}", help="options of tracking as JSON")
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     place, scene = open_place(given.place), Scene.open(given.flight or given.place)
     frames = frames_of(scene, given.session, given.every, given.rate)
     tracking = {"tracking": json.loads(given.set)}
-    runs = [
-        followed(place, given.cache, given.method, {"tracking": None}, "without"),
-        followed(place, given.cache, given.method, tracking, "tracked"),
-    ]
+    runs = [followed(place, given.cache, given.method, tracking, "tracked")]
+    if not given.alone:
+        without = followed(place, given.cache, given.method, {"tracking": None}, "without")
+        runs.insert(0, without)
     for number, frame in enumerate(frames):
         told = told_of(frame) if number == 0 else None
         for run in runs if number % 2 else runs[::-1]:
