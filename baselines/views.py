@@ -146,7 +146,7 @@ class WarpedImage:
         """Return whether pixels of the view (..., 2) show the photograph, 8 px inside its edge."""
         there, margin = self.in_photograph(xy.reshape(-1, 2)), MARGIN / self.scale
         inside = (there >= margin) & (there <= self.size - margin)
-        return np.asarray(inside.all(1).reshape(xy.shape[:-1]))
+        return np.asarray((inside[:, 0] & inside[:, 1]).reshape(xy.shape[:-1]))
 
     @cached_property
     def whole(self) -> bool:
@@ -276,7 +276,10 @@ def _beyond_corner(
 def _affine_back(
     linear: NDArray[np.float64], shift: NDArray[np.float64], xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    return np.asarray((xy - shift) @ linear.T)
+    # Written out: a product of so many rows would wake the threads of BLAS.
+    (a, b), (c, d) = linear.tolist()
+    x, y = (xy - shift).T
+    return np.stack([a * x + b * y, c * x + d * y], -1)
 
 
 def _turned_back(

@@ -140,7 +140,7 @@ class TrackingOptions(Config):
     """How an image of a sequence is followed from the pose that the ones before predict."""
 
     coarser: float | None = Field(
-        1.0,
+        None,
         gt=0,
         description="Metres of ground per pixel at which the image is looked at, over those of the "
         "map's photographs, as the network takes time by area; it is never enlarged. None is as in "
@@ -155,7 +155,10 @@ class TrackingOptions(Config):
     references: int = Field(
         4, ge=1, description="Photographs of the map that the image is aligned to, together."
     )
-    points: int = Field(512, ge=10, description="Most points, shared by the references.")
+    points: int = Field(2048, ge=10, description="Most points, shared by the references.")
+    rough_points: int = Field(
+        512, ge=10, description="Most points on levels before the finest, spread over the image."
+    )
     reach_cells: float = Field(
         3.0,
         gt=0,

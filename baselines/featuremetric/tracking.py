@@ -59,7 +59,7 @@ class Tracking:
             first = _first_level(problem, _unsure_px(problem, prior), options.reach_cells)
             if first is None:
                 return None
-            alignment = _aligned(problem, first, options.rough_convergence)
+            alignment = _aligned(problem, first, options)
             attempt = judged(Found(view, problem, alignment), self.search)
         if attempt.reason or not attempt.fit < options.accept_fit:
             return None
@@ -84,14 +84,15 @@ def _first_level(problem: Problem, unsure_px: float, reach_cells: float) -> int 
     return None
 
 
-def _aligned(problem: Problem, first: int, rough_convergence: float) -> Alignment:
-    """Align from a level on; on all levels but the finest only until steps are rather small."""
+def _aligned(problem: Problem, first: int, tracking: TrackingOptions) -> Alignment:
+    """Align from a level on; before the finest only few points, until steps are rather small."""
     options, iterations = problem.options, torch.zeros(1, dtype=torch.long)
-    rough = options.rougher(rough_convergence)
+    rough = options.rougher(tracking.rough_convergence)
     last = len(problem.levels) - 1
     for number in range(first, last + 1):
         level = problem.at_levels(slice(number, number + 1))
-        level = level.with_options(options if number == last else rough)
+        if number < last:
+            level = level.first_points(tracking.rough_points).with_options(rough)
         alignment = align(level, with_covariance=False)
         iterations = iterations + alignment.iterations
         if alignment.failed[0]:
