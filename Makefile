@@ -52,7 +52,7 @@ browser: install
 
 # What a contributor runs before a commit: minutes, on all cores.
 test: libraries browser lint
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope
 
 # Programs of others that read our exports, outside the environment.
 .PHONY: peers
@@ -61,12 +61,12 @@ peers: install
 
 # What CI runs besides: the site, kills, clusters, wheels, damaged files.
 test-rest: libraries browser peers docs
-	$(BIN)/python -m pytest -n $(WORKERS) -m thorough
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m thorough
 	$(BIN)/python -m tests.fuzz --inputs 2000
 
 # Ten random moments of every kill, every camera, every mutant; tens of minutes more.
 test-all: test test-rest
-	$(BIN)/python -m pytest -n $(WORKERS) -m slow
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadscope -m slow
 
 # The site of the documents, runs/site, in an environment of its own, with the page of all tracks.
 .PHONY: docs

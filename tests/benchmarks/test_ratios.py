@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,8 @@ import pytest
 from scene.bundle.manifest import read_json
 from tests.benchmarks import ratio_picture
 from tests.benchmarks.ratios import KIND, Ratios, main, ratios_of
+
+OPTIONS = Path(__file__).parents[2] / "pyproject.toml"
 
 
 def run(path: Path, medians: dict[str, float], iqr: float = 0.02, group: str = "match") -> Path:
@@ -91,6 +96,24 @@ def test_runs_that_share_nothing_are_not_compared(
     before = written(tmp_path, "before", 1.0)
     assert main(["check", str(tmp_path / "other.json"), "--against", str(before)]) == 2
     assert "share no ratio" in capsys.readouterr().err
+
+
+def test_our_options_of_pytest_let_benchmarks_run(tmp_path: Path) -> None:
+    """Options that spread tests over processes switch benchmarks off without a word."""
+    made, out = tmp_path / "test_made.py", tmp_path / "run.json"
+    made.write_text("def test_ours(benchmark): benchmark(sum, range(10))\n")
+    words = [sys.executable, "-m", "pytest", "-c", str(OPTIONS), str(made), "--benchmark-enable"]
+    apart = {key: value for key, value in os.environ.items() if "XDIST" not in key}
+    done = subprocess.run(
+        [*words, f"--benchmark-json={out}"],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=apart,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [each["name"] for each in json.loads(out.read_text())["benchmarks"]] == ["test_ours"]
 
 
 def test_versions_are_drawn_in_order(tmp_path: Path) -> None:
