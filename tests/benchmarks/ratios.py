@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import sys
 from collections import defaultdict
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from scene.errors import InputError
 from scene.storage.files import parse_json, read_text
 
 # A benchmark with one of these words in its name is what others are measured by: a peer, a lower
-# bound, or another way. Of a group without any it is the first.
+# bound, or another way. Of a group without any it is the first by name: tests run in any order.
 _YARDSTICKS: Final = ("bare", "pycolmap", "opencv", "products", "untracked")
 # Runs on different days differ by this share, though rounds of one run differ less.
 _LEAST_SPREAD: Final = 0.1
@@ -107,7 +108,8 @@ def ratios_of(run: Path) -> Ratios:
 def _of_group(group: str, rows: Sequence[tuple[str, float, float]]) -> list[Ratio]:
     """Return the ratios of a group, given names, medians and distances of quartiles."""
     measured = [row for row in rows if row[1] > 0]
-    by = [row for row in measured if any(word in row[0] for word in _YARDSTICKS)] or measured[:1]
+    first = sorted(measured, key=lambda row: _by_number(row[0]))[:1]
+    by = [row for row in measured if any(word in row[0] for word in _YARDSTICKS)] or first
     found = []
     for name, median, quartiles in (row for row in measured if row not in by):
         for over, other, of_other in by:
@@ -117,6 +119,12 @@ def _of_group(group: str, rows: Sequence[tuple[str, float, float]]) -> list[Rati
                 Ratio(group=group, name=name, over=over, ratio=ratio, spread=ratio * spread)
             )
     return found
+
+
+def _by_number(name: str) -> list[int | str]:
+    """Return a key by which 100 comes before 1000 in names that are the same else."""
+    parts = re.split(r"(\d+)", name)
+    return [int(part) if part.isdigit() else part for part in parts]
 
 
 def changes(now: Ratios, before: Ratios) -> list[Change]:

@@ -98,6 +98,16 @@ def test_runs_that_share_nothing_are_not_compared(
     assert "share no ratio" in capsys.readouterr().err
 
 
+def test_the_order_of_the_tests_does_not_matter(tmp_path: Path) -> None:
+    medians = {"test_query[100]": 1.0, "test_query[1000]": 1.5}
+    there = ratios_of(run(tmp_path / "there.json", medians))
+    back = ratios_of(run(tmp_path / "back.json", dict(reversed(medians.items()))))
+    assert there == back
+    assert [(each.name, each.over) for each in there.ratios] == [
+        ("test_query[1000]", "test_query[100]")
+    ]
+
+
 def test_our_options_of_pytest_let_benchmarks_run(tmp_path: Path) -> None:
     """Options that spread tests over processes switch benchmarks off without a word."""
     made, out = tmp_path / "test_made.py", tmp_path / "run.json"
