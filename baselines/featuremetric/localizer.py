@@ -73,12 +73,10 @@ class FeaturemetricLocalizer:
             return
         config = self.config
         self._map = sparse_map
-        cameras = [image.camera for image in sparse_map.images.values()]
-        pass_mb = self._extract.pass_megabytes(cameras, config.max_magnification)
-        self._kept_mb = max(1, config.memory_mb - pass_mb)
+        kept_mb = self._kept_mb(config.max_magnification)
         matches = None  # first: it takes more memory than the rest
         if config.multistart and config.matches is not None:
-            least_mb = min(self._kept_mb, config.matches.memory_mb)
+            least_mb = min(kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
             matches = matcher(of_matches, sparse_map, images, cache)
         source = ReferenceSource(
@@ -94,7 +92,7 @@ class FeaturemetricLocalizer:
         )
         other = self._other if config.multistart else None
         watch = None if other is None else other.watcher(source, cache)
-        observations = references(source, cache, self._kept_mb, watch)
+        observations = references(source, cache, kept_mb, watch)
         solver = Options(**config.solver.model_dump(), iterations=config.iterations)
         problems = ProblemBuilder(
             self._extract,
@@ -111,7 +109,13 @@ class FeaturemetricLocalizer:
         described = OnDemand(observations.coarse, len(observations))
         retrieval = References.build(sparse_map, described, config.retrieval)
         self._refine = Refiner(
-            config, self._extract, problems, retrieval, matches, self._kept_mb * MEGABYTE
+            config,
+            self._extract,
+            problems,
+            retrieval,
+            matches,
+            self._kept_mb(1.0) * MEGABYTE,
+            kept_mb * MEGABYTE,
         )
         places = None
         if config.multistart and config.place.candidates:
@@ -132,8 +136,7 @@ class FeaturemetricLocalizer:
         clock = Stopwatch()
         if (followed := self._followed(query, clock)) is not None:
             return followed
-        # A frame that is followed takes so little that to take it anew each time costs more.
-        return_freed_above(self._kept_mb * MEGABYTE)
+        return_freed_above(self._refine.kept_bytes)
         lost = query.references is None and not says_all(query.prior)
         if self.config.multistart and lost and (found := self._search(query, clock)) is not None:
             return found
@@ -183,6 +186,11 @@ class FeaturemetricLocalizer:
                     attempts.append(self._refine.near(query, best.pose, clock))
                 break
         return attempts
+
+    def _kept_mb(self, magnification: float) -> int:
+        """Return what is left of ``memory_mb`` beside a pass of images magnified so much."""
+        cameras = (image.camera for image in self._map.images.values())
+        return max(1, self.config.memory_mb - self._extract.pass_megabytes(cameras, magnification))
 
     def _least_side(self, query: Query) -> int:
         """Return the shorter side (px) of the image at the largest scale the network sees."""

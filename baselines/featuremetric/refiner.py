@@ -34,7 +34,9 @@ class Refiner:
         retrieval: chooses photographs of the map.
         matches: tells by SIFT which photographs look like an image; None where the map was not
             built from its features.
-        kept_bytes: memory above which what was freed is given back to the system.
+        kept_bytes: memory above which what was freed is given back before the network sees an
+            image. To take it again costs time.
+        kept_magnified_bytes: the same before it sees a magnified one.
     """
 
     config: FeaturemetricConfig
@@ -43,6 +45,7 @@ class Refiner:
     retrieval: References
     matches: SiftLocalizer | None
     kept_bytes: int
+    kept_magnified_bytes: int
 
     def __call__(
         self,
@@ -127,6 +130,7 @@ class Refiner:
         chosen = self.photographs(replace(query, prior=known_pose(pose)))
         larger = self.problems.magnified(query, chosen, pose, view, most)
         if larger is not None:
+            return_freed_above(self.kept_magnified_bytes)
             with clock.stage("features"):
                 view, maps = larger, self.problems.features(larger)
         with clock.stage("alignment"):
