@@ -32,6 +32,7 @@ from baselines.training.config import TrainConfig
 from baselines.training.loop import Trainable
 from baselines.training.pairs import Pair, PairBatch, Pinhole, collate
 from objconnect.training import ObjConnectTraining
+from scene.config import load_config
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from tests.baselines.pixloc import official
@@ -40,13 +41,6 @@ METHODS: Final = ("objconnect", "pixloc", "full", "authors")
 _SIDES: Final = (192, 512)
 _STEPS: Final = 3
 _POINTS: Final = 512
-# objconnect as it is shipped: its blocks of objects learn in a training of their own.
-_SHIPPED: Final[dict[str, Any]] = {
-    "segmentation": "none",
-    "attention": False,
-    "object_graph": False,
-    "scene_graph": False,
-}
 # The authors' configuration for CMU: rate, that of the damping, largest norm of the gradient.
 _RATE, _DAMPING_RATE, _CLIP = 1e-5, 1e-3, 1.0
 
@@ -80,7 +74,9 @@ def made(method: str, side: int) -> Callable[[], object]:
     if method == "authors":
         return _authors(batch)
     if method == "objconnect":
-        trained: Trainable = ObjConnectTraining(TrainConfig(warm_up=0, network=_SHIPPED))
+        trained: Trainable = ObjConnectTraining(
+            load_config(TrainConfig, Path("train/objconnect"), {})
+        )
     else:
         network = {"strides": (16, 4, 1)} if method == "full" else {}
         width = 1.0 if method == "full" else 0.25
