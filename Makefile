@@ -21,7 +21,7 @@ $(VENV)/.installed: pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
 	  { echo "error: cannot make a virtual environment; on Debian: apt-get install -y python3.11-venv" >&2; exit 2; }
 	$(BIN)/python -m pip install -q --disable-pip-version-check $(TORCH)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[simulate,cluster,geo,video,robot,rerun,test]'
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[simulate,cluster,fast,geo,video,robot,rerun,test]'
 	@touch $@
 
 # Checked at every run: it takes a moment, and system libraries come and go without us.

@@ -9,6 +9,7 @@ import hashlib
 from dataclasses import dataclass
 from functools import cache as cached
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -116,8 +117,9 @@ class StructureLocalizer:
         store, unit = ArrayStore(path), self._extractor.unit
 
         def lifted(row: int) -> _Lifted:
-            descriptors = unit(store.read(row, "descriptors"))
-            return _Lifted(store.read(row, "point"), store.read(row, "xyz"), descriptors)
+            return _Lifted(
+                store.read(row, "point"), store.read(row, "xyz"), store.read(row, "descriptors")
+            )
 
         def described(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
@@ -227,7 +229,8 @@ class StructureLocalizer:
         matches, places = [], []
         for reference in references:
             lifted = self._lifted(int(reference))
-            pairs = self._extractor.match(descriptors, lifted.unit, self.config.ratio)
+            unit = self._extractor.unit(lifted.descriptors)
+            pairs = self._extractor.match(descriptors, unit, self.config.ratio)
             matches.append(np.stack([pairs[:, 0], lifted.points[pairs[:, 1]]], -1))
             places.append(lifted.xyz[pairs[:, 1]])
         unique, first = np.unique(np.concatenate(matches), axis=0, return_index=True)
@@ -241,16 +244,17 @@ class _Lifted:
     Attributes:
         points: (N,) numbers of their points; one may be seen in several photographs.
         xyz: (N, 3) the points, world metres.
-        unit: (N, D) descriptors, of unit length.
+        descriptors: (N, D) as they were extracted: of unit length, in float32, they take two to
+            thirty-two times the memory.
     """
 
     points: NDArray[np.int64]
     xyz: NDArray[np.float64]
-    unit: torch.Tensor
+    descriptors: NDArray[Any]
 
     @property
     def nbytes(self) -> int:
-        return self.points.nbytes + self.xyz.nbytes + self.unit.nbytes
+        return self.points.nbytes + self.xyz.nbytes + self.descriptors.nbytes
 
 
 def _is_observed(sparse_map: SparseMap) -> bool:

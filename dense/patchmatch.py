@@ -9,8 +9,9 @@ points are tried again at every larger size, because small pictures lose objects
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate, pad
 
 from dense.options import DEFAULTS, SearchOptions
-from dense.photometry import Photometry, Window
+from dense.photometry import Photometry, PlaneCosts
 from dense.planes import moved, planes_at_nearest, planes_through, resized
 from dense.warp import StereoView
 
@@ -131,7 +132,8 @@ class _Search:
         generator: torch.Generator,
         options: SearchOptions,
     ) -> None:
-        self._photometry = Photometry(reference, sources, expected, inverse_depths, options.cost)
+        kind = _photometry(reference.grey.device)
+        self._photometry = kind(reference, sources, expected, inverse_depths, options.cost)
         self._options = options
         self._generator = generator
         self._device = reference.grey.device
@@ -171,11 +173,11 @@ class _Search:
         for colour in self._colours:
             for rows, columns in _chunks(colour):
                 window = self._photometry.window(rows, columns)
-                offered = [guess[:, rows, columns] for guess in guesses]
-                each = torch.stack([self._photometry.cost(window, offer) for offer in offered])
-                cost[rows, columns], which = each.min(0)
-                best = torch.stack(offered).gather(0, which.expand(1, 3, -1))[0]
-                planes[:, rows, columns] = best
+                first = planes[:, rows, columns]
+                best = _Best(self._photometry, window, first, self._photometry.cost(window, first))
+                for guess in guesses[1:]:
+                    best.offer(guess[:, rows, columns])
+                planes[:, rows, columns], cost[rows, columns] = best.planes, best.cost
         return Estimate(planes, cost)
 
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
@@ -215,17 +217,26 @@ class _Search:
         return torch.randn(3, *self._shape, generator=self._generator).to(self._device)
 
 
+def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
+    """Return the class that takes the least time on a device, of those that are installed."""
+    if device.type == "cpu" and find_spec("numba") is not None:
+        from dense.compiled import CompiledPhotometry
+
+        return CompiledPhotometry
+    return Photometry
+
+
 class _Best:
     """The best plane so far at each pixel of a window."""
 
-    def __init__(self, photometry: Photometry, window: Window, planes: Tensor, cost: Tensor):
+    def __init__(self, photometry: PlaneCosts, window: Any, planes: Tensor, cost: Tensor) -> None:
         self._photometry = photometry
         self._window = window
         self.planes = planes
         self.cost = cost
 
     def offer(self, planes: Tensor) -> None:
-        cost = self._photometry.cost(self._window, planes)
+        cost = self._photometry.cost(self._window, planes, self.cost)
         better = (cost < self.cost) & (planes[0] > 0)
         self.planes = torch.where(better, planes, self.planes)
         self.cost = torch.where(better, cost, self.cost)

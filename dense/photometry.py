@@ -8,7 +8,7 @@ warp is approximated as affine, which needs one division for all samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -20,11 +20,33 @@ from dense.warp import StereoView, Warp, round_trip
 WORST = 2.0
 """Cost of an inverted picture, and of a view that does not see the plane."""
 
-# Offsets of samples: every second pixel of a window of 9 x 9, which is part of the method.
-_STEPS = (-4, -2, 0, 2, 4)
-# Numerical guard.
-# Variance (of grey in 0..1) of noise. Windows with less have no texture and match nothing.
-_NOISE = 1e-5
+STEPS = (-4, -2, 0, 2, 4)
+"""Offsets of samples: every second pixel of a window of 9 x 9, which is part of the method."""
+
+NOISE = 1e-5
+"""Variance (of grey in 0..1) of noise. Windows with less have no texture and match nothing."""
+
+
+class Visibility(NamedTuple):
+    """Which sources show the pixels of a picture.
+
+    Attributes:
+        seen: whether each of K sources shows a pixel, (K, H, W).
+        best: how many of them count, (H, W): the better half, and at least two, so that occluded
+            views are ignored.
+    """
+
+    seen: Tensor
+    best: Tensor
+
+    @staticmethod
+    def of(reference: StereoView, warps: Sequence[Warp], expected: Tensor) -> Visibility:
+        """Find it by the inverse depths (H, W) that are expected and warps to the sources."""
+        grid = reference.camera.pixel_grid(torch.float32).to(reference.grey.device)
+        x, y = grid.unbind(-1)
+        seen = torch.stack([warp(x, y, expected).seen for warp in warps])
+        count = seen.sum(0)
+        return Visibility(seen, torch.maximum((count + 1) // 2, count.clamp_max(2)))
 
 
 class Samples(NamedTuple):
@@ -60,6 +82,23 @@ class Window(NamedTuple):
     samples: tuple[Samples, ...]
 
 
+class PlaneCosts(Protocol):
+    """Costs of planes at pixels of one reference view. Each implementation has its own windows."""
+
+    def window(self, rows: Tensor, columns: Tensor) -> Any:
+        """Return the windows around pixels (n,) of the reference."""
+
+    def cost(self, window: Any, planes: Tensor, below: Tensor | None = None) -> Tensor:
+        """Return the cost of a plane at each pixel, the mean over the better half of its sources.
+
+        Args:
+            window: around n pixels.
+            planes: (3, n).
+            below: costs (n,) below which the cost is asked for. Where it is not below, any number
+                that is not, either, may be returned.
+        """
+
+
 class Photometry:
     """Costs of planes at pixels of one reference view against all its sources.
 
@@ -88,15 +127,10 @@ class Photometry:
         self._there = [Warp.between(reference, source) for source in sources]
         self._back = [Warp.between(source, reference) for source in sources]
         self._inverse_depths = inverse_depths
-        grid = reference.camera.pixel_grid(torch.float32).to(reference.grey.device)
-        x, y = grid.unbind(-1)
-        self._seen = torch.stack([warp(x, y, expected).seen for warp in self._there])
-        count = self._seen.sum(0)
-        # The better half of the views counts, and at least two, so that occluded views are ignored.
-        self._best = torch.maximum((count + 1) // 2, count.clamp_max(2))
-        reach, device = _STEPS[-1], reference.grey.device
+        self._seen, self._best = Visibility.of(reference, self._there, expected)
+        reach, device = STEPS[-1], reference.grey.device
         self._padded = pad(reference.grey[None, None], (reach,) * 4, mode="replicate")[0, 0]
-        self._steps = torch.tensor(_STEPS, dtype=torch.float32, device=device)
+        self._steps = torch.tensor(STEPS, dtype=torch.float32, device=device)
         dy, dx = torch.meshgrid(self._steps, self._steps, indexing="ij")
         offsets = (dy + reach) * self._padded.shape[1] + dx + reach
         self._offsets = offsets.reshape(-1, 1).long()
@@ -111,7 +145,7 @@ class Photometry:
         weights = self._near * torch.exp(difference / -self._options.sigma_grey)
         weights = weights / weights.sum(0)
         central = grey - (weights * grey).sum(0)
-        deviation = ((weights * central**2).sum(0) + _NOISE).sqrt()
+        deviation = ((weights * central**2).sum(0) + NOISE).sqrt()
         correlator = weights * central / deviation
         samples = []
         for seen in self._seen[:, rows, columns]:
@@ -121,13 +155,8 @@ class Photometry:
             samples.append(Samples(which, x, y, *there))
         return Window(rows, columns, tuple(samples))
 
-    def cost(self, window: Window, planes: Tensor) -> Tensor:
-        """Return the cost of a plane at each pixel, the mean over the better half of its sources.
-
-        Args:
-            window: around n pixels.
-            planes: (3, n).
-        """
+    def cost(self, window: Window, planes: Tensor, below: Tensor | None = None) -> Tensor:
+        """Return the cost of a plane at each pixel; see ``PlaneCosts``. Nothing is left out."""
         each = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
         for k, samples in enumerate(window.samples):
             each[k, samples.which] = self._cost_in(
@@ -148,7 +177,7 @@ class Photometry:
         ux, uy, vx, vy = warp.slopes(at, gx, gy)
         # In grid_sample's units, -1 and 1 are the edges of the picture. It reads x and y of many
         # samples at once where each lies in one piece.
-        side = len(_STEPS)
+        side = len(STEPS)
         grid = torch.empty(2, side, side, len(w), device=w.device)
         step = self._steps[:, None]
         for axis, (centre, along_x, along_y, size) in enumerate(
@@ -167,7 +196,7 @@ class Photometry:
         weighted = weights * grey
         mean = weighted.sum(0)
         variance = weighted.mul_(grey).sum(0) - mean * mean
-        correlation = grey.mul_(correlator).sum(0) / (variance.clamp_min(0) + _NOISE).sqrt()
+        correlation = grey.mul_(correlator).sum(0) / (variance.clamp_min(0) + NOISE).sqrt()
         cost = 1 - correlation.clamp(-1, 1)
         if self._inverse_depths is not None:
             pixels, _ = round_trip(warp, self._back[k], self._inverse_depths[k], x, y, w)

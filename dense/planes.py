@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from scene.geometry.camera import Camera
@@ -19,11 +20,8 @@ from scene.geometry.camera import Camera
 # Number of nearest seeds through which the first guess of a plane is fitted. Fewer do not
 # determine a slope.
 _NEIGHBOURS = 8
-# Numerical guards.
 # Regularisation of the slope, for seeds that lie on a line.
 _RIDGE = 1e-2
-# The most distances (pixels times seeds) in memory at once.
-_DISTANCES = 1 << 23
 
 
 def moved(planes: Tensor, dx: Tensor | float, dy: Tensor | float) -> Tensor:
@@ -98,19 +96,17 @@ def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> Tenso
     )
     pixels = torch.stack([x, y], -1).reshape(-1, 2)
     count = min(_NEIGHBOURS, len(points))
-    fitted = []
-    step = max(1, _DISTANCES // len(points))
-    for start in range(0, len(pixels), step):
-        chunk = pixels[start : start + step]
-        distance, which = torch.cdist(chunk, points[:, :2]).topk(count, largest=False)
-        near = points[which]
-        offset = near[..., :2] - chunk[:, None]
-        scale = distance.mean(1)[:, None, None] + 1e-9
-        design = torch.cat([torch.ones_like(offset[..., :1]), offset / scale], -1)
-        weight = torch.exp(-((distance[..., None] / scale) ** 2))
-        normal = design.mT @ (weight * design)
-        normal[:, 1, 1] += _RIDGE
-        normal[:, 2, 2] += _RIDGE
-        solved = torch.linalg.solve(normal, design.mT @ (weight * near[..., 2:]))[..., 0]
-        fitted.append(torch.cat([solved[:, :1], solved[:, 1:] / scale[:, 0]], -1))
-    return torch.cat(fitted).T.reshape(3, height, width).float()
+    # A list of ranks, so that one neighbour has an axis too.
+    found = KDTree(seeds[:, :2]).query(pixels.numpy(), list(range(1, count + 1)))
+    distance, which = (torch.from_numpy(each) for each in found)
+    near = points[which]
+    offset = near[..., :2] - pixels[:, None]
+    scale = distance.mean(1)[:, None, None] + 1e-9
+    design = torch.cat([torch.ones_like(offset[..., :1]), offset / scale], -1)
+    weight = torch.exp(-((distance[..., None] / scale) ** 2))
+    normal = design.mT @ (weight * design)
+    normal[:, 1, 1] += _RIDGE
+    normal[:, 2, 2] += _RIDGE
+    solved = torch.linalg.solve(normal, design.mT @ (weight * near[..., 2:]))[..., 0]
+    planes = torch.cat([solved[:, :1], solved[:, 1:] / scale[:, 0]], -1)
+    return planes.T.reshape(3, height, width).float()

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from scene.geometry.camera import Camera
 
-_MIN_DEPTH = 1e-6
+MIN_DEPTH = 1e-6
+"""Least depth in another view, as a share of the depth here."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,10 @@ class Warp:
             row[0] * x + row[1] * y + (row[2] + shift * w)
             for row, shift in zip(self.rotation, self.translation, strict=True)
         )
-        z = c.clamp_min(_MIN_DEPTH)
+        z = c.clamp_min(MIN_DEPTH)
         u, v = a / z, b / z
         inside = (u > 0) & (u < self.width) & (v > 0) & (v < self.height)
-        return Warped(u, v, z, inside & (c > _MIN_DEPTH))
+        return Warped(u, v, z, inside & (c > MIN_DEPTH))
 
     def slopes(self, at: Warped, gx: Tensor, gy: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return du/dx, du/dy, dv/dx, dv/dy on a plane whose inverse depth has the slope gx, gy."""

@@ -2,8 +2,9 @@
 
 ``python -m tests.benchmarks.beside SCENE --versions BEFORE . --cache CACHE`` (folders of the code).
 Each version has a process of one thread. All localize a query before any localizes the next, so
-that a machine with other work slows all of them alike: read the ratios. ``--set`` is for the last
-version alone. ``--prepare`` prepares the map with an empty cache instead.
+that a machine with other work slows all of them alike: read the ratios. With ``--threads 2``,
+seconds are those of the clock, for which a machine must be idle. ``--set`` is for the last version
+alone. ``--prepare`` prepares the map with an empty cache instead.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ def main() -> None:
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--start", default="error=3m,5deg")
     parser.add_argument("--every", type=int, default=1, help="take every so many queries")
+    parser.add_argument("--threads", type=int, default=1, help="above 1, by the clock")
     parser.add_argument("--set", action="append", default=[], help="NAME=JSON of the configuration")
     parser.add_argument("--prepare", action="store_true")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
@@ -71,7 +73,9 @@ class _Worker:
         command = [sys.executable, "-P", str(Path(__file__).resolve()), str(given.scene.resolve())]
         command += ["--serve", "--versions", str(folder), "--cache", str(cache.resolve())]
         command += ["--method", given.method, "--start", given.start, *chosen]
-        environment = os.environ | {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
+        command += ["--threads", str(given.threads)]
+        threads = {"OMP_NUM_THREADS": str(given.threads)}
+        environment = os.environ | {"PYTHONPATH": str(folder)} | threads
         self._process = subprocess.Popen(
             command,
             cwd=folder,
@@ -105,8 +109,7 @@ def _report_preparation(workers: list[_Worker]) -> None:
 
 def _report_queries(workers: list[_Worker], every: int) -> None:
     """Print seconds and errors of queries, of every version, in each condition and in all."""
-    for worker in workers:
-        worker.ask("prepare")
+    held = [worker.ask("prepare")["held"] for worker in workers]
     names = workers[0].ask("names")
     numbers = range(0, len(names), every)
     for worker in workers:  # what is made once
@@ -124,6 +127,9 @@ def _report_queries(workers: list[_Worker], every: int) -> None:
             answers = [found[row][column] for row in rows]
             first = [found[row][0] for row in rows]
             print(f"{condition:24s} {worker.folder.name:16s} {_summary(answers, first)}")
+    for worker in workers:
+        most = worker.ask("memory")
+        print(f"{worker.folder.name}: {held.pop(0):.0f} MB resident before, {most:.0f} MB at most")
     for column, worker in enumerate(workers[1:], 1):
         away = [
             float(np.linalg.norm(np.subtract(row[column]["centre"], row[0]["centre"])))
@@ -166,8 +172,10 @@ def _serve(given: argparse.Namespace) -> None:
     from benchmark.datasets.open import open_datasets
     from benchmark.registry import create
     from benchmark.starts import parse_start
+    from scene.runtime.memory import peak_megabytes, reset_peak, resident_bytes, return_freed
 
-    torch.set_num_threads(1)
+    torch.set_num_threads(given.threads)
+    seconds = time.process_time if given.threads == 1 else time.perf_counter
     (dataset,) = open_datasets(given.scene)
     sparse_map = dataset.load_map()
     settings = {name: json.loads(value) for name, _, value in (s.partition("=") for s in given.set)}
@@ -178,20 +186,24 @@ def _serve(given: argparse.Namespace) -> None:
         return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 
     for line in sys.stdin:
-        word, before, begin = line.strip(), faults(), time.process_time()
+        word, before, begin = line.strip(), faults(), seconds()
         answer: Any = None
         if word == "prepare":
             method.prepare(sparse_map, dataset.images, given.cache)
-            seconds = time.process_time() - begin
-            answer = {"seconds": seconds, "photographs": len(sparse_map.names)}
+            answer = {"seconds": seconds() - begin, "photographs": len(sparse_map.names)}
             answer["faults"] = faults() - before
+            return_freed()
+            reset_peak()
+            answer["held"] = resident_bytes() / 1e6
+        elif word == "memory":
+            answer = peak_megabytes()
         elif word == "names":
             answer = [query.condition or "" for query in dataset.queries]
         elif word != "end":
             reference, query = dataset.queries[int(word)], load(dataset.queries[int(word)])
-            before, begin = faults(), time.process_time()
+            before, begin = faults(), seconds()
             found = method.localize(query)
-            answer = {"seconds": time.process_time() - begin, "faults": faults() - before}
+            answer = {"seconds": seconds() - begin, "faults": faults() - before}
             pose = found.cam_from_world if found.status.value == "ok" else None
             answer["stages"] = dict(found.seconds)
             answer["centre"] = None if pose is None else pose.centre().tolist()
