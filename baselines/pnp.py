@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from scene.colmap.absolute_pose import estimate_absolute_pose
 from scene.config import Config
 from scene.localizer import Estimate, Query, Status, Stopwatch
 
@@ -47,6 +46,9 @@ def solve_pose(
         reason = f"{len(xyz)} matches to the map, {MIN_MATCHES} are needed"
         return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
     with clock.stage("pose"):
+        # pycolmap takes 60 MB, which methods without PnP are spared.
+        from scene.colmap.absolute_pose import estimate_absolute_pose
+
         prior = query.prior if config.use_gnss else None
         result = estimate_absolute_pose(
             xy, xyz, query.camera, config.max_error_px, prior, config.seed

@@ -45,8 +45,9 @@ from scene.bundle.covisibility import Covisibility, visible_share, write_covisib
 from scene.bundle.manifest import Manifest, Splits, write_json
 from scene.bundle.scene import COVISIBILITY, MANIFEST, Scene
 from scene.colmap.database import MatchingJob
+from scene.colmap.options import SiftOptions
 from scene.colmap.registration import KnownMap, match_new, register_photographs
-from scene.colmap.sift import SiftOptions, read_features
+from scene.colmap.sift import read_features
 from scene.colmap.structure_from_motion import RefinedLenses
 from scene.errors import InputError
 from scene.exports.matches import described_map, matched_pairs

@@ -35,7 +35,7 @@ from ingest.split import Split, queries_of
 from ingest.turned import begin_again, read_turned
 from scene.bundle.manifest import write_json
 from scene.colmap.database import MatchingJob, match_photographs
-from scene.colmap.sift import SiftOptions
+from scene.colmap.options import SiftOptions
 from scene.colmap.structure_from_motion import Mapper, map_photographs
 from scene.errors import InputError
 from scene.geometry.camera import Camera

@@ -18,8 +18,7 @@ from scene.bundle.pictures import draw_pictures
 from scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish_scene
 from scene.colmap.database import MappingJob
 from scene.colmap.native import VERSION
-from scene.colmap.options import MatchOptions
-from scene.colmap.sift import SiftOptions
+from scene.colmap.options import MatchOptions, SiftOptions
 from scene.colmap.structure_from_motion import ADJUSTMENTS, reconstruct
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError

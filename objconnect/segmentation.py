@@ -10,9 +10,9 @@ from functools import cache
 from typing import Final
 
 import numpy as np
+import skimage  # which imports its parts when they are used
 import torch
 from numpy.typing import NDArray
-from skimage.segmentation import felzenszwalb, slic
 from torch import Tensor
 from torch.nn import functional
 
@@ -125,7 +125,7 @@ def _pool() -> ThreadPoolExecutor:
 
 def _slic(picture: Picture, count: int, options: SegmentOptions) -> Labels:
     """Segment by SLIC (Achanta et al., "SLIC superpixels", PAMI 2012)."""
-    algorithm: Callable[..., Labels] = slic
+    algorithm: Callable[..., Labels] = skimage.segmentation.slic
     return algorithm(
         picture,
         n_segments=count,
@@ -139,7 +139,7 @@ def _slic(picture: Picture, count: int, options: SegmentOptions) -> Labels:
 def _felzenszwalb(picture: Picture, count: int, options: SegmentOptions) -> Labels:
     """Segment by the graph-based method of Felzenszwalb and Huttenlocher (IJCV 2004)."""
     least = max(1, picture.shape[0] * picture.shape[1] // (2 * count))
-    algorithm: Callable[..., Labels] = felzenszwalb
+    algorithm: Callable[..., Labels] = skimage.segmentation.felzenszwalb
     return algorithm(
         picture,
         scale=options.felzenszwalb_scale,

@@ -21,6 +21,7 @@ from baselines.d2net.network import D2Net, read_network
 from baselines.features import Extractor
 from baselines.structure import StructureConfig, StructureLocalizer
 from scene.maps.features import Features
+from scene.runtime.memory import keep_few_kernels
 
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
 """The weights that come with the project."""
@@ -80,6 +81,7 @@ class D2NetExtractor(Extractor):
     turned = False
 
     def __init__(self, network: D2Net, weights_sha256: str, config: D2NetConfig) -> None:
+        keep_few_kernels()
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         # Convolutions of channels-last maps take less time on processors.
         fast = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

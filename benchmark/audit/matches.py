@@ -12,7 +12,8 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.retrieval import RetrievalOptions, VladIndex
-from scene.colmap.sift import SiftExtractor, SiftOptions
+from scene.colmap.options import SiftOptions
+from scene.colmap.sift import SiftExtractor
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.maps.features import unit_descriptors

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from scene.colmap.models import empty_model, extended_model, lens_ids, posed_model
 from scene.colmap.native import ROOM, SEED, Progress, native_camera
-from scene.colmap.options import AdjustmentOptions, MatchOptions
-from scene.colmap.sift import CHUNK, SiftOptions, extract_sift, read_features
+from scene.colmap.options import AdjustmentOptions, MatchOptions, SiftOptions
+from scene.colmap.sift import CHUNK, extract_sift, read_features
 from scene.maps.features import Features, unit_descriptors
 from scene.maps.matching import match
 from scene.maps.photographs import Photograph, PosedImage

@@ -1,10 +1,30 @@
-"""Options of matching and of structure from motion; the configuration of a map contains them."""
+"""Options of features, of matching and of structure from motion.
+
+The configuration of a map contains the last two.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from pydantic import Field
 
 from scene.config import Config
+
+
+@dataclass(frozen=True)
+class SiftOptions:
+    """The options of COLMAP's SIFT: difference of Gaussians, RootSIFT (L1-root) descriptors.
+
+    Attributes:
+        max_features: largest number of features of an image.
+        peak_threshold: smallest response of the difference of Gaussians.
+        upright: whether to leave out the orientation of keypoints.
+    """
+
+    max_features: int = 8192
+    peak_threshold: float = 0.02 / 3
+    upright: bool = False
 
 
 class MatchOptions(Config):

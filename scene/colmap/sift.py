@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from scene.colmap.native import ROOM, Progress
+from scene.colmap.options import SiftOptions
 from scene.errors import InputError
 from scene.maps.features import Features
 from scene.storage.files import require_disk_space
@@ -26,35 +26,11 @@ KEYPOINT_BYTES = 160
 _MOST_KEYPOINTS = 1 << 16
 
 
-@dataclass(frozen=True)
-class SiftOptions:
-    """The options of COLMAP's SIFT: difference of Gaussians, RootSIFT (L1-root) descriptors.
-
-    Attributes:
-        max_features: largest number of features of an image.
-        peak_threshold: smallest response of the difference of Gaussians.
-        upright: whether to leave out the orientation of keypoints.
-    """
-
-    max_features: int = 8192
-    peak_threshold: float = 0.02 / 3
-    upright: bool = False
-
-    def native(self) -> pycolmap.FeatureExtractionOptions:
-        """Return the options as pycolmap's, without the GPU."""
-        options = pycolmap.FeatureExtractionOptions()
-        options.use_gpu = False
-        options.sift.max_num_features = self.max_features
-        options.sift.peak_threshold = self.peak_threshold
-        options.sift.upright = self.upright
-        return options
-
-
 class SiftExtractor:
     """An extractor of SIFT features that takes one image at a time."""
 
     def __init__(self, options: SiftOptions) -> None:
-        self._options = options.native()
+        self._options = _native(options)
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         """Return the features of an image (H, W, 3) uint8."""
@@ -88,7 +64,7 @@ def extract_sift(
         InputError: an image is missing or cannot be read.
         WriteError: the disk has no space for temporary files.
     """
-    native = options.native()
+    native = _native(options)
     native.num_threads = threads
     with scratch(beside) as folder:
         database = folder / "database.db"
@@ -129,3 +105,13 @@ def read_features(database: Path, root: Path) -> dict[str, Features]:
             descriptors = np.array(db.read_descriptors(image.image_id).data)
             features[image.name] = Features(rows[:, :2].copy(), scale, descriptors)
     return features
+
+
+def _native(options: SiftOptions) -> pycolmap.FeatureExtractionOptions:
+    """Return options as pycolmap's, without the GPU."""
+    native = pycolmap.FeatureExtractionOptions()
+    native.use_gpu = False
+    native.sift.max_num_features = options.max_features
+    native.sift.peak_threshold = options.peak_threshold
+    native.sift.upright = options.upright
+    return native

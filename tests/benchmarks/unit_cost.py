@@ -19,7 +19,8 @@ from benchmark.registry import create
 from benchmark.scored_query import localize_safely
 from benchmark.starts import PRIOR
 from scene.bundle.scene import Scene
-from scene.colmap.sift import SiftOptions, extract_sift
+from scene.colmap.options import SiftOptions
+from scene.colmap.sift import extract_sift
 from scene.maps.features import unit_descriptors
 from scene.maps.matching import match
 from simulate.annotations import measure_covisibility, pixel_digests

@@ -39,7 +39,8 @@ from ingest.positions import local, with_positions
 from mapping.build import build_map
 from mapping.supplement.map import add_to_map
 from scene.checks.depth_check import DepthFrames, check_depth
-from scene.colmap.sift import SiftOptions, extract_sift
+from scene.colmap.options import SiftOptions
+from scene.colmap.sift import extract_sift
 from scene.config import load_config
 from scene.errors import InputError, WriteError
 from scene.geometry.camera import Camera

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -63,3 +67,14 @@ def test_without_an_attitude(localizer: Localizer) -> None:
     assert estimate.cam_from_world is not None
     metres, degrees = estimate.cam_from_world.error_to(truth)
     assert metres < 0.1 and degrees < 0.25
+
+
+def test_pycolmap_is_not_imported_before_it_is_needed() -> None:
+    """It takes 60 MB, and a query with a prior needs nothing of it."""
+    code = "from benchmark.registry import create; import sys; create('objconnect', {})\n"
+    code += "print('pycolmap' in sys.modules)"
+    root = Path(__file__).parents[2]
+    answer = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=root
+    )
+    assert answer.stdout.strip() == "False"

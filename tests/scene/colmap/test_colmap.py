@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from scene.colmap.absolute_pose import PnpResult, estimate_absolute_pose
 from scene.colmap.database import MappingJob
-from scene.colmap.sift import SiftExtractor, SiftOptions, extract_sift
+from scene.colmap.options import SiftOptions
+from scene.colmap.sift import SiftExtractor, extract_sift
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError
 from scene.geometry.camera import Camera

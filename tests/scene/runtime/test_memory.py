@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -42,3 +43,37 @@ def test_freed_memory_goes_back_above_a_bound() -> None:
     below, above = map(int, answer.stdout.split())
     assert abs(below) < 20_000_000
     assert above > 150_000_000
+
+
+KERNELS = """
+import torch
+from scene.runtime.memory import keep_few_kernels, resident_bytes, return_freed
+
+torch.set_num_threads(1)
+keep_few_kernels()
+layer = torch.nn.Conv2d(16, 16, 3)
+with torch.inference_mode():
+    layer(torch.rand(1, 16, 64, 64))
+    before = resident_bytes()
+    for width in range(400):
+        layer(torch.rand(1, 16, 64, 65 + width))
+return_freed()
+print(resident_bytes() - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc gives memory back")
+def test_few_kernels_are_kept() -> None:
+    def grown(**environment: str) -> int:
+        answer = subprocess.run(
+            [sys.executable, "-c", KERNELS],
+            check=True,
+            cwd=Path(__file__).parents[3],
+            capture_output=True,
+            text=True,
+            env={**os.environ, **environment},
+        )
+        return int(answer.stdout)
+
+    few, all_of_them = grown(), grown(ONEDNN_PRIMITIVE_CACHE_CAPACITY="1024")
+    assert few < 0.7 * all_of_them, (few, all_of_them)

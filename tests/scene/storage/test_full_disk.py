@@ -17,7 +17,7 @@ from benchmark.journal import Journal
 from benchmark.query_result import QueryResult
 from scene.bundle.frames import read_frames, write_frames
 from scene.colmap.database import MappingJob
-from scene.colmap.sift import SiftOptions
+from scene.colmap.options import SiftOptions
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError, WriteError
 from scene.maps.photographs import PosedImage
