@@ -49,6 +49,40 @@ class CompiledWindow(NamedTuple):
     weights: NDArray[np.float32]
     correlators: NDArray[np.float32]
 
+    def part(self, some: slice) -> CompiledWindow:
+        """Return the windows around some of the pixels."""
+        return CompiledWindow(
+            self.rows[some], self.columns[some], self.weights[some], self.correlators[some]
+        )
+
+
+class _Sources(NamedTuple):
+    """What compiled code has to know of K sources.
+
+    Attributes:
+        seen: whether a source shows a pixel, (K, H, W), see ``Visibility``.
+        best: how many of the sources count, (H, W), see ``Visibility``.
+        grey: the pixels of all pictures, see ``_joined``.
+        inverse_depths: those of their maps likewise; empty without maps.
+        begins: where each picture begins in them, (K,).
+        shapes: height and width of each picture, (K, 2).
+        there: warps to them, (K, 3, 4).
+        back: warps from them, (K, 3, 4).
+        geometric_weight: the option.
+        limit_px: the option ``geometric_limit_px``.
+    """
+
+    seen: NDArray[np.bool_]
+    best: NDArray[np.int64]
+    grey: NDArray[np.float32]
+    inverse_depths: NDArray[np.float32]
+    begins: NDArray[np.int64]
+    shapes: NDArray[np.int64]
+    there: NDArray[np.float32]
+    back: NDArray[np.float32]
+    geometric_weight: np.float32
+    limit_px: np.float32
+
 
 class CompiledPhotometry:
     """Costs of planes at pixels, as ``dense.photometry.Photometry``, whose arguments it takes."""
@@ -61,37 +95,36 @@ class CompiledPhotometry:
         inverse_depths: Sequence[Tensor] | None = None,
         options: CostOptions = DEFAULTS.search.cost,
     ) -> None:
-        there = [Warp.between(reference, source) for source in sources]
-        back = [Warp.between(source, reference) for source in sources]
-        visible = Visibility.of(reference, there, expected)
-        self._seen, self._best = visible.seen.numpy(), visible.best.numpy()
         self._padded = np.pad(reference.grey.numpy(), STEPS[-1], mode="edge")
         self._near = np.exp(-(_DX**2 + _DY**2) / _F(2 * options.sigma_px**2))
         self._sigma_grey = _F(options.sigma_grey)
+        there = [Warp.between(reference, source) for source in sources]
+        visible = Visibility.of(reference, there, expected)
         shapes = np.array([source.grey.shape for source in sources])
         sizes = (shapes + np.array([1, _MORE])).prod(1)
-        self._sources = _joined([source.grey for source in sources]), np.cumsum(sizes) - sizes
-        self._warps = shapes, _matrices(there), _matrices(back)
-        self._maps = (
+        self._sources = _Sources(
+            visible.seen.numpy(),
+            visible.best.numpy(),
+            _joined([source.grey for source in sources]),
             _joined(inverse_depths or ()),
+            np.cumsum(sizes) - sizes,
+            shapes,
+            _matrices(there),
+            _matrices([Warp.between(source, reference) for source in sources]),
             _F(options.geometric_weight),
             _F(options.geometric_limit_px),
         )
 
     def window(self, rows: Tensor, columns: Tensor) -> CompiledWindow:
         """Return the windows around pixels (n,) of the reference."""
-        at = rows.numpy(), columns.numpy()
         weights = np.empty((len(rows), _SAMPLES), np.float32)
-        correlators = np.empty_like(weights)
+        window = CompiledWindow(rows.numpy(), columns.numpy(), weights, np.empty_like(weights))
 
         def fill(part: slice) -> None:
-            _fill_windows(
-                self._padded, at[0][part], at[1][part], self._near, self._sigma_grey,
-                weights[part], correlators[part],
-            )  # fmt: skip
+            _fill_windows(window.part(part), self._padded, self._near, self._sigma_grey)
 
         _in_parts(fill, len(rows))
-        return CompiledWindow(*at, weights, correlators)
+        return window
 
     def cost(self, window: CompiledWindow, planes: Tensor, below: Tensor | None = None) -> Tensor:
         """Return the cost of a plane at each pixel; see ``dense.photometry.PlaneCosts``."""
@@ -100,10 +133,7 @@ class CompiledPhotometry:
         least = np.full(len(out), np.inf, np.float32) if below is None else below.numpy()
 
         def fill(part: slice) -> None:
-            _fill_costs(
-                *(each[part] for each in window), values[:, part], least[part], self._seen,
-                self._best, *self._sources, *self._warps, *self._maps, out[part],
-            )  # fmt: skip
+            _fill_costs(window.part(part), values[:, part], least[part], self._sources, out[part])
 
         _in_parts(fill, len(out))
         return costs
@@ -133,11 +163,12 @@ def _in_parts(fill: Callable[[slice], None], count: int) -> None:
 
 
 @_compiled
-def _fill_windows(padded, rows, columns, near, sigma_grey, weights, correlators):  # type: ignore[no-untyped-def]
-    """Write weights and correlators (n, S) of the windows around pixels."""
+def _fill_windows(window, padded, near, sigma_grey):  # type: ignore[no-untyped-def]
+    """Write the weights and correlators of the windows around pixels."""
     reach = STEPS[-1]
-    for i in range(len(rows)):
-        row, column = rows[i] + reach, columns[i] + reach
+    weights, correlators = window.weights, window.correlators
+    for i in range(len(window.rows)):
+        row, column = window.rows[i] + reach, window.columns[i] + reach
         middle = padded[row, column]
         total = mean = _ZERO
         for s in range(_SAMPLES):
@@ -159,17 +190,16 @@ def _fill_windows(padded, rows, columns, near, sigma_grey, weights, correlators)
             correlators[i, s] /= deviation
 
 
-# Compiled code takes no objects: the arguments are those of CompiledPhotometry, one by one.
 @_compiled
-def _fill_costs(  # type: ignore[no-untyped-def]
-    rows, columns, weights, correlators, planes, below, seen, best, grey, begins, shapes, there,
-    back, inverse, geometric_weight, limit_px, costs,
-):  # fmt: skip
+def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyped-def]
     """Write the cost (n,) of a plane at each pixel."""
+    seen, best, grey, inverse_depths, begins, shapes, there, back, weight, limit_px = sources
+    rows, columns, weights, correlators = window
     each = np.empty(len(seen), np.float32)
     for i in range(len(rows)):
         row, column = rows[i], columns[i]
         x, y = _F(column) + _HALF, _F(row) + _HALF
+        w, gx, gy = planes[0, i], planes[1, i], planes[2, i]
         needed, left = best[row, column], 0
         for k in range(len(seen)):
             left += seen[k, row, column]
@@ -177,22 +207,18 @@ def _fill_costs(  # type: ignore[no-untyped-def]
         for k in range(len(seen)):
             if not seen[k, row, column]:
                 continue
-            height, width = shapes[k]
-            w, gx, gy = planes[0, i], planes[1, i], planes[2, i]
-            u, v, z, inside = _warped(there[k], height, width, x, y, w)
-            here = _WORST
-            if inside:
-                ux, uy, vx, vy = _slopes(there[k], u, v, z, gx, gy)
-                here = _ONE - _correlation(
-                    grey, begins[k], height, width, u, v, ux, uy, vx, vy, weights, correlators, i
-                )
-                if len(inverse):
-                    at = begins[k] + int(v) * (width + _MORE) + int(u)
-                    pixels = limit_px
-                    if inverse[at] > 0:
-                        home = _warped(back[k], height, width, u, v, inverse[at])
-                        pixels = min(np.hypot(home[0] - x, home[1] - y), limit_px)
-                    here += geometric_weight * pixels
+            shape, begin, here = shapes[k], begins[k], _WORST
+            at = _warped(there[k], shape, x, y, w)
+            if at[3]:
+                slopes = _slopes(there[k], at, gx, gy)
+                here = _ONE - _correlation(grey, begin, shape, at, slopes, weights, correlators, i)
+                if len(inverse_depths):
+                    pixel = begin + int(at[1]) * (shape[1] + _MORE) + int(at[0])
+                    known, pixels = inverse_depths[pixel], limit_px
+                    if known > 0:
+                        home = _warped(back[k], shape, at[0], at[1], known)
+                        pixels = min(np.hypot(home[0] - x, home[1] - y), pixels)
+                    here += weight * pixels
             # Costs so far, in ascending order.
             place = done
             while place > 0 and each[place - 1] > here:
@@ -212,19 +238,20 @@ def _fill_costs(  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _warped(matrix, height, width, x, y, w):  # type: ignore[no-untyped-def]
-    """Warp a pixel as ``Warp`` does."""
+def _warped(matrix, shape, x, y, w):  # type: ignore[no-untyped-def]
+    """Warp a pixel as ``Warp`` does: u, v, z and whether it is in a picture of a shape."""
     a = matrix[0, 0] * x + matrix[0, 1] * y + (matrix[0, 2] + matrix[0, 3] * w)
     b = matrix[1, 0] * x + matrix[1, 1] * y + (matrix[1, 2] + matrix[1, 3] * w)
     c = matrix[2, 0] * x + matrix[2, 1] * y + (matrix[2, 2] + matrix[2, 3] * w)
     z = max(c, _MIN_DEPTH)
     u, v = a / z, b / z
-    return u, v, z, u > 0 and u < width and v > 0 and v < height and c > _MIN_DEPTH
+    return u, v, z, u > 0 and u < shape[1] and v > 0 and v < shape[0] and c > _MIN_DEPTH
 
 
 @_compiled
-def _slopes(matrix, u, v, z, gx, gy):  # type: ignore[no-untyped-def]
+def _slopes(matrix, at, gx, gy):  # type: ignore[no-untyped-def]
     """Return the slopes of a warp as ``Warp.slopes`` does."""
+    u, v, z, _ = at
     zx = matrix[2, 0] + matrix[2, 3] * gx
     zy = matrix[2, 1] + matrix[2, 3] * gy
     return (
@@ -236,13 +263,13 @@ def _slopes(matrix, u, v, z, gx, gy):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _correlation(  # type: ignore[no-untyped-def]
-    grey, begin, height, width, u, v, ux, uy, vx, vy, weights, correlators, i
-):
-    """Return the weighted correlation of window i with that of a picture, around u, v."""
-    right, bottom, stride = _F(width - 1), _F(height - 1), np.uint32(width + _MORE)
+# More than six parameters: at each call a tuple of arrays would cost half as much as the sum.
+def _correlation(grey, begin, shape, at, slopes, weights, correlators, i):  # type: ignore[no-untyped-def]
+    """Return the weighted correlation of window i with that of a picture around a place."""
+    right, bottom, stride = _F(shape[1] - 1), _F(shape[0] - 1), np.uint32(shape[1] + _MORE)
+    ux, uy, vx, vy = slopes
     # Positions count from the middle of the first pixel; those beyond the edge lie on it.
-    u, v = u - _HALF, v - _HALF
+    u, v = at[0] - _HALF, at[1] - _HALF
     mean = square = product = _ZERO
     for s in range(_SAMPLES):
         column, row = u + ux * _DX[s] + uy * _DY[s], v + vx * _DX[s] + vy * _DY[s]
@@ -253,9 +280,9 @@ def _correlation(  # type: ignore[no-untyped-def]
         left, top = np.int32(column), np.int32(row)
         across, down = column - _F(left), row - _F(top)
         # Unsigned numbers are not looked at for being negative.
-        at = np.uint32(begin) + np.uint32(top) * stride + np.uint32(left)
-        under = at + stride
-        upper = grey[at] + across * (grey[at + np.uint32(1)] - grey[at])
+        pixel = np.uint32(begin) + np.uint32(top) * stride + np.uint32(left)
+        under = pixel + stride
+        upper = grey[pixel] + across * (grey[pixel + np.uint32(1)] - grey[pixel])
         lower = grey[under] + across * (grey[under + np.uint32(1)] - grey[under])
         value = upper + down * (lower - upper)
         weighted = weights[i, s] * value

@@ -159,6 +159,7 @@ def train_loop(
             start = max(first, begin)
             stretch = _Stretch(start, max(start, end), config.batch, rank, world)
             loader = _loader(drawn, stretch, config.workers)
+            asked = time.perf_counter()
             for step, batch in enumerate(loader, start):
                 began = time.perf_counter()
                 _schedule(optimizer, peaks, step, config)
@@ -170,8 +171,8 @@ def train_loop(
                 if torch.isfinite(norm):
                     optimizer.step()
                 optimizer.zero_grad()
-                seconds = time.perf_counter() - began
-                log(step, figures | {"norm": float(norm), "seconds": seconds})
+                spent = {"waited": began - asked, "seconds": time.perf_counter() - began}
+                log(step, figures | {"norm": float(norm), **spent})
                 done = step + 1
                 looks = done % config.validate_every == 0 or done == config.steps
                 if sources.validation is not None and looks:
@@ -181,6 +182,7 @@ def train_loop(
                     _save(out / _CHECKPOINT, network, optimizer, done)
                     draw_curves(out / LOG, out / _CURVES)
                 advance(done)
+                asked = time.perf_counter()
     if rank == 0:
         write_weights(out / WEIGHTS, network, method.network_config.model_dump(mode="json"))
     if world > 1:

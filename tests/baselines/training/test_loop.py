@@ -76,6 +76,7 @@ def test_every_method_learns_and_leaves_weights_curves_and_a_card(
     assert any(not torch.equal(found.tensors[name], untrained[name]) for name in untrained)
     rows = [json.loads(line) for line in (out / LOG).read_text().splitlines()]
     assert sum(any(key.startswith("val/") for key in row) for row in rows) == 2
+    assert all(row["waited"] >= 0 for row in rows if "seconds" in row)
     assert (out / "curves.png").stat().st_size > 5000
     card = (out / CARD).read_text()
     assert found.sha256 in card
