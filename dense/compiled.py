@@ -207,16 +207,16 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
         for k in range(len(seen)):
             if not seen[k, row, column]:
                 continue
-            shape, begin, here = shapes[k], begins[k], _WORST
-            at = _warped(there[k], shape, x, y, w)
+            shape, begin, here = (shapes[k, 0], shapes[k, 1]), begins[k], _WORST
+            at = _warped(there, k, shape, x, y, w)
             if at[3]:
-                slopes = _slopes(there[k], at, gx, gy)
+                slopes = _slopes(there, k, at, gx, gy)
                 here = _ONE - _correlation(grey, begin, shape, at, slopes, weights, correlators, i)
                 if len(inverse_depths):
                     pixel = begin + int(at[1]) * (shape[1] + _MORE) + int(at[0])
                     known, pixels = inverse_depths[pixel], limit_px
                     if known > 0:
-                        home = _warped(back[k], shape, at[0], at[1], known)
+                        home = _warped(back, k, shape, at[0], at[1], known)
                         pixels = min(np.hypot(home[0] - x, home[1] - y), pixels)
                     here += weight * pixels
             # Costs so far, in ascending order.
@@ -238,27 +238,27 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
 
 
 @_compiled
-def _warped(matrix, shape, x, y, w):  # type: ignore[no-untyped-def]
-    """Warp a pixel as ``Warp`` does: u, v, z and whether it is in a picture of a shape."""
-    a = matrix[0, 0] * x + matrix[0, 1] * y + (matrix[0, 2] + matrix[0, 3] * w)
-    b = matrix[1, 0] * x + matrix[1, 1] * y + (matrix[1, 2] + matrix[1, 3] * w)
-    c = matrix[2, 0] * x + matrix[2, 1] * y + (matrix[2, 2] + matrix[2, 3] * w)
+def _warped(matrices, k, shape, x, y, w):  # type: ignore[no-untyped-def]
+    """Warp a pixel as ``Warp`` k does: u, v, z and whether it is in a picture of a shape."""
+    a = matrices[k, 0, 0] * x + matrices[k, 0, 1] * y + (matrices[k, 0, 2] + matrices[k, 0, 3] * w)
+    b = matrices[k, 1, 0] * x + matrices[k, 1, 1] * y + (matrices[k, 1, 2] + matrices[k, 1, 3] * w)
+    c = matrices[k, 2, 0] * x + matrices[k, 2, 1] * y + (matrices[k, 2, 2] + matrices[k, 2, 3] * w)
     z = max(c, _MIN_DEPTH)
     u, v = a / z, b / z
     return u, v, z, u > 0 and u < shape[1] and v > 0 and v < shape[0] and c > _MIN_DEPTH
 
 
 @_compiled
-def _slopes(matrix, at, gx, gy):  # type: ignore[no-untyped-def]
-    """Return the slopes of a warp as ``Warp.slopes`` does."""
+def _slopes(matrices, k, at, gx, gy):  # type: ignore[no-untyped-def]
+    """Return the slopes of warp k as ``Warp.slopes`` does."""
     u, v, z, _ = at
-    zx = matrix[2, 0] + matrix[2, 3] * gx
-    zy = matrix[2, 1] + matrix[2, 3] * gy
+    zx = matrices[k, 2, 0] + matrices[k, 2, 3] * gx
+    zy = matrices[k, 2, 1] + matrices[k, 2, 3] * gy
     return (
-        (matrix[0, 0] + matrix[0, 3] * gx - u * zx) / z,
-        (matrix[0, 1] + matrix[0, 3] * gy - u * zy) / z,
-        (matrix[1, 0] + matrix[1, 3] * gx - v * zx) / z,
-        (matrix[1, 1] + matrix[1, 3] * gy - v * zy) / z,
+        (matrices[k, 0, 0] + matrices[k, 0, 3] * gx - u * zx) / z,
+        (matrices[k, 0, 1] + matrices[k, 0, 3] * gy - u * zy) / z,
+        (matrices[k, 1, 0] + matrices[k, 1, 3] * gx - v * zx) / z,
+        (matrices[k, 1, 1] + matrices[k, 1, 3] * gy - v * zy) / z,
     )
 
 
