@@ -1,4 +1,4 @@
-"""The cost of ``dense.photometry`` in compiled loops, several times as fast on a processor.
+"""The cost of ``dense.photometry`` in compiled loops, for processors.
 
 A pixel is finished before the next begins, so that nothing but its cost is written, and sources are
 left out as soon as a plane cannot be the best any more. Costs differ by rounding alone.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -95,6 +96,8 @@ class CompiledPhotometry:
         inverse_depths: Sequence[Tensor] | None = None,
         options: CostOptions = DEFAULTS.search.cost,
     ) -> None:
+        self._threads = torch.get_num_threads()
+        self._pool = ThreadPoolExecutor(self._threads)
         self._padded = np.pad(reference.grey.numpy(), STEPS[-1], mode="edge")
         self._near = np.exp(-(_DX**2 + _DY**2) / _F(2 * options.sigma_px**2))
         self._sigma_grey = _F(options.sigma_grey)
@@ -123,7 +126,7 @@ class CompiledPhotometry:
         def fill(part: slice) -> None:
             _fill_windows(window.part(part), self._padded, self._near, self._sigma_grey)
 
-        _in_parts(fill, len(rows))
+        self._in_parts(fill, len(rows))
         return window
 
     def cost(self, window: CompiledWindow, planes: Tensor, below: Tensor | None = None) -> Tensor:
@@ -135,8 +138,17 @@ class CompiledPhotometry:
         def fill(part: slice) -> None:
             _fill_costs(window.part(part), values[:, part], least[part], self._sources, out[part])
 
-        _in_parts(fill, len(out))
+        self._in_parts(fill, len(out))
         return costs
+
+    def _in_parts(self, fill: Callable[[slice], None], count: int) -> None:
+        """Call a function with parts of a count, as many at once as torch has threads."""
+        ends = np.linspace(0, count, self._threads + 1).astype(int)
+        parts = [slice(begin, end) for begin, end in pairwise(ends)]
+        if len(parts) == 1:
+            fill(parts[0])
+        else:
+            list(self._pool.map(fill, parts))
 
 
 def _matrices(warps: Sequence[Warp]) -> NDArray[np.float32]:
@@ -148,18 +160,6 @@ def _joined(pictures: Sequence[Tensor]) -> NDArray[np.float32]:
     """Return the pixels of pictures of several sizes, one after the other, with ``_MORE``."""
     larger = (np.pad(each.numpy(), ((0, 1), (0, _MORE)), mode="edge") for each in pictures)
     return np.concatenate([np.empty(0, np.float32), *(each.ravel() for each in larger)])
-
-
-def _in_parts(fill: Callable[[slice], None], count: int) -> None:
-    """Call a function with parts of a count, as many at once as torch has threads."""
-    threads = torch.get_num_threads()
-    ends = np.linspace(0, count, threads + 1).astype(int)
-    parts = [slice(*ends[k : k + 2]) for k in range(threads)]
-    if threads == 1:
-        fill(parts[0])
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(fill, parts))
 
 
 @_compiled

@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--start", default="error=3m,5deg")
     parser.add_argument("--every", type=int, default=1, help="take every so many queries")
     parser.add_argument("--threads", type=int, default=1, help="above 1, by the clock")
-    parser.add_argument("--set", action="append", default=[], help="NAME=JSON of the configuration")
+    parser.add_argument("--set", action="append", default=[], help="KEY=VALUE of the configuration")
     parser.add_argument("--prepare", action="store_true")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -169,6 +169,7 @@ def _serve(given: argparse.Namespace) -> None:
 
     import torch
 
+    from benchmark.cli.arguments import parse_settings
     from benchmark.datasets.open import open_datasets
     from benchmark.registry import create
     from benchmark.starts import parse_start
@@ -178,8 +179,7 @@ def _serve(given: argparse.Namespace) -> None:
     seconds = time.process_time if given.threads == 1 else time.perf_counter
     (dataset,) = open_datasets(given.scene)
     sparse_map = dataset.load_map()
-    settings = {name: json.loads(value) for name, _, value in (s.partition("=") for s in given.set)}
-    method = create(given.method, _nested(settings))
+    method = create(given.method, parse_settings(given.set))
     load = parse_start(given.start).loader(dataset, sparse_map, given.cache)
 
     def faults() -> int:
@@ -212,18 +212,6 @@ def _serve(given: argparse.Namespace) -> None:
         print(json.dumps(answer), flush=True)
         if word == "end":
             return
-
-
-def _nested(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return settings by dotted names as nested tables."""
-    result: dict[str, Any] = {}
-    for name, value in settings.items():
-        *path, last = name.split(".")
-        table = result
-        for part in path:
-            table = table.setdefault(part, {})
-        table[last] = value
-    return result
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.maps import MapExtractor
 from baselines.sift import Sift
 from baselines.structure import StructureLocalizer
+from benchmark.cli.arguments import parse_settings
 from benchmark.registry import create
 from scene.geometry.camera import Camera
 from scene.localizer import Localizer, Prior, Query, Status
@@ -153,7 +154,7 @@ def queries(texture: NDArray[np.uint8], repetitions: int, count: int) -> list[Qu
     return made
 
 
-def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, str]) -> Localizer:
+def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, Any]) -> Localizer:
     """A method that knows the map, and has looked at the first hundred photographs alone."""
     localizer = create(method, options)
     if isinstance(localizer, StructureLocalizer):
@@ -187,7 +188,7 @@ class _Once:
         return found
 
 
-def measure(folder: Path, repetitions: int, method: str, options: dict[str, str]) -> dict[str, Any]:
+def measure(folder: Path, repetitions: int, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """What preparing and asking costs this process."""
     torch.set_num_threads(1)
     texture = ground()
@@ -224,7 +225,7 @@ def main() -> None:
     parser.add_argument("--set", nargs="*", default=["memory_mb=1024"], metavar="KEY=VALUE")
     parser.add_argument("--one", action="store_true", help="measure here, in this process")
     given = parser.parse_args()
-    options = dict(each.split("=", 1) for each in given.set)
+    options = parse_settings(given.set)
     if given.one:
         (count,) = given.photographs
         folder = given.folder / str(count)
