@@ -48,8 +48,8 @@ def keep_few_kernels() -> None:
 
     oneDNN, with which torch computes on processors, compiles each convolution for each size and
     keeps the last 1024: some 100 MB after fifty photographs that were turned by as many angles. To
-    compile some again takes 2 to 5 % of a query. The call must come before the first convolution of the
-    process; a number that the environment gives is left as it is.
+    compile some again takes 2 to 5 % of a query. The call must come before the first convolution of
+    the process; a number that the environment gives is left as it is.
     """
     os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", _KERNELS)
 
