@@ -18,6 +18,7 @@ from hypothesis import settings
 
 from mapping.build import build_map
 from scene.bundle.scene import Scene
+from scene.runtime.memory import keep_few_kernels
 from scene.storage.digests import FOLDER_VARIABLE
 from simulate.command import simulate
 from simulate.config import SimulateConfig
@@ -32,6 +33,8 @@ settings.load_profile("repeatable")
 
 # The tensors of the tests are small: on a busy machine threads cost more than they bring.
 torch.set_num_threads(1)
+# The first localizer with a network would do it, whichever test makes it.
+keep_few_kernels()
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
