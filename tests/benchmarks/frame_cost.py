@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from scene.bundle.frames import LAYERS, write_frames
 from simulate.command import _frames, _pack
@@ -50,6 +53,42 @@ def frame_cost(config: SimulateConfig) -> dict[str, float]:
     }
 
 
+def tried(config: SimulateConfig, settings: Sequence[str]) -> Iterator[str]:
+    """Yield a line for each setting: seconds of the picture alone, and how it differs without it.
+
+    A setting may consist of several, with blanks between them.
+    """
+    job = nadir_job(config, _FRAMES)
+    with tempfile.TemporaryDirectory() as scratch:
+        renderer = Renderer(job, Path(scratch) / "session")
+
+        def picture(frame: int, *setting: str) -> tuple[float, NDArray[np.float64]]:
+            took = renderer.ask("bare", frame, *setting)[0]
+            with Image.open(renderer.rendered / "bare.png") as shown:
+                return took, np.asarray(shown.convert("RGB"), float)
+
+        rows: dict[str, list[tuple[float, float, float]]] = {}
+        try:
+            renderer.ask("bare", 0)  # takes the scene in
+            for frame in range(_FRAMES):
+                _, usual = picture(frame)
+                for setting in ("", *settings):
+                    took, other = picture(frame, *setting.split())
+                    off = other - usual
+                    row = (took, float(np.abs(off).mean()), float((off**2).mean()))
+                    rows.setdefault(setting, []).append(row)
+        finally:
+            renderer.stop()
+    for setting, found in rows.items():
+        took, off, square = np.median(found, 0)
+        psnr = (
+            "none"
+            if square == 0
+            else f"{off:.2f} grey levels, {20 * np.log10(255 / square**0.5):.0f} dB"
+        )
+        yield f"| {setting or 'as it is'} | {took:.2f} | {psnr} |"
+
+
 def main() -> None:
     """Print the table."""
     words = argparse.ArgumentParser(description=__doc__)
@@ -58,11 +97,18 @@ def main() -> None:
     words.add_argument("--area", type=float, default=400)
     words.add_argument("--size", type=int, default=512)
     words.add_argument("--spp", type=int, default=4)
+    words.add_argument("--try", action="append", default=[], help="settings as cycles.samples=2")
     asked = vars(words.parse_args())
+    settings = asked.pop("try")
     session = {
         "condition": asked.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,
     }  # fmt: skip
     config = SimulateConfig.model_validate({"seed": 7, "sessions": [session], **asked})
+    if settings:
+        print("| | cpu-seconds | difference |\n|---|--:|---|")
+        for line in tried(config, settings):
+            print(line, flush=True)
+        return
     cost = frame_cost(config)
     print("| part of a frame | cpu-seconds |\n|---|---|")
     for part, seconds in cost.items():

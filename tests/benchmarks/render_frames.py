@@ -4,8 +4,10 @@ A line is a kind and the number of a frame. "bare": Blender renders and writes t
 nothing else. "ours": the frame with all its layers, as the generator writes it. Three more leave
 out of the bare picture, each what the one before still has: "raw" the denoiser, "flat" all light
 (every surface shines by itself: a ray ends where it hits first), "still" all pixels but a few (what
-is left is taking the scene in, and calling Blender). Answers with the processor seconds it took, of
-all threads, which a busy machine stretches less than seconds; and with the bytes held.
+is left is taking the scene in, and calling Blender). Settings of Blender's scene may follow, as
+cycles.max_bounces=1, for this frame alone. Pictures are OUT/bare.png. Answers with the processor
+seconds it took, of all threads, which a busy machine stretches less than seconds; and with the
+bytes held.
 """
 
 from __future__ import annotations
@@ -13,11 +15,15 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
+import yaml
 
 from scene.runtime.memory import resident_bytes
 from simulate.look.conditions import condition
@@ -42,24 +48,42 @@ def main(job_path: str, out: str) -> None:
     layer, rays, glow = scene.view_layers[0], pinhole_rays(job.camera), _glow()
     with tempfile.TemporaryDirectory() as scratch:
         for line in sys.stdin:
-            kind, number = line.split()
+            kind, number, *settings = line.split()
             ours = kind == "ours"
             layer.use_pass_z = layer.use_pass_normal = layer.use_pass_object_index = ours
             scene.cycles.use_denoising = kind in ("ours", "bare")
             layer.material_override = glow if kind in ("flat", "still") else None
             scene.render.resolution_percentage = 1 if kind == "still" else 100
             pose = np.array(job.poses[int(number)])
-            start = time.process_time()
-            if ours:
-                arrays = _render(pose, np.zeros(3), Path(scratch))
-                arrays["semantic"] = semantic_labels(
-                    world, rays, pose, np.zeros((len(rays), 3)), arrays
-                )
-                save_layers(frame_path(Path(out), int(number)), arrays)
-            else:
-                _render_picture(pose, Path(scratch))
-            took = time.process_time() - start
+            with _changed(scene, settings):
+                start = time.process_time()
+                if ours:
+                    arrays = _render(pose, np.zeros(3), Path(scratch))
+                    arrays["semantic"] = semantic_labels(
+                        world, rays, pose, np.zeros((len(rays), 3)), arrays
+                    )
+                    save_layers(frame_path(Path(out), int(number)), arrays)
+                else:
+                    _render_picture(pose, Path(out))
+                took = time.process_time() - start
             print(took, resident_bytes(), file=answers, flush=True)
+
+
+@contextmanager
+def _changed(scene: Any, settings: Sequence[str]) -> Iterator[None]:
+    """Change settings, each as path=value, and set them back."""
+    before = []
+    for setting in settings:
+        path, _, value = setting.partition("=")
+        *owners, name = path.split(".")
+        owner = reduce(getattr, owners, scene)
+        before.append((owner, name, getattr(owner, name)))
+        setattr(owner, name, yaml.safe_load(value))
+    try:
+        yield
+    finally:
+        for owner, name, value in reversed(before):
+            setattr(owner, name, value)
 
 
 def _glow() -> Any:

@@ -63,11 +63,11 @@ class Renderer:
             cwd=ROOT,
         )
 
-    def ask(self, kind: str, frame: int) -> tuple[float, int]:
+    def ask(self, kind: str, frame: int, *settings: str) -> tuple[float, int]:
         """Processor seconds of a frame, and bytes the process holds after it."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        print(kind, frame, file=self.process.stdin, flush=True)
+        print(kind, frame, *settings, file=self.process.stdin, flush=True)
         seconds, resident = self.process.stdout.readline().split()
         return float(seconds), int(resident)
 
