@@ -96,6 +96,8 @@ class CompiledPhotometry:
         inverse_depths: Sequence[Tensor] | None = None,
         options: CostOptions = DEFAULTS.search.cost,
     ) -> None:
+        # What is left for torch is so little that its threads would wait more than compute.
+        self.torch_threads = 1
         self._threads = torch.get_num_threads()
         self._pool = ThreadPoolExecutor(self._threads)
         self._padded = np.pad(reference.grey.numpy(), STEPS[-1], mode="edge")

@@ -9,7 +9,8 @@ points are tried again at every larger size, because small pictures lose objects
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
@@ -168,6 +169,10 @@ class _Search:
 
     def best_of(self, guesses: Sequence[Tensor]) -> Estimate:
         """Return the cheapest of several planes at each pixel, (3, H, W)."""
+        with _torch_threads(self._photometry.torch_threads):
+            return self._best_of(guesses)
+
+    def _best_of(self, guesses: Sequence[Tensor]) -> Estimate:
         planes = guesses[0].clone()
         cost = torch.empty(self._shape, device=self._device)
         for colour in self._colours:
@@ -182,6 +187,10 @@ class _Search:
 
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
         """Propagate and refine planes, ``rounds`` times over both colours."""
+        with _torch_threads(self._photometry.torch_threads):
+            return self._run(estimate, rounds, step)
+
+    def _run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
         step_px, step_slope = self._options.step_px, self._options.step_slope
         for k in range(rounds):
             for colour in self._colours:
@@ -224,6 +233,17 @@ def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
 
         return CompiledPhotometry
     return Photometry
+
+
+@contextmanager
+def _torch_threads(count: int) -> Iterator[None]:
+    """Have torch use so many threads meanwhile."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class _Best:

@@ -83,7 +83,13 @@ class Window(NamedTuple):
 
 
 class PlaneCosts(Protocol):
-    """Costs of planes at pixels of one reference view. Each implementation has its own windows."""
+    """Costs of planes at pixels of one reference view. Each implementation has its own windows.
+
+    Attributes:
+        torch_threads: threads of torch that are of use between the calls.
+    """
+
+    torch_threads: int
 
     def window(self, rows: Tensor, columns: Tensor) -> Any:
         """Return the windows around pixels (n,) of the reference."""
@@ -121,6 +127,7 @@ class Photometry:
         inverse_depths: Sequence[Tensor] | None = None,
         options: CostOptions = DEFAULTS.search.cost,
     ) -> None:
+        self.torch_threads = torch.get_num_threads()
         self._options = options
         self._grey = reference.grey
         self._sources = [source.grey[None, None] for source in sources]
