@@ -9,6 +9,20 @@ from pathlib import Path
 
 import pytest
 
+
+def printed(program: str, **environment: str) -> str:
+    """What a program prints in a process of its own."""
+    answer = subprocess.run(
+        [sys.executable, "-c", program],
+        check=True,
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+    )
+    return answer.stdout
+
+
 FREED = """
 import ctypes
 from scene.runtime.memory import resident_bytes, return_freed_above
@@ -33,14 +47,7 @@ print(held - resident_bytes())
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc keeps what is freed")
 def test_freed_memory_goes_back_above_a_bound() -> None:
-    answer = subprocess.run(
-        [sys.executable, "-c", FREED],
-        check=True,
-        cwd=Path(__file__).parents[3],
-        capture_output=True,
-        text=True,
-    )
-    below, above = map(int, answer.stdout.split())
+    below, above = map(int, printed(FREED).split())
     assert abs(below) < 20_000_000
     assert above > 150_000_000
 
@@ -64,16 +71,6 @@ print(resident_bytes() - before)
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc gives memory back")
 def test_few_kernels_are_kept() -> None:
-    def grown(**environment: str) -> int:
-        answer = subprocess.run(
-            [sys.executable, "-c", KERNELS],
-            check=True,
-            cwd=Path(__file__).parents[3],
-            capture_output=True,
-            text=True,
-            env={**os.environ, **environment},
-        )
-        return int(answer.stdout)
-
-    few, all_of_them = grown(), grown(ONEDNN_PRIMITIVE_CACHE_CAPACITY="1024")
+    few = int(printed(KERNELS))
+    all_of_them = int(printed(KERNELS, ONEDNN_PRIMITIVE_CACHE_CAPACITY="1024"))
     assert few < 0.7 * all_of_them, (few, all_of_them)
