@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-import baselines.sift
+import scene.colmap.sift
 from baselines.sift import SiftConfig, SiftLocalizer
 from scene.errors import InputError
 from scene.geometry.camera import Camera
@@ -93,7 +93,7 @@ def test_a_cached_preparation_extracts_nothing_and_answers_the_same(
     def refuse(*_: Any, **__: Any) -> None:
         pytest.fail("the features are in the cache")
 
-    monkeypatch.setattr(baselines.sift, "extract_sift", refuse)
+    monkeypatch.setattr(scene.colmap.sift, "extract_sift", refuse)
     again = SiftLocalizer(CONFIG)
     again.prepare(flight.sparse_map, flight.images, flight.cache)
     first = flight.localizer.localize(flight.queries[0])
@@ -115,7 +115,7 @@ def test_another_configuration_does_not_use_the_cache(
     def notice(*_: Any, **__: Any) -> None:
         raise ExtractedError
 
-    monkeypatch.setattr(baselines.sift, "extract_sift", notice)
+    monkeypatch.setattr(scene.colmap.sift, "extract_sift", notice)
     other = SiftLocalizer(SiftConfig(max_features=1999))
     with pytest.raises(ExtractedError):
         other.prepare(flight.sparse_map, flight.images, flight.cache)
