@@ -88,22 +88,29 @@ class SearchOptions(Config):
         3.0, gt=0, description="How far the alignment may turn a pose from matches."
     )
     covariance_factor: float = Field(
-        1.9,
+        1.7,
         gt=0,
         description="Factor on the covariance that the alignment measures where the query looks "
-        "wholly like the map. python -m tests.benchmarks.covariance finds this and the next two.",
+        "wholly like the map. python -m tests.benchmarks.covariance finds this and the next three.",
     )
     covariance_power: float = Field(
-        1.0,
+        0.8,
         ge=0,
         description="Power of the curvature, as a share of Gauss and Newton's, by which the "
         "covariance is divided: the share is less where the query looks less like the map.",
     )
     covariance_floor: float = Field(
-        9e-5,
+        1.85e-4,
         ge=0,
-        description="Standard deviation that errors of the map leave in any pose, per axis: "
-        "radians, and metres per metre to the points.",
+        description="Standard deviation, per axis, of what moves all points alike, as shadows do "
+        "when the sun moves: radians, and metres per metre to the points, at a fit of 1 more than "
+        "covariance_unchanged_fit.",
+    )
+    covariance_unchanged_fit: float = Field(
+        0.63,
+        ge=0,
+        description="Fit below which light and season are the map's, and nothing is added to the "
+        "covariance. The variance that is added grows with what the fit is above it.",
     )
     least_curvature: float = Field(
         0.25,

@@ -1,14 +1,15 @@
-"""The three numbers of the covariance of poses by alignment, from scenes, and what it is worth.
+"""The four numbers of the covariance of poses by alignment, from scenes, and what it is worth.
 
     python -m tests.benchmarks.covariance SCENE [SCENE ...] [--method objconnect]
         [--start error=3m,5deg] [--cache CACHE]
 
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
-queries of many conditions. ``covariance_factor``, ``covariance_power`` and ``covariance_floor``
+queries of many conditions. ``covariance_factor``, ``_power``, ``_floor`` and ``_unchanged_fit``
 make the errors most likely, if these follow a Student distribution of eight degrees of freedom;
-they are then scaled so that 95 % of the errors lie in the 95 % ellipsoid. Printed are the three,
-and for each condition the normalised errors squared (NEES) with them, with those that the method
-has now, and with the covariance as it is measured.
+they are then scaled so that 95 % of the errors lie in the 95 % ellipsoid. Printed are the four, and
+for each condition the normalised errors squared (NEES) with them, with those that the method has
+now, and with the covariance as it is measured; of several scenes, also the NEES of each with the
+numbers that the others give.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final, NamedTuple
 from unittest.mock import patch
@@ -47,6 +48,7 @@ class Numbers(NamedTuple):
     factor: float
     power: float
     floor: float
+    unchanged_fit: float
 
 
 @dataclass(frozen=True)
@@ -54,26 +56,35 @@ class Answers:
     """Accepted poses, N in all.
 
     Attributes:
+        scenes: of their queries.
         conditions: of their queries.
         errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
         covariances: (N, 6, 6) as the alignments measure them.
         curvature: (N,) of their costs, as shares of Gauss and Newton's.
         depth: (N,) metres to the points.
+        fit: (N,) cost as a share of the cost by chance.
         false: (N,) whether they are wrong by more than 5 m or 10 degrees.
     """
 
+    scenes: NDArray[np.str_]
     conditions: NDArray[np.str_]
     errors: NDArray[np.float64]
     covariances: NDArray[np.float64]
     curvature: NDArray[np.float64]
     depth: NDArray[np.float64]
+    fit: NDArray[np.float64]
     false: NDArray[np.bool_]
+
+    def __getitem__(self, which: NDArray[np.bool_]) -> Answers:
+        """Return some of the poses."""
+        return Answers(*(getattr(self, each.name)[which] for each in fields(self)))
 
     def calibrated(self, numbers: Numbers) -> NDArray[np.float64]:
         """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
         factor = numbers.factor * self.curvature**-numbers.power
-        floor = numbers.floor * np.repeat([np.ones_like(self.depth), self.depth], 3, axis=0).T
-        return factor[:, None, None] * self.covariances + floor[..., None] ** 2 * np.eye(6)
+        change = np.maximum(0, self.fit - numbers.unchanged_fit)
+        alike = numbers.floor**2 * np.repeat([change, change * self.depth**2], 3, axis=0).T
+        return factor[:, None, None] * self.covariances + alike[..., None] * np.eye(6)
 
     def nees(self, numbers: Numbers) -> NDArray[np.float64]:
         """Return the normalised errors squared (N,) with these numbers."""
@@ -90,11 +101,20 @@ def calibrate(answers: Answers) -> Numbers:
         tail = np.log1p(answers.nees(numbers) / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
         return float(volume + tail)
 
-    begin = np.log([2.0, 0.5, 1e-4])
+    begin = np.log([2.0, 0.5, 2e-4, 0.6])
     found = minimize(unlikeliness, begin, method="Nelder-Mead", options={"maxiter": 2000})
     numbers = Numbers(*np.exp(found.x).tolist())
     scale = float(np.quantile(answers.nees(numbers), 0.95)) / _CHI2_95
-    return Numbers(numbers.factor * scale, numbers.power, numbers.floor * scale**0.5)
+    return numbers._replace(factor=numbers.factor * scale, floor=numbers.floor * scale**0.5)
+
+
+def unseen_nees(answers: Answers) -> NDArray[np.float64]:
+    """Return the normalised errors squared (N,) with the numbers that the other scenes give."""
+    nees = np.empty(len(answers.scenes))
+    for scene in np.unique(answers.scenes):
+        unseen = answers.scenes == scene
+        nees[unseen] = answers[unseen].nees(calibrate(answers[~unseen]))
+    return nees
 
 
 def main() -> None:
@@ -114,15 +134,18 @@ def main() -> None:
     )
     options = create(given.method, {}).config.search
     found = calibrate(answers)
-    now = Numbers(options.covariance_factor, options.covariance_power, options.covariance_floor)
+    now = Numbers(*(getattr(options, f"covariance_{name}") for name in Numbers._fields))
     for name, value in found._asdict().items():
         print(f"covariance_{name} {value:.3g}")
-    for title, numbers in (("found", found), ("now", now), ("measured", Numbers(1.0, 0.0, 0.0))):
+    measured = Numbers(1.0, 0.0, 0.0, 0.0)
+    for title, numbers in (("found", found), ("now", now), ("measured", measured)):
         _table(title, answers, answers.nees(numbers))
+    if len(np.unique(answers.scenes)) > 1:
+        _table("found on the other scenes", answers, unseen_nees(answers))
 
 
-_Answer = tuple[str, Estimate, Attempt, Pose]
-"""Condition, estimate, what it is of, and the true pose."""
+_Answer = tuple[str, str, Estimate, Attempt, Pose]
+"""Scene, condition, estimate, what it is of, and the true pose."""
 
 
 def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterator[_Answer]:
@@ -145,29 +168,28 @@ def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterat
             last.clear()
             answer = localizer.localize(load(query))
             if answer.status is Status.OK and answer.covariance is not None and last:
-                yield query.condition, answer, last[0], query.reference
+                yield dataset.name, query.condition, answer, last[0], query.reference
             advance(done)
 
 
 def _together(answers: Iterable[_Answer]) -> Answers:
-    conditions, errors, covariances, curvature, depth, false = [], [], [], [], [], []
-    for condition, estimate, attempt, truth in answers:
+    columns: list[tuple[object, ...]] = []
+    for scene, condition, estimate, attempt, truth in answers:
         assert estimate.cam_from_world is not None and attempt.spread is not None
         metres, degrees = (float(each) for each in estimate.cam_from_world.error_to(truth))
-        conditions.append(condition)
-        errors.append((truth @ estimate.cam_from_world.inverse()).log().numpy())
-        covariances.append(estimate.covariance)
-        curvature.append(float(attempt.spread.curvature[0]))
-        depth.append(float(attempt.spread.depth[0]))
-        false.append(metres > 5 or degrees > 10)
-    return Answers(
-        np.array(conditions),
-        np.array(errors),
-        np.array(covariances),
-        np.array(curvature),
-        np.array(depth),
-        np.array(false),
-    )
+        columns.append(
+            (
+                scene,
+                condition,
+                (truth @ estimate.cam_from_world.inverse()).log().numpy(),
+                estimate.covariance,
+                float(attempt.spread.curvature[0]),
+                float(attempt.spread.depth[0]),
+                attempt.fit,
+                metres > 5 or degrees > 10,
+            )
+        )
+    return Answers(*(np.array(column) for column in zip(*columns, strict=True)))
 
 
 def _table(title: str, answers: Answers, nees: NDArray[np.float64]) -> None:

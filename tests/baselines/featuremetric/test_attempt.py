@@ -1,0 +1,64 @@
+"""The covariance that an accepted pose is answered with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from baselines.align.aligner import Alignment
+from baselines.align.covariance import Spread
+from baselines.featuremetric.attempt import Attempt, calibrated
+from baselines.featuremetric.options import SearchOptions
+from baselines.views import warp_image
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+
+OPTIONS = SearchOptions(
+    covariance_factor=2.0,
+    covariance_power=1.0,
+    covariance_floor=1e-3,
+    covariance_unchanged_fit=0.6,
+)
+CAMERA = Camera.parse(["PINHOLE", "64", "64", "60", "60", "32", "32"])
+DEPTH = 50.0
+
+
+def attempt(measured: float, curvature: float, fit: float) -> Attempt:
+    """An attempt of which the alignment measured the same variance along each axis."""
+    one = torch.ones(1, dtype=torch.float64)
+    pose = Pose(torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64))
+    covariance = measured * torch.eye(6, dtype=torch.float64)[None]
+    view = warp_image(np.zeros((64, 64, 3), np.uint8), CAMERA)
+    alignment = Alignment(pose, (pose,), covariance, one, one, one, torch.zeros(1))
+    spread = Spread(covariance, curvature * one, DEPTH * one)
+    return Attempt(view, alignment, spread, fit, "")
+
+
+def variances(tried: Attempt, options: SearchOptions = OPTIONS) -> NDArray[np.float64]:
+    covariance = calibrated(tried, options)
+    assert covariance is not None
+    assert np.count_nonzero(covariance - np.diag(covariance.diagonal())) == 0
+    return covariance.diagonal()
+
+
+def test_a_pose_is_less_sure_where_less_of_the_query_is_found_again() -> None:
+    np.testing.assert_allclose(variances(attempt(1e-4, 0.5, 0.0)), 2.0 / 0.5 * 1e-4)
+
+
+@pytest.mark.parametrize(("fit", "change"), [(0.4, 0.0), (0.6, 0.0), (0.7, 0.1), (0.9, 0.3)])
+def test_what_moves_all_points_alike_is_more_where_the_fit_is_worse(
+    fit: float, change: float
+) -> None:
+    added = variances(attempt(0.0, 1.0, fit))
+    np.testing.assert_allclose(added[:3], change * 1e-3**2, atol=1e-15)
+    np.testing.assert_allclose(added[3:], change * (DEPTH * 1e-3) ** 2, atol=1e-12)
+
+
+def test_points_that_do_not_tell_the_pose_give_no_covariance() -> None:
+    unknown = attempt(float("inf"), 1.0, 0.5)
+    assert calibrated(unknown, OPTIONS) is None
+    assert calibrated(replace(unknown, spread=None), OPTIONS) is None
