@@ -67,11 +67,13 @@ class Spread:
         curvature: (B,) geometric mean of the curvature of the cost over six directions, as a share
             of Gauss and Newton's, at most 1; 0 where the points do not determine a pose.
         depth: (B,) median depth of the points in view, metres; zero without any.
+        patches: (B,) number of patches of the picture with points in view.
     """
 
     covariance: Tensor
     curvature: Tensor
     depth: Tensor
+    patches: Tensor
 
 
 def spread(problem: Problem, aligned: Pose) -> Spread:
@@ -109,6 +111,7 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
         torch.where(known, measured, first),
         torch.where(known[:, 0, 0], values.log().mean(-1).exp(), 0),
         depth.nanmedian(-1).values.nan_to_num(),
+        _by_patch(around, around.pull, patch)[1],
     )
 
 

@@ -131,7 +131,9 @@ def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] 
     """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
 
     What the alignment measures grows by ``covariance_factor / curvature**covariance_power``: the
-    less of what the query shows is found again, the less is the rest believed. What moves all
+    less of what the query shows is found again, the less is the rest believed. It grows, too, by
+    ``(100 / patches)**covariance_patches_power``: clustered estimates from few clusters are too
+    small (Cameron and Miller, Journal of Human Resources 2015). What moves all
     points alike, such as shadows when the sun moves, cannot be seen in their residuals. A variance
     is added for it, in proportion to what the fit is above ``covariance_unchanged_fit``.
     """
@@ -142,6 +144,7 @@ def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] 
         return None
     share, depth = float(attempt.spread.curvature[0]), float(attempt.spread.depth[0])
     factor = options.covariance_factor * share**-options.covariance_power
+    factor *= (float(attempt.spread.patches[0]) / 100) ** -options.covariance_patches_power
     change = max(0.0, attempt.fit - options.covariance_unchanged_fit)
     variance = change * (options.covariance_floor * np.repeat([1.0, depth], 3)) ** 2
     return attempt.view.photograph_covariance(factor * measured + np.diag(variance))

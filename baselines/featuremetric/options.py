@@ -88,19 +88,26 @@ class SearchOptions(Config):
         3.0, gt=0, description="How far the alignment may turn a pose from matches."
     )
     covariance_factor: float = Field(
-        1.7,
+        2.25,
         gt=0,
         description="Factor on the covariance that the alignment measures where the query looks "
-        "wholly like the map. python -m tests.benchmarks.covariance finds this and the next three.",
+        "wholly like the map, from 100 patches of it. python -m tests.benchmarks.covariance finds "
+        "this and the next four.",
+    )
+    covariance_patches_power: float = Field(
+        0.2,
+        ge=0,
+        description="Power of the number of patches, as a share of 100, by which the covariance is "
+        "divided: it is measured too small from few of them.",
     )
     covariance_power: float = Field(
-        0.8,
+        0.6,
         ge=0,
         description="Power of the curvature, as a share of Gauss and Newton's, by which the "
         "covariance is divided: the share is less where the query looks less like the map.",
     )
     covariance_floor: float = Field(
-        1.85e-4,
+        1.9e-4,
         ge=0,
         description="Standard deviation, per axis, of what moves all points alike, as shadows do "
         "when the sun moves: radians, and metres per metre to the points, at a fit of 1 more than "
@@ -113,7 +120,7 @@ class SearchOptions(Config):
         "covariance. The variance that is added grows with what the fit is above it.",
     )
     least_curvature: float = Field(
-        0.25,
+        0.4,
         ge=0,
         description="A pose is not accepted where the share is below this.",
     )

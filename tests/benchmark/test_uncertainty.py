@@ -103,8 +103,9 @@ def made_answers(numbers: Numbers, seed: int, count: int = 2000) -> Answers:
     blank = np.zeros((count, 6))
     false = np.zeros(count, bool)
     names = np.full(count, "snow")
+    patches = rng.uniform(50, 500, count)
     curvature, fit = rng.uniform(0.25, 1, count), rng.uniform(0.5, 0.9, count)
-    known = Answers(names, names, blank, covariances, curvature, depth, fit, false)
+    known = Answers(names, names, blank, covariances, patches, curvature, depth, fit, false)
     lower = np.linalg.cholesky(known.calibrated(numbers))
     # Student's distribution of eight degrees of freedom, of this covariance.
     tails = np.sqrt(6 / rng.chisquare(8, count))
@@ -112,9 +113,12 @@ def made_answers(numbers: Numbers, seed: int, count: int = 2000) -> Answers:
     return replace(known, errors=errors)
 
 
-@pytest.mark.parametrize("planted", [Numbers(2.0, 1.0, 3e-4, 0.6), Numbers(3.0, 0.3, 6e-4, 0.7)])
+@pytest.mark.parametrize(
+    "planted", [Numbers(2.0, 0.2, 1.0, 3e-4, 0.6), Numbers(3.0, 0.5, 0.3, 6e-4, 0.7)]
+)
 def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
     found = calibrate(made_answers(planted, seed=1, count=4000))
+    assert found.patches_power == pytest.approx(planted.patches_power, abs=0.1)
     assert found.power == pytest.approx(planted.power, abs=0.1)
     # 95 % of the errors of such tails are in an ellipsoid that is larger by what is known of them.
     scale = 6 * f.ppf(0.95, 6, 8) * (6 / 8) / _CHI2_95
@@ -125,7 +129,7 @@ def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
 
 @pytest.mark.parametrize(("wrong", "holds"), [(1.0, True), (2.0, False), (0.5, False)])
 def test_calibrated_covariances_hold_where_they_were_not_chosen(wrong: float, holds: bool) -> None:
-    planted = Numbers(2.0, 1.0, 3e-4, 0.6)
+    planted = Numbers(2.0, 0.2, 1.0, 3e-4, 0.6)
     found = calibrate(made_answers(planted, seed=1))
     off = found._replace(factor=found.factor * wrong, floor=found.floor * wrong**0.5)
     unseen = made_answers(planted, seed=2).nees(off)

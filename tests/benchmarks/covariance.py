@@ -1,15 +1,15 @@
-"""The four numbers of the covariance of poses by alignment, from scenes, and what it is worth.
+"""The five numbers of the covariance of poses by alignment, from scenes, and what it is worth.
 
     python -m tests.benchmarks.covariance SCENE [SCENE ...] [--method objconnect]
         [--start error=3m,5deg] [--cache CACHE]
 
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
-queries of many conditions. ``covariance_factor``, ``_power``, ``_floor`` and ``_unchanged_fit``
-make the errors most likely, if these follow a Student distribution of eight degrees of freedom;
-they are then scaled so that 95 % of the errors lie in the 95 % ellipsoid. Printed are the four, and
-for each condition the normalised errors squared (NEES) with them, with those that the method has
-now, and with the covariance as it is measured; of several scenes, also the NEES of each with the
-numbers that the others give.
+queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_power``, ``_floor`` and
+``_unchanged_fit`` make the errors most likely, if these follow a Student distribution of eight
+degrees of freedom; they are then scaled so that 95 % of the errors lie in the 95 % ellipsoid.
+Printed are the five, and for each condition the normalised errors squared (NEES) with them, with
+those that the method has now, and with the covariance as it is measured; of several scenes, also
+the NEES of each with the numbers that the others give.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ class Numbers(NamedTuple):
     """The options of ``SearchOptions`` of the same names, without ``covariance_``."""
 
     factor: float
+    patches_power: float
     power: float
     floor: float
     unchanged_fit: float
@@ -60,6 +61,7 @@ class Answers:
         conditions: of their queries.
         errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
         covariances: (N, 6, 6) as the alignments measure them.
+        patches: (N,) of the picture with points in view.
         curvature: (N,) of their costs, as shares of Gauss and Newton's.
         depth: (N,) metres to the points.
         fit: (N,) cost as a share of the cost by chance.
@@ -70,6 +72,7 @@ class Answers:
     conditions: NDArray[np.str_]
     errors: NDArray[np.float64]
     covariances: NDArray[np.float64]
+    patches: NDArray[np.float64]
     curvature: NDArray[np.float64]
     depth: NDArray[np.float64]
     fit: NDArray[np.float64]
@@ -81,7 +84,8 @@ class Answers:
 
     def calibrated(self, numbers: Numbers) -> NDArray[np.float64]:
         """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
-        factor = numbers.factor * self.curvature**-numbers.power
+        factor = numbers.factor * (self.patches / 100) ** -numbers.patches_power
+        factor *= self.curvature**-numbers.power
         change = np.maximum(0, self.fit - numbers.unchanged_fit)
         alike = numbers.floor**2 * np.repeat([change, change * self.depth**2], 3, axis=0).T
         return factor[:, None, None] * self.covariances + alike[..., None] * np.eye(6)
@@ -101,7 +105,7 @@ def calibrate(answers: Answers) -> Numbers:
         tail = np.log1p(answers.nees(numbers) / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
         return float(volume + tail)
 
-    begin = np.log([2.0, 0.5, 2e-4, 0.6])
+    begin = np.log([2.0, 0.3, 0.5, 2e-4, 0.6])
     found = minimize(unlikeliness, begin, method="Nelder-Mead", options={"maxiter": 2000})
     numbers = Numbers(*np.exp(found.x).tolist())
     scale = float(np.quantile(answers.nees(numbers), 0.95)) / _CHI2_95
@@ -137,7 +141,7 @@ def main() -> None:
     now = Numbers(*(getattr(options, f"covariance_{name}") for name in Numbers._fields))
     for name, value in found._asdict().items():
         print(f"covariance_{name} {value:.3g}")
-    measured = Numbers(1.0, 0.0, 0.0, 0.0)
+    measured = Numbers(1.0, 0.0, 0.0, 0.0, 0.0)
     for title, numbers in (("found", found), ("now", now), ("measured", measured)):
         _table(title, answers, answers.nees(numbers))
     if len(np.unique(answers.scenes)) > 1:
@@ -157,7 +161,12 @@ def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterat
 
     def measured(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
         last[:] = [attempt]
-        plain = {"covariance_factor": 1.0, "covariance_power": 0.0, "covariance_floor": 0.0}
+        plain = {
+            "covariance_factor": 1.0,
+            "covariance_patches_power": 0.0,
+            "covariance_power": 0.0,
+            "covariance_floor": 0.0,
+        }
         return calibrated(attempt, options.model_copy(update=plain))
 
     with (
@@ -183,6 +192,7 @@ def _together(answers: Iterable[_Answer]) -> Answers:
                 condition,
                 (truth @ estimate.cam_from_world.inverse()).log().numpy(),
                 estimate.covariance,
+                float(attempt.spread.patches[0]),
                 float(attempt.spread.curvature[0]),
                 float(attempt.spread.depth[0]),
                 attempt.fit,

@@ -19,6 +19,7 @@ from scene.geometry.pose import Pose
 
 OPTIONS = SearchOptions(
     covariance_factor=2.0,
+    covariance_patches_power=0.5,
     covariance_power=1.0,
     covariance_floor=1e-3,
     covariance_unchanged_fit=0.6,
@@ -27,14 +28,14 @@ CAMERA = Camera.parse(["PINHOLE", "64", "64", "60", "60", "32", "32"])
 DEPTH = 50.0
 
 
-def attempt(measured: float, curvature: float, fit: float) -> Attempt:
+def attempt(measured: float, curvature: float, fit: float, patches: float = 100) -> Attempt:
     """An attempt of which the alignment measured the same variance along each axis."""
     one = torch.ones(1, dtype=torch.float64)
     pose = Pose(torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64))
     covariance = measured * torch.eye(6, dtype=torch.float64)[None]
     view = warp_image(np.zeros((64, 64, 3), np.uint8), CAMERA)
     alignment = Alignment(pose, (pose,), covariance, one, one, one, torch.zeros(1))
-    spread = Spread(covariance, curvature * one, DEPTH * one)
+    spread = Spread(covariance, curvature * one, DEPTH * one, patches * one)
     return Attempt(view, alignment, spread, fit, "")
 
 
@@ -47,6 +48,10 @@ def variances(tried: Attempt, options: SearchOptions = OPTIONS) -> NDArray[np.fl
 
 def test_a_pose_is_less_sure_where_less_of_the_query_is_found_again() -> None:
     np.testing.assert_allclose(variances(attempt(1e-4, 0.5, 0.0)), 2.0 / 0.5 * 1e-4)
+
+
+def test_a_pose_is_less_sure_from_fewer_patches() -> None:
+    np.testing.assert_allclose(variances(attempt(1e-4, 1.0, 0.0, patches=25)), 2.0 * 2 * 1e-4)
 
 
 @pytest.mark.parametrize(("fit", "change"), [(0.4, 0.0), (0.6, 0.0), (0.7, 0.1), (0.9, 0.3)])
