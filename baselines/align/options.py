@@ -131,6 +131,18 @@ class HypothesisOptions(Config):
         256, ge=1, description="Cells of the finest level that the cost by chance is taken from."
     )
 
+    def times(self, factor: int) -> HypothesisOptions:
+        """Return options by which so many times the starts, all at once, and points are tried."""
+        refined = factor * self.refined
+        return self.model_copy(
+            update={
+                "refined": refined,
+                "first_refined": refined + 1,
+                "finalists": factor * self.finalists,
+                "coarse_points": factor * self.coarse_points,
+            }
+        )
+
 
 @dataclass(frozen=True)
 class SearchRadius:

@@ -169,6 +169,23 @@ class FeaturemetricLocalizer:
         begin: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
+        """Try starts; around a known pose, where none is accepted, once more and thoroughly."""
+        options = self.config.search
+        attempts = self._tried(self._refine, query, chosen, begin, clock)
+        more = self.config.multistart and options.again > 1 and says_all(query.prior)
+        if more and all(each.reason for each in attempts):
+            thorough = self._refine.searching(options.times(options.again))
+            attempts += self._tried(thorough, query, chosen, begin, clock)
+        return attempts
+
+    def _tried(
+        self,
+        refine: Refiner,
+        query: Query,
+        chosen: NDArray[np.int64],
+        begin: Sequence[Pose],
+        clock: Stopwatch,
+    ) -> list[Attempt]:
         """Try starts place by place, until the fit of one is good enough to stop.
 
         Where there were several starts, the image is then aligned once more from the best pose:
@@ -179,11 +196,11 @@ class FeaturemetricLocalizer:
         attempts: list[Attempt] = []
         by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
         for _, at_place in by_place:
-            attempts += [self._refine(query, chosen, start, clock, radius) for start in at_place]
+            attempts += [refine(query, chosen, start, clock, radius) for start in at_place]
             best = min(attempts, key=lambda attempt: attempt.fit)
             if best.fit < options.stop_fit:
                 if len(begin) > 1:
-                    attempts.append(self._refine.near(query, best.pose, clock))
+                    attempts.append(refine.near(query, best.pose, clock))
                 break
         return attempts
 

@@ -148,6 +148,21 @@ class SearchOptions(Config):
     hypotheses: HypothesisOptions = Field(
         HypothesisOptions(), description="How poses around a start are placed and refined."
     )
+    again: int = Field(
+        2,
+        ge=1,
+        description="Where no pose around a prior is accepted, the search begins again with so "
+        "many times the hypotheses and compared points; 1 for not.",
+    )
+
+    def times(self, factor: int) -> SearchOptions:
+        """Return options of a search with so many times the hypotheses and compared points."""
+        return self.model_copy(
+            update={
+                "compared_points": factor * self.compared_points,
+                "hypotheses": self.hypotheses.times(factor),
+            }
+        )
 
 
 class TrackingOptions(Config):

@@ -13,7 +13,7 @@ from baselines.align.hypotheses import align_from_many
 from baselines.align.options import SearchRadius
 from baselines.featuremetric.attempt import Attempt, Found, judged, photograph_pose
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
-from baselines.featuremetric.options import FeaturemetricConfig
+from baselines.featuremetric.options import FeaturemetricConfig, SearchOptions
 from baselines.featuremetric.priors import default_radius, known_pose, says_where
 from baselines.featuremetric.problem import ProblemBuilder
 from baselines.retrieval import References
@@ -82,6 +82,10 @@ class Refiner:
             found = self._realigned(query, maps, found, clock)
         with clock.stage("alignment"):
             return judged(found, options)
+
+    def searching(self, options: SearchOptions) -> Refiner:
+        """Return a refiner with other options of the search."""
+        return replace(self, config=self.config.model_copy(update={"search": options}))
 
     def near(
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius | None = None

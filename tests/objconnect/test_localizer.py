@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from baselines.featuremetric.attempt import Attempt
+from baselines.featuremetric.localizer import FeaturemetricLocalizer
+from baselines.featuremetric.refiner import Refiner
 from benchmark.registry import create
 from scene.geometry.pose import Pose
 from scene.localizer import Localizer, Prior, Query, Status
@@ -18,9 +23,10 @@ TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
 
 
 @pytest.fixture(scope="module")
-def localizer(tmp_path_factory: pytest.TempPathFactory) -> Localizer:
+def localizer(tmp_path_factory: pytest.TempPathFactory) -> FeaturemetricLocalizer:
     images = tmp_path_factory.mktemp("map") / "images"
     made = create("objconnect", {})
+    assert isinstance(made, FeaturemetricLocalizer)
     made.prepare(write_map(images), images)
     return made
 
@@ -46,16 +52,40 @@ def test_a_start_beyond_the_reach_of_one_alignment(localizer: Localizer) -> None
     assert metres < 0.2 and degrees < 0.5
 
 
-def test_a_picture_of_something_else_is_no_fix(localizer: Localizer) -> None:
+def something_else() -> Query:
     """Patches of the ground in another order: as much to see, and nothing where it should be."""
     patches = photograph(TRUTH).reshape(6, 32, 8, 32, 3).swapaxes(1, 2).reshape(48, 32, 32, 3)
     mixed = np.random.default_rng(0).permutation(patches).reshape(6, 8, 32, 32, 3)
     image = mixed.swapaxes(1, 2).reshape(192, 256, 3)
     start = looking_down(8.9, -0.1, (0.5, 0.0, 3.0))
     prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
-    estimate = localizer.localize(Query("query.png", image, CAMERA, prior))
+    return Query("query.png", image, CAMERA, prior)
+
+
+def test_a_picture_of_something_else_is_no_fix(localizer: Localizer) -> None:
+    estimate = localizer.localize(something_else())
     assert estimate.status is Status.FALLBACK
     assert "hardly better than it would by chance" in estimate.reason
+
+
+@pytest.mark.parametrize(("again", "tried"), [(1, [8]), (3, [8, 24])])
+def test_where_no_pose_is_accepted_more_are_tried(
+    localizer: FeaturemetricLocalizer, monkeypatch: pytest.MonkeyPatch, again: int, tried: list[int]
+) -> None:
+    search, numbers = localizer.config.search, []
+    refine = Refiner.__call__
+
+    def watched(self: Refiner, *arguments: Any) -> Attempt:
+        numbers.append(self.config.search.hypotheses.refined)
+        return refine(self, *arguments)
+
+    monkeypatch.setattr(Refiner, "__call__", watched)
+    options = {"search": search.model_copy(update={"again": again})}
+    monkeypatch.setattr(localizer, "config", localizer.config.model_copy(update=options))
+    localizer.localize(something_else())
+    assert numbers == tried
+    localizer.localize(replace(something_else(), image=photograph(TRUTH)))
+    assert numbers == [*tried, 8]
 
 
 def test_without_an_attitude(localizer: Localizer) -> None:
