@@ -21,9 +21,7 @@ _POSE_IN_PATCHES = 3
 _ANY_TURN = math.pi**2
 
 
-def covariance(
-    around: Linearisation, patch_cells: float, curvature: Tensor | None = None
-) -> Tensor:
+def covariance(around: Linearisation, patch_cells: float) -> Tensor:
     """Covariance (M, 6, 6) of poses at the minimum of their cost, in double precision.
 
     Huber's sandwich H^-1 (sum of p p^T) H^-1, with p the pull of each patch of the picture on the
@@ -36,11 +34,19 @@ def covariance(
     Args:
         around: the cost at the M poses.
         patch_cells: side of the square patches, cells of the level.
-        curvature: H (M, 6, 6), the second derivatives of half the summed cost; None for those of
-            Gauss and Newton, which are right where residuals are small.
     """
-    H = (around.hessian if curvature is None else curvature).detach().double()
-    pull, count = _by_patch(around, around.pull.detach().double(), patch_cells)
+    return _sandwich(around.hessian.detach().double(), *_by_patch(around, patch_cells))
+
+
+def _sandwich(H: Tensor, pull: Tensor, count: Tensor) -> Tensor:
+    """Return covariances (M, 6, 6) as ``covariance`` does.
+
+    Args:
+        H: (M, 6, 6) second derivatives of half the summed cost. Those of Gauss and Newton are right
+            where residuals are small.
+        pull: (M, P, 6) of each patch.
+        count: (M,) patches with points.
+    """
     enough = count > _POSE_IN_PATCHES
     factor, info = torch.linalg.cholesky_ex(H)
     determined = enough & (info == 0)
@@ -90,13 +96,15 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     """
     options, local = problem.options, Local.of(problem.starting_at(aligned))
     cost = local.cost(problem.levels[-1], options)
-    around, patch = cost.linearise(local.start), options.covariance_patch_cells
+    around = cost.linearise(local.start)
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2].double()
     depth = torch.where(around.seen, depth, torch.nan)
-    first = covariance(around, patch)
+    pull, patches = _by_patch(around, options.covariance_patch_cells)
+    hessian = around.hessian.detach().double()
+    first = _sandwich(hessian, pull, patches)
     known = (local.finite & first.isfinite().flatten(1).all(-1))[:, None, None]
     eye = torch.eye(6).to(first)
-    lower = torch.linalg.cholesky(torch.where(known, around.hessian.detach().double(), eye))
+    lower = torch.linalg.cholesky(torch.where(known, hessian, eye))
     axes = torch.linalg.inv(lower)  # a row for each direction
     variance = lower.transpose(-1, -2) @ torch.where(known, first, eye) @ lower
     length = options.curvature_sigmas * variance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
@@ -106,12 +114,12 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     values, vectors = torch.linalg.eigh(0.5 * (share + share.transpose(-1, -2)).nan_to_num())
     values = values.clamp(options.least_curvature, 1)
     root = lower @ vectors * values.sqrt()[:, None]
-    measured = covariance(around, patch, root @ root.transpose(-1, -2))
+    measured = _sandwich(root @ root.transpose(-1, -2), pull, patches)
     return Spread(
         torch.where(known, measured, first),
         torch.where(known[:, 0, 0], values.log().mean(-1).exp(), 0),
         depth.nanmedian(-1).values.nan_to_num(),
-        _by_patch(around, around.pull, patch)[1],
+        patches,
     )
 
 
@@ -122,8 +130,9 @@ def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:
     return cost.rows(owner).linearise(shifted).gradient.double().view_as(steps)
 
 
-def _by_patch(around: Linearisation, pull: Tensor, side: float) -> tuple[Tensor, Tensor]:
+def _by_patch(around: Linearisation, side: float) -> tuple[Tensor, Tensor]:
     """Sum pulls over square patches, (M, P, 6), and count the patches with points, (M,)."""
+    pull = around.pull.detach().double()
     patch = torch.where(around.seen[..., None], around.cells, 0).div(side).floor().long()
     wide = int(patch[..., 0].max()) + 1 if patch.numel() else 1
     high = int(patch[..., 1].max()) + 1 if patch.numel() else 1

@@ -133,9 +133,9 @@ def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] 
     What the alignment measures grows by ``covariance_factor / curvature**covariance_power``: the
     less of what the query shows is found again, the less is the rest believed. It grows, too, by
     ``(100 / patches)**covariance_patches_power``: clustered estimates from few clusters are too
-    small (Cameron and Miller, Journal of Human Resources 2015). What moves all
-    points alike, such as shadows when the sun moves, cannot be seen in their residuals. A variance
-    is added for it, in proportion to what the fit is above ``covariance_unchanged_fit``.
+    small (Cameron and Miller, Journal of Human Resources 2015). What moves all points alike, such
+    as shadows when the sun moves, cannot be seen in their residuals. A variance is added for it, in
+    proportion to what the fit is above ``covariance_unchanged_fit``.
     """
     if attempt.spread is None:
         return None
