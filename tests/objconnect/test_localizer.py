@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +15,7 @@ from benchmark.registry import create
 from scene.geometry.pose import Pose
 from scene.localizer import Localizer, Prior, Query, Status
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
+from tests.programs import printed
 
 TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
 
@@ -103,8 +101,4 @@ def test_pycolmap_is_not_imported_before_it_is_needed() -> None:
     """It takes 60 MB, and a query with a prior needs nothing of it."""
     code = "from benchmark.registry import create; import sys; create('objconnect', {})\n"
     code += "print('pycolmap' in sys.modules)"
-    root = Path(__file__).parents[2]
-    answer = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=root
-    )
-    assert answer.stdout.strip() == "False"
+    assert printed(code).strip() == "False"

@@ -2,26 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-
-def printed(program: str, **environment: str) -> str:
-    """What a program prints in a process of its own."""
-    answer = subprocess.run(
-        [sys.executable, "-c", program],
-        check=True,
-        cwd=Path(__file__).parents[3],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-    )
-    return answer.stdout
-
+from tests.programs import printed
 
 FREED = """
 import ctypes

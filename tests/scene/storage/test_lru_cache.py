@@ -1,14 +1,11 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from scene.storage.lru_cache import LruCache
+from tests.programs import printed
 
 
 def test_the_last_used_stay_within_the_bound() -> None:
@@ -47,14 +44,7 @@ print(room(1))
 
 def test_half_of_what_is_left_below_a_bound_is_for_values() -> None:
     """In a process that does nothing else: what other tests let go may leave memory meanwhile."""
-    answer = subprocess.run(
-        [sys.executable, "-c", ROOM],
-        check=True,
-        cwd=Path(__file__).parents[3],
-        capture_output=True,
-        text=True,
-    )
-    at_first, with_less, without = map(float, answer.stdout.split())
+    at_first, with_less, without = map(float, printed(ROOM).split())
     assert at_first == pytest.approx(100, abs=10)
     # What is taken meanwhile is not there any more.
     assert with_less == pytest.approx(50, abs=10)
