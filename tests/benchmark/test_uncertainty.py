@@ -123,7 +123,7 @@ def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
     # 95 % of the errors of such tails are in an ellipsoid that is larger by what is known of them.
     scale = 6 * f.ppf(0.95, 6, 8) * (6 / 8) / _CHI2_95
     assert found.factor == pytest.approx(scale * planted.factor, rel=0.1)
-    assert found.floor == pytest.approx(scale**0.5 * planted.floor, rel=0.2)
+    assert found.floor == pytest.approx(scale**0.5 * planted.floor, rel=0.1)
     assert found.unchanged_fit == pytest.approx(planted.unchanged_fit, abs=0.05)
 
 
