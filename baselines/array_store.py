@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import h5py
 import numpy as np
@@ -16,24 +17,42 @@ from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, dataset
 
-Add = Callable[[Mapping[str, NDArray[Any]]], None]
+Arrays = Mapping[str, NDArray[Any]]
+"""Arrays of one photograph, by name; all have the same number of rows."""
+
+
+class Add(Protocol):
+    """Adds the arrays of the next photograph to a file."""
+
+    def __call__(self, parts: Arrays, key: str = "") -> None:
+        """Add arrays; ``key`` says what they were made of, as ``key_of`` returns it."""
+        ...
+
+
+def key_of(*parts: object) -> str:
+    """Return a digest of all that something was made of: of the bytes of arrays, else of text."""
+    sha256 = hashlib.sha256()
+    for part in parts:
+        array = isinstance(part, np.ndarray)
+        data = np.ascontiguousarray(part).tobytes() if array else str(part).encode()
+        sha256.update(f"{len(data)} ".encode() + data)
+    return sha256.hexdigest()
 
 
 @contextmanager
 def written_store(path: Path, **attributes: float) -> Iterator[Add]:
     """Write a file of arrays; yield a function that adds the arrays of the next photograph.
 
-    The arrays of a photograph have names and the same number of rows. The file appears only when it
-    is complete.
+    The file appears only when it is complete.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    ends = [0]
+    ends, keys = [0], []
     with atomic_write(path) as partial, h5py.File(partial, "w") as file:
         file.attrs.update(attributes)
 
-        def add(parts: Mapping[str, NDArray[Any]]) -> None:
+        def add(parts: Arrays, key: str = "") -> None:
             for name, values in parts.items():
                 # An empty array may have another number of columns.
                 if name in file and not len(file[name]) and len(values):
@@ -45,9 +64,12 @@ def written_store(path: Path, **attributes: float) -> Iterator[Add]:
                     file[name].resize(ends[-1] + len(values), axis=0)
                     file[name][ends[-1] :] = values
             ends.append(ends[-1] + len(values))
+            keys.append(key.encode())
 
         yield add
         file["ends"] = np.array(ends[1:], np.int64)
+        if any(keys):
+            file["keys"] = np.array(keys)
 
 
 class ArrayStore:
@@ -71,6 +93,13 @@ class ArrayStore:
         """Return the number of photographs."""
         return len(self._ends)
 
+    def keys(self) -> list[str]:
+        """Return what says of each photograph what its arrays were made of; none if unknown."""
+        try:
+            return [key.decode() for key in array(self._file, "keys").tolist()]
+        except HDF5_DAMAGE:
+            return []
+
     def attribute(self, name: str) -> Any:
         """Return an attribute that was written with the file."""
         try:
@@ -92,3 +121,30 @@ class ArrayStore:
 
     def _damaged(self, error: Exception) -> InputError:
         return InputError(f"{self._path} is damaged ({error}): delete it")
+
+
+class Earlier:
+    """The arrays that earlier files of a cache hold of photographs, by what they were made of.
+
+    Where photographs are added to a map, a file is written anew, as one file holds the arrays of
+    all. Those that the change does not touch are copied from here.
+
+    Args:
+        paths: of files that ``written_store`` wrote; damaged and other files are passed over.
+    """
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        self._found: dict[str, tuple[ArrayStore, int]] = {}
+        for path in paths:
+            with suppress(InputError):
+                store = ArrayStore(path)
+                self._found |= {key: (store, row) for row, key in enumerate(store.keys()) if key}
+
+    def read(self, key: str, names: Sequence[str]) -> dict[str, NDArray[Any]] | None:
+        """Return arrays of the photograph with a key; None where no file holds them."""
+        if key not in self._found:
+            return None
+        store, row = self._found[key]
+        with suppress(InputError):
+            return {name: store.read(row, name) for name in names}
+        return None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -125,39 +126,72 @@ def map_features(
             return map_features(sparse_map, images, extractor, folder)
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     names, posed = sparse_map.names, sparse_map.images
-    angles, cameras = {}, []
+    # How photographs are seen: those of a turned extractor, as they are.
+    angles: dict[str, float] = {}
+    cameras: dict[str, str] = {}
     if not extractor.turned:
         angles = {name: north_angle(posed[name].cam_from_world[:3, :3]) for name in names}
-        cameras = [str(posed[name].camera) for name in names]
+        cameras = {name: str(posed[name].camera) for name in names}
     files = [images / name for name in names]
     photographs = digests(files)
     named = list(zip(names, photographs, strict=True))
-    key = features_key(named, extractor.options, extractor.weights_sha256, angles, cameras)
+    made_by = (extractor.options, extractor.weights_sha256)
+    key = features_key(named, *made_by, angles, list(cameras.values()))
     if (kept := _kept_with_map(sparse_map, key)) is not None:
         return kept
     path = cache / f"{extractor.name}-{key[:16]}.h5"
     if path.is_file():
         return FeatureFile(path)
+    own = {
+        name: features_key([("", sha256)], *made_by, angles.get(name), cameras.get(name))
+        for name, sha256 in named
+    }
+    earlier = _Earlier(cache.glob(f"{extractor.name}-*.h5"))
     bar = progress_bar(f"{extractor.name} map features", len(names))
     with bar as advance, feature_writer(path, key) as add:
         for first in range(0, len(names), _TOGETHER):
             some = names[first : first + _TOGETHER]
-            if extractor.turned:
+            known = {name: item for name in some if (item := earlier.read(own[name])) is not None}
+            left = [name for name in some if name not in known]
+            if extractor.turned and left:
 
-                def advanced(done: int, before: int = first) -> None:
+                def advanced(done: int, before: int = first + len(known)) -> None:
                     advance(before + done)
 
-                extracted = extractor.of_photographs(images, some, advanced, cache)
-                for name in some:
-                    add(name, extracted[name])
-                continue
+                known |= extractor.of_photographs(images, left, advanced, cache)
             for done, name in enumerate(some, first + 1):
-                camera = sparse_map.images[name].camera
-                rgb = read_rgb(images / name, camera)
-                add(name, extractor.seen(rgb, camera, angles[name]))
+                if name not in known:
+                    camera = posed[name].camera
+                    rgb = read_rgb(images / name, camera)
+                    known[name] = extractor.seen(rgb, camera, angles[name])
+                add(name, known.pop(name), own[name])
                 advance(done)
         require_unchanged(files, photographs)
     return FeatureFile(path)
+
+
+class _Earlier:
+    """Features of photographs in earlier files of a cache, by ``features_key`` of each.
+
+    Args:
+        paths: of feature files; damaged and other files are passed over.
+    """
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        self._found: dict[str, tuple[FeatureFile, str]] = {}
+        for path in sorted(paths):
+            with suppress(InputError):
+                file = FeatureFile(path)
+                self._found |= {key: (file, name) for key, name in file.by_key().items()}
+
+    def read(self, key: str) -> Features | None:
+        """Return the features of the photograph with a key; None where no file holds them."""
+        if key not in self._found:
+            return None
+        file, name = self._found[key]
+        with suppress(InputError):
+            return file[name]
+        return None
 
 
 def _kept_with_map(sparse_map: SparseMap, key: str) -> FeatureFile | None:

@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
+from baselines.array_store import Earlier
 from scene.maps.sparse_map import SparseMap
 from scene.storage.digests import digests, require_unchanged
 from scene.storage.images import check_photographs
@@ -18,13 +19,13 @@ class MapCache:
     Attributes:
         folder: of the cache.
         files: the map's photographs.
-        photographs: digests of their bytes.
+        digests: of their bytes, by name, in the order of ``SparseMap.names``.
         map_sha256: digest of the map.
     """
 
     folder: Path
     files: tuple[Path, ...]
-    photographs: list[str]
+    digests: dict[str, str]
     map_sha256: str
 
     @staticmethod
@@ -42,7 +43,8 @@ class MapCache:
         cameras = {name: sparse_map.images[name].camera for name in sparse_map.names}
         check_photographs(images, cameras)
         files = tuple(images / name for name in sparse_map.names)
-        return MapCache(folder, files, digests(files), sparse_map.sha256)
+        by_name = dict(zip(sparse_map.names, digests(files), strict=True))
+        return MapCache(folder, files, by_name, sparse_map.sha256)
 
     def path(self, prefix: str, version: int, *parts: object) -> Path:
         """Return the path of a file.
@@ -52,8 +54,13 @@ class MapCache:
             version: of its format.
             parts: whatever else decides its content.
         """
-        words = " ".join(map(str, (version, self.map_sha256, self.photographs, *parts)))
+        photographs = list(self.digests.values())
+        words = " ".join(map(str, (version, self.map_sha256, photographs, *parts)))
         return self.folder / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+
+    def earlier(self, prefix: str) -> Earlier:
+        """Return what files of a prefix hold, whatever map they were made of."""
+        return Earlier(sorted(self.folder.glob(f"{prefix}-*.h5")))
 
     def require_unchanged(self) -> None:
         """Refuse photographs that changed since they were read: call it before a file is kept.
@@ -61,4 +68,4 @@ class MapCache:
         Raises:
             InputError: a photograph changed.
         """
-        require_unchanged(self.files, self.photographs)
+        require_unchanged(self.files, list(self.digests.values()))

@@ -8,7 +8,7 @@ known, show there.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from baselines.array_store import key_of
 from baselines.grey_photograph import GreyPhotograph
 from baselines.neighbours import NeighbourOptions, Neighbours
 from baselines.plane_sweep import PlaneSweep
@@ -169,6 +170,22 @@ class Sweeper:
             found = self._placed(here, pixels[part], others, tried[part].float())
             xyz[part], sure[part], score[part] = found
         return Swept(xyz, sure, score)
+
+    def made_of(self, name: str, digests: Mapping[str, str]) -> str:
+        """Return all that decides the places of a photograph's pixels but the options.
+
+        Args:
+            name: of the photograph.
+            digests: of the bytes of the map's photographs, by name.
+
+        Returns:
+            A digest of the photograph, of those that it is compared with, and of its depths.
+        """
+        parts: list[object] = [*self._neighbours.depths(name)]
+        for each in (name, *self._neighbours(name)):
+            image = self._map.images[each]
+            parts += [digests[each], image.camera, image.cam_from_world]
+        return key_of(*parts)
 
     def _near(
         self,

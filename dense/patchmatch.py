@@ -9,9 +9,9 @@ points are tried again at every larger size, because small pictures lose objects
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from dense.options import DEFAULTS, SearchOptions
 from dense.photometry import Photometry, PlaneCosts
 from dense.planes import moved, planes_at_nearest, planes_through, resized
 from dense.warp import StereoView
+from scene.runtime.threads import torch_threads
 
 # Number of pixels processed at once, whose windows fit into the processor's cache.
 _CHUNK = 16384
@@ -169,14 +170,10 @@ class _Search:
 
     def best_of(self, guesses: Sequence[Tensor]) -> Estimate:
         """Return the cheapest of several planes at each pixel, (3, H, W)."""
-        with _torch_threads(self._photometry.torch_threads):
-            return self._best_of(guesses)
-
-    def _best_of(self, guesses: Sequence[Tensor]) -> Estimate:
         planes = guesses[0].clone()
         cost = torch.empty(self._shape, device=self._device)
-        for colour in self._colours:
-            for rows, columns in _chunks(colour):
+        with torch_threads(self._photometry.torch_threads):
+            for rows, columns in chain.from_iterable(map(_chunks, self._colours)):
                 window = self._photometry.window(rows, columns)
                 first = planes[:, rows, columns]
                 best = _Best(self._photometry, window, first, self._photometry.cost(window, first))
@@ -187,37 +184,33 @@ class _Search:
 
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
         """Propagate and refine planes, ``rounds`` times over both colours."""
-        with _torch_threads(self._photometry.torch_threads):
-            return self._run(estimate, rounds, step)
-
-    def _run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
-        step_px, step_slope = self._options.step_px, self._options.step_slope
-        for k in range(rounds):
-            for colour in self._colours:
-                noise = [self._normal() for _ in range(2)]
-                # Neighbours are of the other colour, so the order of the chunks does not matter.
-                cost = pad(estimate.cost, (_REACH,) * 4, value=torch.inf)
-                for rows, columns in _chunks(colour):
-                    window = self._photometry.window(rows, columns)
-                    best = _Best(
-                        self._photometry,
-                        window,
-                        estimate.planes[:, rows, columns],
-                        estimate.cost[rows, columns],
-                    )
-                    for region in _REGIONS:
-                        best.offer(_from_neighbour(estimate.planes, cost, region, rows, columns))
-                    scale = step * 0.5**k * self._pixel
-                    for drawn in noise:
-                        random = drawn[:, rows, columns] * scale
-                        w, gx, gy = best.planes
-                        best.offer(torch.stack([w + step_px * random[0], gx, gy]))
-                        w, gx, gy = best.planes
-                        sx, sy = step_slope * random[1:]
-                        best.offer(torch.stack([w, gx + sx, gy + sy]))
-                    estimate.planes[:, rows, columns] = best.planes
-                    estimate.cost[rows, columns] = best.cost
+        with torch_threads(self._photometry.torch_threads):
+            for k in range(rounds):
+                for colour in self._colours:
+                    self._improve(estimate, colour, step * 0.5**k)
         return estimate
+
+    def _improve(self, estimate: Estimate, colour: Tensor, step: float) -> None:
+        """Propagate and refine the planes of one colour, in place."""
+        step_px, step_slope = self._options.step_px, self._options.step_slope
+        noise = [self._normal() for _ in range(2)]
+        # Neighbours are of the other colour, so the order of the chunks does not matter.
+        cost = pad(estimate.cost, (_REACH,) * 4, value=torch.inf)
+        for rows, columns in _chunks(colour):
+            window = self._photometry.window(rows, columns)
+            planes, costs = estimate.planes[:, rows, columns], estimate.cost[rows, columns]
+            best = _Best(self._photometry, window, planes, costs)
+            for region in _REGIONS:
+                best.offer(_from_neighbour(estimate.planes, cost, region, rows, columns))
+            for drawn in noise:
+                random = drawn[:, rows, columns] * (step * self._pixel)
+                w, gx, gy = best.planes
+                best.offer(torch.stack([w + step_px * random[0], gx, gy]))
+                w, gx, gy = best.planes
+                sx, sy = step_slope * random[1:]
+                best.offer(torch.stack([w, gx + sx, gy + sy]))
+            estimate.planes[:, rows, columns] = best.planes
+            estimate.cost[rows, columns] = best.cost
 
     def _uniform(self, channels: int) -> Tensor:
         return torch.rand(channels, *self._shape, generator=self._generator).to(self._device)
@@ -233,17 +226,6 @@ def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
 
         return CompiledPhotometry
     return Photometry
-
-
-@contextmanager
-def _torch_threads(count: int) -> Iterator[None]:
-    """Have torch use so many threads meanwhile."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 class _Best:

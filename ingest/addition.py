@@ -201,7 +201,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
     adjusted = Adjusted(model, placed, RefinedLenses(()), 0.0, {}, out / WORK)
     frames = out / "sessions" / source.session / FRAMES
     wrong = write_measurements(frames, adjusted, images, fixes, queries, options)
-    sparse_map = write_map(out, model, queries, out / WORK / DATABASE)
+    sparse_map = write_map(out, model, queries, out / WORK / DATABASE, known)
     splits = _write_lists(out, source, model, [image.name for image in images])
     over = [image.file for image in images if image.name in turned]
     report = make_report(

@@ -18,11 +18,14 @@ from scene.bundle.covisibility import Covisibility, visible_share, write_covisib
 from scene.bundle.frames import Frames, write_frames
 from scene.bundle.manifest import Objects, Splits, write_json
 from scene.bundle.scene import COVISIBILITY, FEATURES, MAP_FILES
+from scene.colmap.options import SiftOptions
+from scene.colmap.registration import KnownMap
 from scene.colmap.triangulation import triangulate_matched
-from scene.maps.features import write_features
+from scene.maps.features import features_key, write_features
 from scene.maps.photographs import PosedImage
 from scene.maps.sparse_map import SparseMap
 from scene.storage.atomic import atomic_folder
+from scene.storage.digests import digests
 
 FRAMES = "frames.h5"
 """The file of poses, cameras and priors in the folder of a session."""
@@ -88,7 +91,13 @@ def owned_files(images: Sequence[FlightImage], session: str) -> set[str]:
     }
 
 
-def write_map(out: Path, model: SparseMap, queries: set[str], database: Path) -> SparseMap:
+def write_map(
+    out: Path,
+    model: SparseMap,
+    queries: set[str],
+    database: Path,
+    known: KnownMap | None = None,
+) -> SparseMap:
     """Triangulate the map of a scene from its own photographs, and write it with its features.
 
     Args:
@@ -96,6 +105,7 @@ def write_map(out: Path, model: SparseMap, queries: set[str], database: Path) ->
         model: the poses and cameras of map photographs and queries.
         queries: names of the queries, which take no part.
         database: features and verified matches of the photographs.
+        known: map of some of the photographs; what no other one observes stays as it is.
 
     Raises:
         InputError: no point could be triangulated.
@@ -106,9 +116,19 @@ def write_map(out: Path, model: SparseMap, queries: set[str], database: Path) ->
         if name not in queries
     ]
     with atomic_folder(out / "map", MAP_FILES) as folder:
-        sparse_map, features = triangulate_matched(out / "sessions", images, database, folder)
-        write_features(folder / FEATURES, features)
+        root, before = out / "sessions", None if known is None else known.sparse_map
+        sparse_map, features = triangulate_matched(root, images, database, folder, before)
+        # What is not known of the features of some is not known of all.
+        sound = known is None or known.features.made_of == _sift_key(root, known.sparse_map.names)
+        made_of = _sift_key(root, sparse_map.names) if sound else ""
+        write_features(folder / FEATURES, features, made_of)
     return sparse_map
+
+
+def _sift_key(root: Path, names: Sequence[str]) -> str:
+    """Return what features of SIFT of photographs are made of, as a digest."""
+    photographs = digests(root / name for name in names)
+    return features_key(list(zip(names, photographs, strict=True)), str(SiftOptions()))
 
 
 def write_lists(

@@ -18,7 +18,7 @@ from baselines.place.search import Candidate
 from objconnect.connect import ConnectOptions, Connector
 from objconnect.landmarks import LandmarkOptions
 from objconnect.network import ObjConnectNet
-from objconnect.object_map import ObjectFinder, ViewCollector, map_ground
+from objconnect.object_map import MapObjects, ObjectFinder, map_ground
 from scene.config import Config
 from scene.geometry.pose import so3_exp
 from scene.localizer import Prior, Query
@@ -71,17 +71,16 @@ class ObjectPlaceFinder:
         self._graph, self._options = network.constellation, options
         self._find = ObjectFinder(extract, network.detector, options.landmarks)
         self._connect: Connector | None = None
-        self._collected: ViewCollector | None = None
+        self._watched: MapObjects | None = None
         self.is_first = True
 
-    def watcher(self, source: ReferenceSource, cache: Path) -> ViewCollector | None:
+    def watcher(self, source: ReferenceSource, cache: Path) -> MapObjects | None:
         """Return what finds objects in the feature maps of a map's photographs.
 
         It is None where the cache holds the objects.
         """
-        known = self._find.file(source, cache).is_file()
-        self._collected = None if known else ViewCollector(self._find, source.sparse_map)
-        return self._collected
+        self._watched = self._find.watcher(source, cache)
+        return self._watched
 
     def prepare(self, source: ReferenceSource, cache: Path) -> None:
         """Find the objects of a map, or take those that the watcher found or the cache holds.
@@ -93,8 +92,8 @@ class ObjectPlaceFinder:
         Raises:
             InputError: a photograph is missing, broken or changed meanwhile.
         """
-        landmarks = self._find.kept_landmarks(source, cache, self._collected)
-        self._collected, sparse_map = None, source.sparse_map
+        landmarks = self._find.kept_landmarks(source, cache, self._watched)
+        self._watched, sparse_map = None, source.sparse_map
         ground = map_ground(sparse_map)
         # Photographs of a street look over the ground, and show no object from above.
         self._connect = None

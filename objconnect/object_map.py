@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from baselines.array_store import Earlier, key_of, written_store
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
-from baselines.featuremetric.references import ReferenceSource, photograph_maps
+from baselines.featuremetric.references import MapViews, ReferenceSource
 from baselines.map_cache import MapCache
 from baselines.place.grid import GroundGrid, ground_grid
 from baselines.views import WarpedImage, looks_down
@@ -24,7 +25,10 @@ from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.memory import return_freed
 from scene.runtime.progress import progress_bar
 
-_FORMAT: Final = 2
+_FORMAT: Final = 3
+# Files of the objects of each photograph, and the arrays in them.
+_DETECTIONS: Final = "detections"
+_ARRAYS: Final = ("xy", "score", "side", "rise", "vectors")
 # Side of the cells in which the height of the ground is the median of the map's points, metres.
 _GROUND_M: Final = 4.0
 # What stands on the ground is narrower, metres.
@@ -84,23 +88,8 @@ class ObjectFinder:
         Raises:
             InputError: a photograph is missing or broken.
         """
-        return self.views_in(ReferenceSource(sparse_map, images, self._extract, "", "objects", 0))
-
-    def views_in(self, source: ReferenceSource) -> list[View]:
-        """Return what ``views`` does, of the photographs that references are computed from."""
-        collect = ViewCollector(self, source.sparse_map)
-        images = source.sparse_map.images
-        down = [
-            images[name]
-            for name in source.sparse_map.names
-            if looks_down(images[name].cam_from_world[:3, :3])
-        ]
-        with progress_bar("objects of the map", len(down)) as advance:
-            for done, each in enumerate(photograph_maps(source, down), 1):
-                collect(*each)
-                return_freed()
-                advance(done)
-        return collect.views
+        source = ReferenceSource(sparse_map, images, self._extract, "", "objects", 0)
+        return list(MapObjects(self, source).views())
 
     def file(self, source: ReferenceSource, cache: Path) -> Path:
         """Return where the cache holds the objects of a map, whether or not it does."""
@@ -108,53 +97,125 @@ class ObjectFinder:
         seen = f"{source.extractor_key} {source.options.same_resolution}"
         return kept.path("objects", _FORMAT, seen, self._options.model_dump_json())
 
+    def watcher(self, source: ReferenceSource, cache: Path) -> MapObjects | None:
+        """Return what finds the objects of a map in the feature maps of its references.
+
+        It is None where the cache holds the objects.
+        """
+        if self.file(source, cache).is_file():
+            return None
+        return MapObjects(self, source, MapCache.of(source.sparse_map, source.images, cache))
+
     def kept_landmarks(
-        self, source: ReferenceSource, cache: Path, collected: ViewCollector | None
+        self, source: ReferenceSource, cache: Path, watched: MapObjects | None
     ) -> Landmarks:
         """Return the objects of a map, from the cache where it holds them.
 
         Args:
             source: what references of the map are computed from.
             cache: folder of files named by a digest of all that the objects depend on.
-            collected: has seen the photographs already; None where nothing has.
+            watched: what ``watcher`` returned.
 
         Raises:
             InputError: a photograph is missing, broken or changed meanwhile.
         """
         path = self.file(source, cache)
-        if not path.is_file():
-            whole = collected is not None and collected.seen == len(source.sparse_map.names)
-            views = collected.views if collected and whole else self.views_in(source)
-            landmarks = merged(views, self._options)[0]
-            MapCache.of(source.sparse_map, source.images, cache).require_unchanged()
+        found = watched or self.watcher(source, cache)
+        if found is not None:
+            landmarks = merged(list(found.views()), self._options)[0]
+            found.write()
             landmarks.write(path)
         return Landmarks.read(path)
 
+    def made_of(self) -> str:
+        """Return the options that decide what is found in a photograph, as text."""
+        return f"{_FORMAT} {self._options.count} {self._options.least_score}"
 
-class ViewCollector:
-    """Collects the objects of a map's photographs while these are looked at.
+
+class MapObjects:
+    """The objects of a map's photographs that look down.
+
+    It implements ``baselines.featuremetric.references.Watch``: photographs that the references see
+    anyway are seen once.
 
     Args:
         find: finds the objects of a view.
-        sparse_map: the map.
-
-    Attributes:
-        views: the photographs that look down, each with its objects.
-        seen: number of photographs that were looked at.
+        source: what references of the map are computed from.
+        kept: the cache, whose earlier files may hold what did not change; None without one.
     """
 
-    def __init__(self, find: ObjectFinder, sparse_map: SparseMap) -> None:
-        self._find, self._ground = find, map_ground(sparse_map)
-        self.views: list[View] = []
-        self.seen = 0
+    def __init__(
+        self,
+        find: ObjectFinder,
+        source: ReferenceSource,
+        kept: MapCache | None = None,
+    ) -> None:
+        self._find, self._source, self._kept = find, source, kept
+        self._earlier = Earlier([]) if kept is None else kept.earlier(_DETECTIONS)
+        self._see = MapViews(source)
+        self._found: dict[str, Detections] = {}
 
-    def __call__(self, image: MapImage, view: WarpedImage, levels: list[FeatureMap]) -> None:
+    def lacks(self, image: MapImage, key: str) -> bool:
+        """Return whether a photograph looks down and its objects are not known."""
+        if not looks_down(image.cam_from_world[:3, :3]):
+            return False
+        if image.name not in self._found:
+            arrays = self._earlier.read(key_of(key, self._find.made_of()), _ARRAYS)
+            if arrays is not None:
+                self._found[image.name] = Detections(*map(torch.from_numpy, arrays.values()))
+        return image.name not in self._found
+
+    def __call__(
+        self, image: MapImage, key: str, view: WarpedImage, maps: list[FeatureMap]
+    ) -> None:
         """Find the objects of a photograph, given how it was seen and its feature maps."""
-        self.seen += 1
-        if looks_down(image.cam_from_world[:3, :3]):
-            found = self._find.of(view, levels)
-            placed = on_ground(found, image.camera, image.pose, self._ground)
-            self.views.append(View(image.name, image.camera, image.pose, found, placed))
+        if self.lacks(image, key):
+            self._found[image.name] = self._find.of(view, maps)
+
+    def views(self) -> Iterator[View]:
+        """Yield the photographs that look down with their objects, looking at those not yet seen.
+
+        Raises:
+            InputError: a photograph is missing or broken.
+        """
+        ground, down = map_ground(self._source.sparse_map), self._down()
+        with progress_bar("objects of the map", len(down)) as advance:
+            for done, image in enumerate(down, 1):
+                key = self._key(image)
+                if self.lacks(image, key):
+                    self(image, key, *self._see(image))
+                    return_freed()
+                found = self._found[image.name]
+                placed = on_ground(found, image.camera, image.pose, ground)
+                yield View(image.name, image.camera, image.pose, found, placed)
+                advance(done)
+
+    def write(self) -> None:
+        """Keep the objects of each photograph, for maps to which photographs are added.
+
+        Raises:
+            InputError: a photograph changed meanwhile.
+            WriteError: the folder cannot be written, or the disk is full.
+        """
+        assert self._kept is not None
+        self._kept.require_unchanged()
+        path = self._kept.path(
+            _DETECTIONS, _FORMAT, self._source.extractor_key, self._find.made_of()
+        )
+        with written_store(path) as add:
+            for image in self._down():
+                found = self._found[image.name]
+                arrays = {name: getattr(found, name).numpy() for name in _ARRAYS}
+                add(arrays, key_of(self._key(image), self._find.made_of()))
+
+    def _down(self) -> list[MapImage]:
+        """Return the photographs that look down, in the order of their names."""
+        sparse_map = self._source.sparse_map
+        posed = [sparse_map.images[name] for name in sparse_map.names]
+        return [image for image in posed if looks_down(image.cam_from_world[:3, :3])]
+
+    def _key(self, image: MapImage) -> str:
+        return self._see.key(image, "" if self._kept is None else self._kept.digests[image.name])
 
 
 def map_ground(sparse_map: SparseMap) -> GroundGrid:

@@ -6,25 +6,27 @@ snow hides them. Corners of roofs, roads, walls and crowns remain visible.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import cv2
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
+from baselines.array_store import ArrayStore, key_of, written_store
+from baselines.map_cache import MapCache
 from baselines.sweep import Sweeper, SweepOptions
 from scene.config import Config
-from scene.errors import HDF5_DAMAGE, InputError
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
-from scene.storage.atomic import atomic_write
-from scene.storage.hdf5 import array
+from scene.runtime.threads import in_threads
+
+_FORMAT: Final = 5
+_PREFIX: Final = "corners"
 
 
 class CornerOptions(Config):
@@ -93,40 +95,44 @@ class CornerFinder:
         swept = self._sweep(name, xy)
         return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
 
+    def made_of(self, name: str, digests: Mapping[str, str]) -> str:
+        """Return all that decides the corners of a photograph but the options, as a digest.
 
-def all_corners(
-    find: CornerFinder,
-    names: Sequence[str],
-    path: Path,
-    check: Callable[[], None] = lambda: None,
-) -> list[NDArray[np.float64]]:
+        Args:
+            name: of the photograph.
+            digests: of the bytes of the map's photographs, by name.
+        """
+        return self._sweep.made_of(name, digests)
+
+
+def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDArray[np.float64]]:
     """Return the places (N, 3) of the corners of every photograph, kept in a file for all methods.
 
     Args:
         find: finds the corners of one photograph.
-        names: of the photographs of the map.
-        path: of the file.
-        check: called before it is written; where it raises, nothing is kept.
+        kept: the cache, which names the photographs' digests.
+        parts: all that decides how corners are found.
 
     Raises:
-        InputError: a photograph is missing or damaged, or the file is.
+        InputError: a photograph is missing, damaged or changed meanwhile, or the file is damaged.
     """
+    path = kept.path(_PREFIX, _FORMAT, *parts)
     if not path.is_file():
-        places = []
-        with progress_bar("corners of the map", len(names)) as advance:
-            for done, name in enumerate(names, 1):
-                places.append(find(name).xyz)
+        earlier, digests = kept.earlier(_PREFIX), kept.digests
+
+        def of_photograph(name: str) -> tuple[Mapping[str, NDArray[np.float64]], str]:
+            key = key_of(_FORMAT, *parts, find.made_of(name, digests))
+            found = earlier.read(key, ("xyz",))
+            return {"xyz": find(name).xyz} if found is None else found, key
+
+        bar = progress_bar("corners of the map", len(digests))
+        with written_store(path) as add, bar as advance:
+            for done, (found, key) in enumerate(in_threads(of_photograph, digests), 1):
+                add(found, key)
                 advance(done)
-        check()
-        with atomic_write(path) as partial, h5py.File(partial, "w") as file:
-            file["xyz"] = np.concatenate([np.empty((0, 3)), *places])
-            file["ends"] = np.cumsum([len(xyz) for xyz in places])
-    try:
-        with h5py.File(path) as file:
-            xyz, ends = array(file, "xyz"), array(file, "ends")
-            return np.split(xyz, ends[:-1])
-    except HDF5_DAMAGE as error:
-        raise InputError(f"{path} is damaged ({error}): delete it") from None
+            kept.require_unchanged()
+    store = ArrayStore(path)
+    return [store.read(row, "xyz") for row in range(len(store))]
 
 
 def _corners(grey: Tensor, most: int, options: CornerOptions) -> NDArray[np.float64]:

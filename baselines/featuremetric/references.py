@@ -5,18 +5,18 @@ Only features at points are needed of the photographs, and these are few.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from baselines.array_store import ArrayStore, written_store
+from baselines.array_store import ArrayStore, key_of, written_store
 from baselines.featuremetric.corners import CornerFinder, CornerOptions, all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.map_cache import MapCache
@@ -36,12 +36,21 @@ from scene.runtime.progress import progress_bar
 from scene.storage.images import read_rgb
 from scene.storage.lru_cache import LruCache, room
 
-_FORMAT: Final = 4
+_FORMAT: Final = 5
 
-PhotographMaps = tuple[MapImage, WarpedImage, list[FeatureMap]]
-"""A photograph of the map, how it is seen, and its feature maps."""
-Watch = Callable[[MapImage, WarpedImage, list[FeatureMap]], None]
-"""Sees the feature maps of every photograph of a map while these are computed."""
+
+class Watch(Protocol):
+    """Sees feature maps of a map's photographs while these are computed."""
+
+    def lacks(self, image: MapImage, key: str) -> bool:
+        """Return whether it needs to see a photograph; ``key`` is that of ``MapViews``."""
+        ...
+
+    def __call__(
+        self, image: MapImage, key: str, view: WarpedImage, maps: list[FeatureMap]
+    ) -> None:
+        """See a photograph."""
+        ...
 
 
 class ReferenceOptions(Config):
@@ -132,8 +141,7 @@ class ReferenceFeatures:
 
     def __init__(self, path: Path, memory: int) -> None:
         self._store = ArrayStore(path)
-        levels = range(int(self._store.attribute("levels")))
-        names = ("xyz", "confidence", *(f"features/{level}" for level in levels))
+        names = _names(int(self._store.attribute("levels")))
         self._cache = LruCache(partial(_read, self._store, names), memory)
         self.metres_per_pixel = float(self._store.attribute("metres_per_pixel"))
 
@@ -147,6 +155,11 @@ class ReferenceFeatures:
     def coarse(self, photograph: int) -> NDArray[np.float32]:
         """Read the features of a photograph's coarsest level alone, (N, C), past the cache."""
         return self._store.read(photograph, "features/0").astype(np.float32)
+
+
+def _names(levels: int) -> list[str]:
+    """Return the names of the arrays of a photograph."""
+    return ["xyz", "confidence", *(f"features/{level}" for level in range(levels))]
 
 
 def _read(store: ArrayStore, names: Sequence[str], photograph: int) -> Observations:
@@ -180,68 +193,96 @@ def references(
         corner_points = [np.empty((0, 3))] * len(sparse_map.names)
         if corners:
             find = CornerFinder(sparse_map, images, corners, longest, source.corner_options)
-            corner_file = kept.path("corners", _FORMAT, corners, longest, corner_key)
-            check = kept.require_unchanged
-            corner_points = all_corners(find, sparse_map.names, corner_file, check)
-        _write_references(path, source, corner_points, kept.require_unchanged, watch)
+            corner_points = all_corners(find, kept, corners, longest, corner_key)
+        _write_references(path, source, kept, corner_points, watch)
     return ReferenceFeatures(path, room(memory_mb))
 
 
 def _write_references(
     path: Path,
     source: ReferenceSource,
+    kept: MapCache,
     corner_points: Sequence[NDArray[np.float64]],
-    check: Callable[[], None],
     watch: Watch | None,
 ) -> None:
-    """Run the network on every photograph of a map and keep the features at its points.
+    """Run the network on the photographs of a map and keep the features at their points.
 
     Args:
         path: of the file to write.
         source: what the observations are computed from.
+        kept: the cache, whose earlier files may hold what did not change.
         corner_points: further points (N, 3) of each photograph.
-        check: called at the end; where it raises, nothing is kept.
         watch: sees the feature maps.
     """
-    sparse_map, extract, options = source.sparse_map, source.extract, source.options
-    posed = [sparse_map.images[each] for each in sparse_map.names]
-    wanted = of_map(sparse_map, extract.largest_scale)
-    looked_at = photograph_maps(source, posed)
-    levels = len(extract.network.config.strides)
+    sparse_map, options = source.sparse_map, source.options
+    posed = [sparse_map.images[name] for name in sparse_map.names]
+    views, earlier = MapViews(source), kept.earlier(source.name)
+    levels = len(source.extract.network.config.strides)
+    names = _names(levels)
     with (
-        written_store(path, levels=levels, metres_per_pixel=wanted) as add,
+        written_store(path, levels=levels, metres_per_pixel=views.metres_per_pixel) as add,
         progress_bar(f"{source.name} map features", len(posed)) as advance,
     ):
-        for done, (each, corners) in enumerate(zip(looked_at, corner_points, strict=True), 1):
-            image, view, maps = each
-            if watch is not None:
-                watch(image, view, maps)
+        for done, (image, corners) in enumerate(zip(posed, corner_points, strict=True), 1):
             points = np.concatenate([_reliable_points(image, sparse_map, options), corners])
-            seen = observe(view, maps, image.pose, points, source.points, options.grid)
-            features = {f"features/{level}": of for level, of in enumerate(seen.features)}
-            add({"xyz": seen.xyz, "confidence": seen.confidence, **features})
-            del each, view, maps
-            return_freed()
+            seen_as = views.key(image, kept.digests[image.name])
+            key = key_of(
+                _FORMAT, seen_as, image.cam_from_world, points, source.points, options.grid
+            )
+            arrays = earlier.read(key, names)
+            if arrays is None or (watch is not None and watch.lacks(image, seen_as)):
+                view, maps = views(image)
+                if watch is not None:
+                    watch(image, seen_as, view, maps)
+                seen = observe(view, maps, image.pose, points, source.points, options.grid)
+                arrays = dict(zip(names, (seen.xyz, seen.confidence, *seen.features), strict=True))
+                del view, maps
+                return_freed()
+            add(arrays, key)
             advance(done)
-        check()
+        kept.require_unchanged()
 
 
-def photograph_maps(
-    source: ReferenceSource, photographs: Sequence[MapImage]
-) -> Iterator[PhotographMaps]:
-    """Yield photographs of a map north up, at the resolution of the map, with feature maps.
+class MapViews:
+    """Photographs of a map as the network sees them: north up, at the resolution of the map.
 
-    Raises:
-        InputError: a photograph is missing, broken or not of its camera's size.
+    Args:
+        source: the map, its photographs and the network.
+
+    Attributes:
+        metres_per_pixel: the resolution of the map, NaN if not known.
     """
-    sparse_map, extract = source.sparse_map, source.extract
-    wanted = of_map(sparse_map, extract.largest_scale)
-    for image in photographs:
-        rgb = read_rgb(source.images / image.name, image.camera)
-        own = metres_per_pixel(image.pose, image.camera, observed(image, sparse_map))
-        largest = extract.largest_scale(image.camera)
-        scale = scale_to(wanted, own, largest, source.options.same_resolution)
-        yield image, *extract(rgb, image.camera, north_angle(image.cam_from_world[:3, :3]), scale)
+
+    def __init__(self, source: ReferenceSource) -> None:
+        self._source = source
+        self.metres_per_pixel = of_map(source.sparse_map, source.extract.largest_scale)
+
+    def __call__(self, image: MapImage) -> tuple[WarpedImage, list[FeatureMap]]:
+        """Return a photograph as it is seen, and its feature maps.
+
+        Raises:
+            InputError: the photograph is missing, broken or not of its camera's size.
+        """
+        rgb = read_rgb(self._source.images / image.name, image.camera)
+        return self._source.extract(rgb, image.camera, *self._turned_and_scaled(image))
+
+    def key(self, image: MapImage, sha256: str) -> str:
+        """Return a digest of all that the feature maps of a photograph are made of.
+
+        Args:
+            image: the photograph.
+            sha256: digest of its bytes.
+        """
+        how = self._turned_and_scaled(image)
+        return key_of(sha256, image.camera, *how, self._source.extractor_key)
+
+    def _turned_and_scaled(self, image: MapImage) -> tuple[float, float]:
+        """Return by how much a photograph is turned (rad) and resized."""
+        source = self._source
+        own = metres_per_pixel(image.pose, image.camera, observed(image, source.sparse_map))
+        largest = source.extract.largest_scale(image.camera)
+        scale = scale_to(self.metres_per_pixel, own, largest, source.options.same_resolution)
+        return north_angle(image.cam_from_world[:3, :3]), scale
 
 
 def observe(

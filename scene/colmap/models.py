@@ -115,17 +115,29 @@ def write_posed(images: Sequence[PosedImage], sparse_map: SparseMap | None, out:
     keypoints = {i.name: mapped[i.name].xy if i.name in mapped else nothing for i in images}
     model, ids = posed_model(images, keypoints)
     if sparse_map is not None:
-        tracks: dict[int, list[pycolmap.TrackElement]] = {}
-        for name in [image.name for image in images if image.name in mapped]:
-            rows = mapped[name].point_rows
-            for keypoint in np.flatnonzero(rows >= 0).tolist():
-                element = pycolmap.TrackElement(ids[name], keypoint)
-                tracks.setdefault(int(rows[keypoint]), []).append(element)
-        for row, elements in sorted(tracks.items()):
-            track = pycolmap.Track(elements)
-            model.add_point3D(sparse_map.xyz[row], track, sparse_map.rgb[row])
+        add_map_points(model, {n: k for n, k in ids.items() if n in mapped}, sparse_map)
         model.update_point_3d_errors()
     write_model(model, out)
+
+
+def add_map_points(
+    model: pycolmap.Reconstruction, ids: Mapping[str, int], sparse_map: SparseMap
+) -> None:
+    """Add the points of a map to a model of its keypoints, in their order.
+
+    Args:
+        model: has the images of the map, without points.
+        ids: identifiers in the model of those images of the map whose observations are added.
+        sparse_map: the map.
+    """
+    tracks: dict[int, list[pycolmap.TrackElement]] = {}
+    for name, image_id in ids.items():
+        rows = sparse_map.images[name].point_rows
+        for keypoint in np.flatnonzero(rows >= 0).tolist():
+            element = pycolmap.TrackElement(image_id, keypoint)
+            tracks.setdefault(int(rows[keypoint]), []).append(element)
+    for row, elements in sorted(tracks.items()):
+        model.add_point3D(sparse_map.xyz[row], pycolmap.Track(elements), sparse_map.rgb[row])
 
 
 @dataclass(frozen=True)

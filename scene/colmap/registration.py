@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,7 +18,7 @@ from scene.colmap.options import AdjustmentOptions
 from scene.colmap.structure_from_motion import adjust_robustly
 from scene.colmap.triangulation import pipeline_options
 from scene.maps.colmap_files import read_model
-from scene.maps.features import Features
+from scene.maps.features import FeatureFile
 from scene.maps.photographs import Photograph, PosedImage
 from scene.maps.sparse_map import SparseMap
 from scene.storage.atomic import atomic_write
@@ -41,7 +41,7 @@ class KnownMap:
 
     images: Sequence[PosedImage]
     sparse_map: SparseMap
-    features: Mapping[str, Features]
+    features: FeatureFile
     matches: Sequence[tuple[str, str, NDArray[np.int64]]]
 
 

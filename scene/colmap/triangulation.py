@@ -9,7 +9,7 @@ from pathlib import Path
 import pycolmap
 
 from scene.colmap.database import MappingJob, match_posed, write_database
-from scene.colmap.models import posed_model, write_model
+from scene.colmap.models import add_map_points, posed_model, write_model
 from scene.colmap.native import ROOM, SEED, Progress
 from scene.colmap.sift import read_features
 from scene.errors import InputError
@@ -59,7 +59,11 @@ def _triangulate(
 
 
 def triangulate_matched(
-    root: Path, images: Sequence[PosedImage], database: Path, out: Path
+    root: Path,
+    images: Sequence[PosedImage],
+    database: Path,
+    out: Path,
+    known: SparseMap | None = None,
 ) -> tuple[SparseMap, dict[str, Features]]:
     """Triangulate some of the images of a filled database again; their poses do not change.
 
@@ -68,6 +72,8 @@ def triangulate_matched(
         images: some of the images of ``database``; matches with others are ignored.
         database: file filled by ``match_photographs``.
         out: existing folder for the model.
+        known: map of some of the images, with the same poses and keypoints. What no other image
+            observes stays as it is, bit by bit.
 
     Returns:
         The map as written, and the features it was built from by image name.
@@ -90,7 +96,75 @@ def triangulate_matched(
                 if db.exists_two_view_geometry(old[a], old[b]):
                     geometry = db.read_two_view_geometry(old[a], old[b])
                     copy.write_two_view_geometry(ids[a], ids[b], geometry)
-        return _triangulate(posed, part, root, out), wanted
+        if known is None:
+            return _triangulate(posed, part, root, out), wanted
+        add_map_points(posed, {name: ids[name] for name in known.names}, known)
+        added = {number: name for name, number in ids.items() if name not in known.images}
+        _extend(posed, part, set(added))
+        for number, name in added.items():
+            posed.extract_colors_for_image(number, root / name)
+        posed.update_point_3d_errors()
+        write_model(posed, out)
+        return read_model(out), wanted
+
+
+def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> None:
+    """Triangulate the points of images that were added to a map.
+
+    Points are triangulated, adjusted and filtered in rounds, as COLMAP does for all of a map.
+
+    Args:
+        model: all images with their poses, and the points of the map.
+        database: keypoints and matches.
+        added: identifiers of the images whose points are triangulated.
+    """
+    options = pipeline_options()
+    cached = pycolmap.DatabaseCacheOptions()
+    cached.min_num_matches = options.min_num_matches
+    with pycolmap.Database.open(database) as db:
+        graph = pycolmap.DatabaseCache.create(db, cached).correspondence_graph
+    manager = pycolmap.ObservationManager(model, graph)
+    triangulator = pycolmap.IncrementalTriangulator(graph, model, manager)
+    before = {number: point.xyz.copy() for number, point in model.points3D.items()}
+    for image_id in sorted(added):
+        triangulator.triangulate_image(options.triangulation, image_id)
+    touched = _shown(model, added)
+    for _ in range(options.ba_global_max_refinements):
+        changed = triangulator.complete_tracks(options.triangulation, _shown(model, added))
+        changed += triangulator.merge_tracks(options.triangulation, _shown(model, added))
+        shown = _shown(model, added)
+        touched |= shown
+        _adjust_points(model, shown)
+        changed += manager.filter_points3D(
+            options.mapper.filter_max_reproj_error, options.mapper.filter_min_tri_angle, shown
+        )
+        if changed <= options.ba_global_max_refinement_change * max(1, len(shown)):
+            break
+    # An image whose observation of a point was filtered does not change it.
+    for number in (touched - _shown(model, added)) & before.keys():
+        if model.exists_point3D(number):
+            model.point3D(number).xyz = before[number]
+
+
+def _shown(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:
+    """Return the identifiers of the points that some images of a model observe."""
+    return {
+        point.point3D_id
+        for image_id in images
+        for point in model.image(image_id).points2D
+        if point.has_point3D()
+    }
+
+
+def _adjust_points(model: pycolmap.Reconstruction, points: set[int]) -> None:
+    """Adjust some points of a model; nothing else of it changes."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for point_id in points:
+        config.add_variable_point(point_id)
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = options.refine_extra_params = False
+    options.ceres.solver_options.num_threads = 1
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
 
 
 def pipeline_options() -> pycolmap.IncrementalPipelineOptions:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import h5py
 import numpy as np
@@ -85,8 +85,16 @@ def features_key(photographs: Sequence[tuple[str, str]], options: str, *others: 
     return hashlib.sha256(parts.encode()).hexdigest()
 
 
+class AddFeatures(Protocol):
+    """Adds the features of an image to a file."""
+
+    def __call__(self, name: str, item: Features, made_of: str = "") -> None:
+        """Add the features of the image of a name; ``made_of`` is its own ``features_key``."""
+        ...
+
+
 @contextmanager
-def feature_writer(path: Path, made_of: str = "") -> Iterator[Callable[[str, Features], None]]:
+def feature_writer(path: Path, made_of: str = "") -> Iterator[AddFeatures]:
     """Write a feature file atomically, one image at a time.
 
     Args:
@@ -94,7 +102,7 @@ def feature_writer(path: Path, made_of: str = "") -> Iterator[Callable[[str, Fea
         made_of: what ``features_key`` returned; empty where it is not known.
 
     Yields:
-        A function that adds the features of the image of a given name.
+        A function that adds the features of an image.
 
     Raises:
         InputError: the folder cannot be written.
@@ -103,7 +111,7 @@ def feature_writer(path: Path, made_of: str = "") -> Iterator[Callable[[str, Fea
         if made_of:
             set_text(file, _MADE_OF, made_of)
 
-        def add(name: str, item: Features) -> None:
+        def add(name: str, item: Features, made_of: str = "") -> None:
             # HDF5 would take the slashes of a name for nested groups.
             if "\\" in name:
                 group = file.create_group(f"\\{len(file)}")
@@ -112,6 +120,8 @@ def feature_writer(path: Path, made_of: str = "") -> Iterator[Callable[[str, Fea
                 group = file.create_group(name.replace("/", "\\"))
             group["xy"], group["scale"] = item.xy, item.scale
             group["descriptors"] = item.descriptors
+            if made_of:
+                set_text(group, _MADE_OF, made_of)
 
         yield add
 
@@ -169,6 +179,15 @@ class FeatureFile(Mapping[str, Features]):
         try:
             node = group(self._file, key)
             return Features(*(array(node, part) for part in ("xy", "scale", "descriptors")))
+        except HDF5_DAMAGE as error:
+            raise self._damaged(error) from None
+
+    def by_key(self) -> dict[str, str]:
+        """Return the names of the images of which is known what their features depend on, by the
+        ``features_key`` of each."""
+        try:
+            nodes = ((name, group(self._file, key)) for name, key in self._groups.items())
+            return {str(attribute(n, _MADE_OF)): name for name, n in nodes if _MADE_OF in n.attrs}
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 

@@ -1,6 +1,7 @@
 """The process and its surroundings: workers, progress, memory, packages and terminal output.
 
 - ``cluster``: a pool of workers, this process or a Ray cluster.
+- ``threads``: threads of torch, and work in as many of this process.
 - ``progress``: progress bars on a terminal, lines in a log file.
 - ``memory``: resident memory now and at its peak.
 - ``debian``: system packages that no Python package brings.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,8 +25,8 @@ def test_every_part_decides_the_name(cache: MapCache) -> None:
         cache.path("mosaic", 2, "key"),
         cache.path("objects", 1, "key"),
         cache.path("mosaic", 1, "other"),
-        MapCache(cache.folder, cache.files, ["0"], cache.map_sha256).path("mosaic", 1, "key"),
-        MapCache(cache.folder, cache.files, cache.photographs, "0").path("mosaic", 1, "key"),
+        replace(cache, digests={"one": "0"}).path("mosaic", 1, "key"),
+        replace(cache, map_sha256="0").path("mosaic", 1, "key"),
     }
     assert len(names) == 6
     assert all(name.parent == cache.folder and name.suffix == ".h5" for name in names)

@@ -22,10 +22,10 @@ class Counting(Extractor):
     name, options = "counting", "of one"
 
     def __init__(self) -> None:
-        self.seen = 0
+        self.count = 0
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
-        self.seen += 1
+        self.count += 1
         return features(float(rgb.mean()))
 
 
@@ -55,7 +55,7 @@ def test_features_of_the_map_are_taken_as_they_are(
     made: tuple[SparseMap, Path], tmp_path: Path
 ) -> None:
     extractor = Counting()
-    assert found(made, tmp_path, extractor) == {-1.0} and extractor.seen == 0
+    assert found(made, tmp_path, extractor) == {-1.0} and extractor.count == 0
 
 
 def test_a_photograph_that_changed_or_another_option_needs_new_ones(
@@ -63,13 +63,13 @@ def test_a_photograph_that_changed_or_another_option_needs_new_ones(
 ) -> None:
     other = Counting()
     other.options = "of two"
-    assert -1.0 not in found(made, tmp_path, other) and other.seen == len(made[0].names)
+    assert -1.0 not in found(made, tmp_path, other) and other.count == len(made[0].names)
     first, second = (made[1] / name for name in made[0].names[:2])
     first.write_bytes(second.read_bytes())
     changed = Counting()
-    assert -1.0 not in found(made, tmp_path, changed) and changed.seen == len(made[0].names)
+    assert -1.0 not in found(made, tmp_path, changed) and changed.count == len(made[0].names)
     again = Counting()
-    assert found(made, tmp_path, again) and again.seen == 0
+    assert found(made, tmp_path, again) and again.count == 0
 
 
 @pytest.mark.parametrize("damage", ["unknown", "damaged", "missing", "none"])
@@ -89,4 +89,28 @@ def test_without_the_features_of_the_map_they_are_extracted(
         sparse_map = replace(sparse_map, features=None)
     extractor = Counting()
     assert -1.0 not in found((sparse_map, images), tmp_path, extractor)
-    assert extractor.seen == len(sparse_map.names)
+    assert extractor.count == len(sparse_map.names)
+
+
+@pytest.mark.parametrize("turned", [True, False])
+def test_of_photographs_that_were_added_alone_features_are_extracted(
+    made: tuple[SparseMap, Path], tmp_path: Path, turned: bool
+) -> None:
+    whole, images = replace(made[0], features=None), made[1]
+    first = replace(whole, images={name: whole.images[name] for name in whole.names[:3]})
+    extractor = Counting()
+    extractor.turned = turned
+    map_features(first, images, extractor, tmp_path / "cache")
+    grown = map_features(whole, images, extractor, tmp_path / "cache")
+    assert extractor.count == len(whole.names) == len(grown)
+    alone = map_features(whole, images, extractor, tmp_path / "other")
+    for name in whole.names:
+        np.testing.assert_array_equal(grown[name].xy, alone[name].xy)
+    # Damaged files say nothing. The grown one is still open, so its place is taken by another.
+    for path in (tmp_path / "cache").iterdir():
+        part = path.read_bytes()[:300]
+        path.unlink()
+        path.write_bytes(part)
+    before, other = extractor.count, {name: whole.images[name] for name in whole.names[1:]}
+    map_features(replace(whole, images=other), images, extractor, tmp_path / "cache")
+    assert extractor.count == before + len(other)

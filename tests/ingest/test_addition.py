@@ -13,19 +13,22 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import scene.colmap.database
+from baselines.features import map_features
+from baselines.sift import Sift
 from benchmark.cli import app
 from benchmark.datasets.open import open_datasets
 from ingest.command import ingest
 from ingest.neighbours import alike
 from ingest.options import PairOptions
 from ingest.report import IngestReport
-from scene.bundle.scene import Scene
+from scene.bundle.scene import Scene, finish_scene
 from scene.checks.validate import validate
-from scene.colmap.options import MatchOptions
+from scene.colmap.options import MatchOptions, SiftOptions
 from scene.errors import InputError
 from scene.exports.export import export
 from scene.geometry.camera import Camera
-from scene.maps.features import Features
+from scene.maps.features import FeatureFile, Features, read_features, write_features
+from scene.maps.sparse_map import SparseMap
 from tests.ingest.test_given import SESSION, geocentric, photographs_of
 
 Ingested = tuple[Scene, IngestReport]
@@ -88,6 +91,43 @@ def require_unchanged(scene: Path, before: dict[str, bytes], kept: Scene) -> Non
     for name, image in old_map.images.items():
         assert np.array_equal(new_map.images[name].cam_from_world, image.cam_from_world)
         assert new_map.images[name].camera == image.camera
+    ours, theirs = tracks(new_map), tracks(old_map)
+    untouched = [track for track in ours if all(name in old_map.images for name, _ in track)]
+    assert untouched
+    for track in untouched:
+        np.testing.assert_array_equal(ours[track], theirs[track])
+
+
+def test_features_of_the_map_are_those_that_localizers_would_extract(
+    rendered: Scene, old: Path, tmp_path: Path
+) -> None:
+    """So that they need not, also once photographs are added; not where the old are unknown."""
+    ingest(new_ones(rendered, tmp_path / "photos"), tmp_path / "both", add=old)
+    for path in (old, tmp_path / "both"):
+        scene = Scene.open(path)
+        sift, sparse_map = Sift(SiftOptions().max_features), scene.sparse_map()
+        kept = map_features(sparse_map, scene.images_root, sift, tmp_path / "cache")
+        assert kept.path == sparse_map.features
+        name = sparse_map.names[-1]
+        fresh = sift.of_photographs(scene.images_root, [name], lambda _: None)[name]
+        np.testing.assert_array_equal(kept[name].xy, fresh.xy)
+        np.testing.assert_array_equal(kept[name].descriptors, fresh.descriptors)
+    shutil.copytree(old, tmp_path / "unknown")
+    features = tmp_path / "unknown" / "map" / "features.h5"
+    write_features(features, read_features(features))
+    finish_scene(tmp_path / "unknown", Scene.open(old).manifest)
+    ingest(tmp_path / "photos", tmp_path / "other", add=tmp_path / "unknown")
+    assert FeatureFile(tmp_path / "other" / "map" / "features.h5").made_of == ""
+
+
+def tracks(sparse_map: SparseMap) -> dict[tuple[tuple[str, int], ...], np.ndarray]:
+    """Places (3,) of points by their observations: photographs and numbers of keypoints."""
+    found: dict[int, list[tuple[str, int]]] = {}
+    for name in sparse_map.names:
+        rows = sparse_map.images[name].point_rows
+        for keypoint in np.flatnonzero(rows >= 0).tolist():
+            found.setdefault(int(rows[keypoint]), []).append((name, keypoint))
+    return {tuple(track): sparse_map.xyz[row] for row, track in found.items()}
 
 
 @pytest.mark.parametrize("exif", [True, False])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,10 +96,37 @@ def test_the_map_is_looked_at_once(
     def again(*_: object) -> None:
         raise AssertionError("looked at twice")
 
-    monkeypatch.setattr("objconnect.object_map.ObjectFinder.views_in", again)
+    monkeypatch.setattr(MapExtractor, "__call__", again)
     finder.prepare(source_of(finder, sparse_map, rendered), tmp_path)
     with pytest.raises(AssertionError, match="twice"):
         finder.prepare(source_of(finder, sparse_map, rendered, "another network"), tmp_path)
+
+
+def test_objects_of_a_photograph_that_was_seen_are_kept_where_others_are_added(
+    finder: ObjectPlaceFinder, rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = rendered.sparse_map()
+    fewer = replace(whole, images={name: whole.images[name] for name in whole.names[2:]})
+    grown, alone = tmp_path / "grown", tmp_path / "alone"
+    finder.prepare(source_of(finder, fewer, rendered), grown)
+    finder.prepare(source_of(finder, whole, rendered), alone)
+    asked: list[int] = []
+    found = MapExtractor.__call__
+
+    def counted(of: MapExtractor, *args: Any) -> Any:
+        asked.append(1)
+        return found(of, *args)
+
+    monkeypatch.setattr(MapExtractor, "__call__", counted)
+    source = source_of(finder, whole, rendered)
+    references(source, grown, 64, finder.watcher(source, grown))
+    assert len(asked) == len(whole.names)  # the references needed all, the objects two of them
+    finder.prepare(source, grown)
+    assert len(asked) == len(whole.names)
+    (one,) = alone.glob("objects-*.h5")
+    kept, fresh = Landmarks.read(grown / one.name), Landmarks.read(one)
+    np.testing.assert_array_equal(kept.xyz, fresh.xyz)
+    np.testing.assert_array_equal(kept.vectors, fresh.vectors)
 
 
 def test_a_map_seen_along_the_ground_has_no_objects(

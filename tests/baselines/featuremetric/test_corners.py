@@ -12,6 +12,7 @@ import torch
 from PIL import Image
 
 from baselines.featuremetric.corners import CornerFinder, Corners, all_corners
+from baselines.map_cache import MapCache
 from scene.errors import InputError
 from scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import height, write_map
@@ -80,14 +81,15 @@ def test_kept_for_every_method(
     made: tuple[SparseMap, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sparse_map, images = made
-    path = tmp_path / "corners.h5"
-    find, names = CornerFinder(sparse_map, images, 200, 1024), sparse_map.names
-    first = all_corners(find, names, path)
+    kept = MapCache.of(sparse_map, images, tmp_path)
+    find = CornerFinder(sparse_map, images, 200, 1024)
+    first = all_corners(find, kept, 200)
     assert len(first) == len(sparse_map.names)
     np.testing.assert_array_equal(first[2], find("2.png").xyz)
     monkeypatch.setattr(CornerFinder, "__call__", None)  # nothing is swept again
-    for ours, theirs in zip(all_corners(find, names, path), first, strict=True):
+    for ours, theirs in zip(all_corners(find, kept, 200), first, strict=True):
         np.testing.assert_array_equal(ours, theirs)
+    (path,) = tmp_path.iterdir()
     path.write_bytes(path.read_bytes()[:600])
     with pytest.raises(InputError, match="delete it"):
-        all_corners(find, names, path)
+        all_corners(find, kept, 200)

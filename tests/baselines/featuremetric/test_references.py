@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -112,6 +113,48 @@ def test_other_inputs_are_other_files(
     references(replace(source, corners=50), tmp_path, 2**30)
     # The last has a file of corners beside it.
     assert len(list(tmp_path.iterdir())) == 5
+
+
+def without_the_last(sparse_map: SparseMap) -> SparseMap:
+    """Return a map before its last photograph was added."""
+    images = {name: sparse_map.images[name] for name in sparse_map.names[:-1]}
+    last = sparse_map.images[sparse_map.names[-1]].point_rows
+    tracks = sparse_map.track_length.copy()
+    tracks[last] -= 1
+    return replace(sparse_map, images=images, track_length=tracks)
+
+
+@pytest.mark.parametrize("corners", [0, 50])
+def test_what_an_added_photograph_does_not_change_is_copied(
+    made: tuple[SparseMap, Path],
+    extract: MapExtractor,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    corners: int,
+) -> None:
+    whole, images = made
+    source = ReferenceSource(whole, images, extract, "key", "method", 100, corners)
+    before = replace(source, sparse_map=without_the_last(whole))
+    references(before, tmp_path / "cache", 2**30)
+    alone = references(source, tmp_path / "alone", 2**30)
+    asked = []
+
+    def counted(of: MapExtractor, *args: Any) -> Any:
+        asked.append(1)
+        return extracted(of, *args)
+
+    extracted = MapExtractor.__call__
+    monkeypatch.setattr(MapExtractor, "__call__", counted)
+    grown = references(source, tmp_path / "cache", 2**30)
+    for row in range(len(whole.names)):
+        for ours, theirs in zip(grown[row].features, alone[row].features, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(grown[row].xyz, alone[row].xyz)
+        np.testing.assert_array_equal(grown[row].confidence, alone[row].confidence)
+    # The first photographs share no point with the last.
+    assert 1 <= len(asked) < len(whole.names)
+    references(replace(source, extractor_key="other"), tmp_path / "cache", 2**30)
+    assert len(asked) >= 2 * len(whole.names) - 4
 
 
 def test_damaged_cache(made: tuple[SparseMap, Path], extract: MapExtractor, tmp_path: Path) -> None:
