@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from baselines.array_store import key_of
 from baselines.views import north_angle, warp_image
 from scene.errors import InputError
 from scene.geometry.camera import Camera
+from scene.localizer import MapPart
 from scene.maps.features import (
     FeatureFile,
     Features,
@@ -23,7 +25,7 @@ from scene.maps.features import (
     unit_descriptors,
 )
 from scene.maps.matching import match
-from scene.maps.sparse_map import SparseMap
+from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.progress import progress_bar
 from scene.storage.digests import digests, require_unchanged
 from scene.storage.images import check_photographs, read_rgb
@@ -107,7 +109,11 @@ class Extractor(ABC):
 
 
 def map_features(
-    sparse_map: SparseMap, images: Path, extractor: Extractor, cache: Path | None
+    sparse_map: SparseMap,
+    images: Path,
+    extractor: Extractor,
+    cache: Path | None,
+    part: MapPart | None = None,
 ) -> FeatureFile:
     """Return features of the map's photographs, extracted unless the cache holds them.
 
@@ -117,13 +123,15 @@ def map_features(
         extractor: extractor of the features.
         cache: folder of files named by a digest of photographs and extractor; None takes a
             temporary file that is removed with the result.
+        part: photographs whose features are enough, where the cache does not hold all; None for
+            all.
 
     Raises:
         InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
     """
     if cache is None:
         with scratch() as folder:
-            return map_features(sparse_map, images, extractor, folder)
+            return map_features(sparse_map, images, extractor, folder, part)
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
     names, posed = sparse_map.names, sparse_map.images
     # How photographs are seen: those of a turned extractor, as they are.
@@ -142,32 +150,65 @@ def map_features(
     path = cache / f"{extractor.name}-{key[:16]}.h5"
     if path.is_file():
         return FeatureFile(path)
+    wanted: Sequence[str] = names
+    if part is not None:
+        wanted = part.names
+        path = part.folder / f"{extractor.name}-{key_of(key, *wanted)[:16]}.h5"
     own = {
         name: features_key([("", sha256)], *made_by, angles.get(name), cameras.get(name))
         for name, sha256 in named
     }
-    earlier = _Earlier(cache.glob(f"{extractor.name}-*.h5"))
-    bar = progress_bar(f"{extractor.name} map features", len(names))
-    with bar as advance, feature_writer(path, key) as add:
-        for first in range(0, len(names), _TOGETHER):
-            some = names[first : first + _TOGETHER]
-            known = {name: item for name in some if (item := earlier.read(own[name])) is not None}
-            left = [name for name in some if name not in known]
-            if extractor.turned and left:
+    earlier = _Earlier(cache.rglob(f"{extractor.name}-*.h5"))
+    bar = progress_bar(f"{extractor.name} map features", len(wanted))
+    with bar as advance, feature_writer(path, key if part is None else "") as add:
+        left = []
+        for name in wanted:
+            if (item := earlier.read(own[name])) is None:
+                left.append(name)
+            else:
+                add(name, item, own[name])
 
-                def advanced(done: int, before: int = first + len(known)) -> None:
-                    advance(before + done)
+        def advanced(done: int) -> None:
+            advance(len(wanted) - len(left) + done)
 
-                known |= extractor.of_photographs(images, left, advanced, cache)
-            for done, name in enumerate(some, first + 1):
-                if name not in known:
-                    camera = posed[name].camera
-                    rgb = read_rgb(images / name, camera)
-                    known[name] = extractor.seen(rgb, camera, angles[name])
-                add(name, known.pop(name), own[name])
-                advance(done)
+        for name, item in _extracted(extractor, images, posed, left, cache, advanced):
+            add(name, item, own[name])
         require_unchanged(files, photographs)
     return FeatureFile(path)
+
+
+def _extracted(
+    extractor: Extractor,
+    images: Path,
+    posed: Mapping[str, MapImage],
+    names: Sequence[str],
+    cache: Path,
+    on_progress: Callable[[int], None],
+) -> Iterator[tuple[str, Features]]:
+    """Extract features of photographs, few of which are in memory at once.
+
+    Args:
+        extractor: extractor of the features.
+        images: folder of the photographs.
+        posed: photographs of the map, by name.
+        names: of the photographs whose features are wanted.
+        cache: folder for temporary files.
+        on_progress: receives the number of finished photographs.
+    """
+    for first in range(0, len(names), _TOGETHER if extractor.turned else 1):
+        if extractor.turned:
+            some = names[first : first + _TOGETHER]
+
+            def advanced(done: int, before: int = first) -> None:
+                on_progress(before + done)
+
+            yield from extractor.of_photographs(images, some, advanced, cache).items()
+            continue
+        image = posed[names[first]]
+        rgb = read_rgb(images / image.name, image.camera)
+        angle = north_angle(image.cam_from_world[:3, :3])
+        yield image.name, extractor.seen(rgb, image.camera, angle)
+        on_progress(first + 1)
 
 
 class _Earlier:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from baselines.array_store import Earlier
+from scene.localizer import MapPart
 from scene.maps.sparse_map import SparseMap
 from scene.storage.digests import digests, require_unchanged
 from scene.storage.images import check_photographs
@@ -21,12 +22,14 @@ class MapCache:
         files: the map's photographs.
         digests: of their bytes, by name, in the order of ``SparseMap.names``.
         map_sha256: digest of the map.
+        part: the photographs that are prepared; None for all.
     """
 
     folder: Path
     files: tuple[Path, ...]
     digests: dict[str, str]
     map_sha256: str
+    part: MapPart | None = None
 
     @staticmethod
     def of(sparse_map: SparseMap, images: Path, folder: Path) -> MapCache:
@@ -46,8 +49,13 @@ class MapCache:
         by_name = dict(zip(sparse_map.names, digests(files), strict=True))
         return MapCache(folder, files, by_name, sparse_map.sha256)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the photographs that are prepared."""
+        return tuple(self.digests if self.part is None else self.part.names)
+
     def path(self, prefix: str, version: int, *parts: object) -> Path:
-        """Return the path of a file.
+        """Return the path of a file of the photographs that are prepared.
 
         Args:
             prefix: its name before the digest.
@@ -56,11 +64,17 @@ class MapCache:
         """
         photographs = list(self.digests.values())
         words = " ".join(map(str, (version, self.map_sha256, photographs, *parts)))
-        return self.folder / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
+        folder = self.folder
+        if self.part is not None:
+            folder, words = self.part.folder, f"{words} {self.names}"
+        return folder / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
 
     def earlier(self, prefix: str) -> Earlier:
-        """Return what files of a prefix hold, whatever map they were made of."""
-        return Earlier(sorted(self.folder.glob(f"{prefix}-*.h5")))
+        """Return what files of a prefix hold, whatever map they were made of.
+
+        Those in folders of the cache, where processes leave parts, are among them.
+        """
+        return Earlier(sorted(self.folder.rglob(f"{prefix}-*.h5")))
 
     def require_unchanged(self) -> None:
         """Refuse photographs that changed since they were read: call it before a file is kept.

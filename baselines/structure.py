@@ -26,7 +26,7 @@ from baselines.starts import StartOptions, starts
 from baselines.views import north_angle
 from scene.errors import InputError
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
 from scene.maps.features import FeatureFile, Features
 from scene.maps.sparse_map import SparseMap
 from scene.storage.lru_cache import LruCache, room
@@ -129,6 +129,10 @@ class StructureLocalizer:
         self._references = References.build(
             sparse_map, OnDemand(described, len(store)), self.config.retrieval
         )
+
+    def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
+        """Compute what the cache is to hold of a part; see ``scene.localizer.PreparesParts``."""
+        map_features(sparse_map, images, self._extractor, cache, part)
 
     def _write_lifted(
         self, path: Path, sparse_map: SparseMap, features: FeatureFile, images: Path

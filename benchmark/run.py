@@ -16,14 +16,16 @@ from benchmark.query_result import QueryResult
 from benchmark.registry import create, known
 from benchmark.scored_query import localize_safely, score_query
 from benchmark.starts import LoadQuery, Start
-from scene.localizer import Localizer
+from scene.localizer import Localizer, MapPart, PreparesParts
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.cluster import WorkerPool, split_work, worker_pool
 from scene.runtime.memory import peak_megabytes, reset_peak
-from scene.storage.scratch import cache_or_scratch
+from scene.storage.scratch import cache_or_scratch, scratch
 
 # The greatest number of queries that a worker of a cluster is handed at once.
 _MOST_QUERIES_AT_ONCE = 16
+# Photographs of the map that a worker prepares at once.
+_FEWEST_PREPARED, _MOST_PREPARED = 8, 64
 # Work without a query: a worker that is handed it only prepares the method.
 _ONLY_PREPARE: Sequence[BenchmarkQuery] = ()
 
@@ -31,6 +33,8 @@ Scored = tuple[QueryResult, float | None]
 """The result of a query, and the peak memory of its process so far (1e6 bytes; None if unknown)."""
 Keep = Callable[[QueryResult], None]
 """Keeps the result of a query. Threads call it: no signal parts an answer from its keeping."""
+Unit = Sequence[BenchmarkQuery] | MapPart
+"""What a worker of a cluster is handed: queries to localize, or a part of the map to prepare."""
 LocalizeAll = Callable[[Sequence[BenchmarkQuery], Keep], Generator[float | None, None, None]]
 
 
@@ -92,11 +96,29 @@ class Run:
         seconds = perf_counter() - began
         return score_query(query, estimate, self.sparse_map, seconds), peak_megabytes()
 
-    def __call__(self, queries: Sequence[BenchmarkQuery]) -> Iterator[Scored]:
-        """Localize queries in a worker, which prepares the method before its first queries."""
+    def __call__(self, unit: Unit) -> Iterator[Scored]:
+        """Localize queries in a worker, which prepares the method before its first queries; or
+        compute what the cache is to hold of a part of the map, which yields nothing."""
+        if isinstance(unit, MapPart):
+            assert isinstance(self._localizer, PreparesParts) and self._cache is not None
+            images = self._dataset.images
+            self._localizer.prepare_part(self.sparse_map, images, self._cache, unit)
+            return
         if self._load is None:
             self.prepare()
-        yield from map(self.localize, queries)
+        yield from map(self.localize, unit)
+
+    @contextmanager
+    def parts(self, cores: int) -> Iterator[Sequence[MapPart]]:
+        """Divide the preparation among the cores of a cluster, where the method can be prepared in
+        parts; their files are there while the block runs, which prepares the whole."""
+        if self._cache is None or not isinstance(self._localizer, PreparesParts):
+            yield []
+            return
+        names = self.sparse_map.names
+        with scratch(self._cache) as folder:
+            some = split_work(names, cores, _FEWEST_PREPARED, _MOST_PREPARED)
+            yield [MapPart(part, folder.absolute()) for part in some]
 
 
 def _created_run(dataset: Dataset, name: str, config: dict[str, Any], *others: Any) -> Run:
@@ -115,11 +137,11 @@ def prepared(run: Run, jobs: int, cluster: str | None) -> Iterator[tuple[float, 
         yield run.prepare(), lambda queries, keep: _in_threads(run, queries, jobs, keep)
         return
     with worker_pool(cluster, run) as workers:
-        yield _prepare_one_worker(workers), partial(_on_cluster, workers)
+        yield _prepare_workers(run, workers), partial(_on_cluster, workers)
 
 
 def _on_cluster(
-    workers: WorkerPool[Sequence[BenchmarkQuery], Scored],
+    workers: WorkerPool[Unit, Scored],
     queries: Sequence[BenchmarkQuery],
     keep: Keep,
 ) -> Generator[float | None, None, None]:
@@ -130,13 +152,14 @@ def _on_cluster(
             yield memory
 
 
-def _prepare_one_worker(workers: WorkerPool[Sequence[BenchmarkQuery], Scored]) -> float:
-    """Let one worker prepare the method, and return the seconds that it took.
+def _prepare_workers(run: Run, workers: WorkerPool[Unit, Scored]) -> float:
+    """Let all workers prepare the map in parts and one of them the whole, and return the seconds.
 
     This fills the cache, which the other workers then read instead of preparing all at once.
     """
     began = perf_counter()
-    nothing = list(workers.map([_ONLY_PREPARE]))
+    with run.parts(workers.cores) as parts:
+        nothing = [*workers.map(parts), *workers.map([_ONLY_PREPARE])]
     assert not nothing
     return perf_counter() - began
 

@@ -21,7 +21,7 @@ from objconnect.network import ObjConnectNet
 from objconnect.object_map import MapObjects, ObjectFinder, map_ground
 from scene.config import Config
 from scene.geometry.pose import so3_exp
-from scene.localizer import Prior, Query
+from scene.localizer import MapPart, Prior, Query
 
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
@@ -74,12 +74,14 @@ class ObjectPlaceFinder:
         self._watched: MapObjects | None = None
         self.is_first = True
 
-    def watcher(self, source: ReferenceSource, cache: Path) -> MapObjects | None:
-        """Return what finds objects in the feature maps of a map's photographs.
+    def watcher(
+        self, source: ReferenceSource, cache: Path, part: MapPart | None = None
+    ) -> MapObjects | None:
+        """Return what finds objects in the feature maps of a map's photographs, or of a part.
 
         It is None where the cache holds the objects.
         """
-        self._watched = self._find.watcher(source, cache)
+        self._watched = self._find.watcher(source, cache, part)
         return self._watched
 
     def prepare(self, source: ReferenceSource, cache: Path) -> None:

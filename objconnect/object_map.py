@@ -21,6 +21,7 @@ from baselines.views import WarpedImage, looks_down
 from objconnect.detector import Detections, DetectorMaps, ObjectDetector, detections
 from objconnect.landmarks import LandmarkOptions, Landmarks, View, merged, on_ground
 from scene.geometry.camera import Camera
+from scene.localizer import MapPart
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.memory import return_freed
 from scene.runtime.progress import progress_bar
@@ -97,14 +98,17 @@ class ObjectFinder:
         seen = f"{source.extractor_key} {source.options.same_resolution}"
         return kept.path("objects", _FORMAT, seen, self._options.model_dump_json())
 
-    def watcher(self, source: ReferenceSource, cache: Path) -> MapObjects | None:
+    def watcher(
+        self, source: ReferenceSource, cache: Path, part: MapPart | None = None
+    ) -> MapObjects | None:
         """Return what finds the objects of a map in the feature maps of its references.
 
         It is None where the cache holds the objects.
         """
         if self.file(source, cache).is_file():
             return None
-        return MapObjects(self, source, MapCache.of(source.sparse_map, source.images, cache))
+        kept = MapCache.of(source.sparse_map, source.images, cache)
+        return MapObjects(self, source, replace(kept, part=part))
 
     def kept_landmarks(
         self, source: ReferenceSource, cache: Path, watched: MapObjects | None
@@ -141,7 +145,8 @@ class MapObjects:
     Args:
         find: finds the objects of a view.
         source: what references of the map are computed from.
-        kept: the cache, whose earlier files may hold what did not change; None without one.
+        kept: the cache, which names the photographs and whose earlier files may hold what did not
+            change; None for all photographs, without a cache.
     """
 
     def __init__(
@@ -211,7 +216,8 @@ class MapObjects:
     def _down(self) -> list[MapImage]:
         """Return the photographs that look down, in the order of their names."""
         sparse_map = self._source.sparse_map
-        posed = [sparse_map.images[name] for name in sparse_map.names]
+        names = sparse_map.names if self._kept is None else self._kept.names
+        posed = [sparse_map.images[name] for name in names]
         return [image for image in posed if looks_down(image.cam_from_world[:3, :3])]
 
     def _key(self, image: MapImage) -> str:

@@ -5,13 +5,13 @@ A localizer never sees the reference pose of a query, which is not part of ``Que
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,5 +206,39 @@ class Localizer(Protocol):
 
         A query that cannot be localized is answered with ``FAILED`` and a reason, never by an
         exception.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class MapPart:
+    """Some photographs of a map, which one of several processes prepares.
+
+    Attributes:
+        names: of the photographs.
+        folder: folder in that of the cache, for what is computed of them.
+    """
+
+    names: Sequence[str]
+    folder: Path
+
+
+@runtime_checkable
+class PreparesParts(Protocol):
+    """A localizer whose ``prepare`` takes what several processes have computed of a map."""
+
+    def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
+        """Compute what the cache is to hold of some photographs, unless it holds all already.
+
+        Once all parts are there, ``prepare`` with the same map and cache copies them.
+
+        Args:
+            sparse_map: the whole map.
+            images: folder of its photographs.
+            cache: folder of the cache.
+            part: the photographs.
+
+        Raises:
+            InputError: a photograph is missing or damaged.
         """
         ...

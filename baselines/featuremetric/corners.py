@@ -106,11 +106,11 @@ class CornerFinder:
 
 
 def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDArray[np.float64]]:
-    """Return the places (N, 3) of the corners of every photograph, kept in a file for all methods.
+    """Return the places (N, 3) of the corners of photographs, kept in a file for all methods.
 
     Args:
         find: finds the corners of one photograph.
-        kept: the cache, which names the photographs' digests.
+        kept: the cache, which names the photographs and their digests.
         parts: all that decides how corners are found.
 
     Raises:
@@ -118,16 +118,16 @@ def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDAr
     """
     path = kept.path(_PREFIX, _FORMAT, *parts)
     if not path.is_file():
-        earlier, digests = kept.earlier(_PREFIX), kept.digests
+        earlier = kept.earlier(_PREFIX)
 
         def of_photograph(name: str) -> tuple[Mapping[str, NDArray[np.float64]], str]:
-            key = key_of(_FORMAT, *parts, find.made_of(name, digests))
+            key = key_of(_FORMAT, *parts, find.made_of(name, kept.digests))
             found = earlier.read(key, ("xyz",))
             return {"xyz": find(name).xyz} if found is None else found, key
 
-        bar = progress_bar("corners of the map", len(digests))
+        bar = progress_bar("corners of the map", len(kept.names))
         with written_store(path) as add, bar as advance:
-            for done, (found, key) in enumerate(in_threads(of_photograph, digests), 1):
+            for done, (found, key) in enumerate(in_threads(of_photograph, kept.names), 1):
                 add(found, key)
                 advance(done)
             kept.require_unchanged()

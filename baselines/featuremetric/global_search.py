@@ -19,7 +19,7 @@ from baselines.place.finder import PlaceFinder
 from baselines.place.search import Candidate
 from baselines.starts import starts
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Query, Stopwatch
+from scene.localizer import Estimate, MapPart, Query, Stopwatch
 from scene.maps.sparse_map import SparseMap
 
 _UNCLEAR: Final = "no place of the map fits the image clearly"
@@ -34,8 +34,11 @@ class OtherFinder(Protocol):
 
     is_first: bool
 
-    def watcher(self, source: ReferenceSource, cache: Path) -> Watch | None:
-        """Return what is to see the photographs of a map before ``prepare``; None where nothing."""
+    def watcher(
+        self, source: ReferenceSource, cache: Path, part: MapPart | None = None
+    ) -> Watch | None:
+        """Return what is to see the photographs of a map, or of a part of it, before ``prepare``;
+        None where nothing."""
         ...
 
     def prepare(self, source: ReferenceSource, cache: Path) -> None:

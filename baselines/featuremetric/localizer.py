@@ -25,14 +25,15 @@ from baselines.featuremetric.matcher import matcher
 from baselines.featuremetric.options import FeaturemetricConfig
 from baselines.featuremetric.priors import says_all, search_radius
 from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
-from baselines.featuremetric.references import ReferenceSource, references
+from baselines.featuremetric.references import ReferenceSource, references, write_part
 from baselines.featuremetric.refiner import Refiner
 from baselines.featuremetric.tracking import Tracking
 from baselines.place.finder import PlaceFinder
 from baselines.retrieval import OnDemand, References
+from baselines.sift import SiftLocalizer
 from baselines.starts import starts
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.memory import return_freed_above
 from scene.storage.lru_cache import MEGABYTE
@@ -79,17 +80,7 @@ class FeaturemetricLocalizer:
             least_mb = min(kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
             matches = matcher(of_matches, sparse_map, images, cache)
-        source = ReferenceSource(
-            sparse_map,
-            images,
-            self._extract,
-            f"{self.weights_sha256} {config.longest} {config.precision}",
-            self.name,
-            config.points,
-            config.corners,
-            config.reference,
-            config.corner,
-        )
+        source = self._source(sparse_map, images)
         other = self._other if config.multistart else None
         watch = None if other is None else other.watcher(source, cache)
         observations = references(source, cache, kept_mb, watch)
@@ -124,6 +115,31 @@ class FeaturemetricLocalizer:
         if other is not None:
             other.prepare(source, cache)
         self._search = GlobalSearch(self._refine, sparse_map, places, other)
+
+    def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
+        """Compute what the cache is to hold of a part; see ``scene.localizer.PreparesParts``."""
+        config = self.config
+        if config.multistart and config.matches is not None:
+            SiftLocalizer(config.matches).prepare_part(sparse_map, images, cache, part)
+        source = self._source(sparse_map, images)
+        other = self._other if config.multistart else None
+        watch = None if other is None else other.watcher(source, cache, part)
+        write_part(source, cache, part, watch)
+
+    def _source(self, sparse_map: SparseMap, images: Path) -> ReferenceSource:
+        """Return what references of a map are computed from."""
+        config = self.config
+        return ReferenceSource(
+            sparse_map,
+            images,
+            self._extract,
+            f"{self.weights_sha256} {config.longest} {config.precision}",
+            self.name,
+            config.points,
+            config.corners,
+            config.reference,
+            config.corner,
+        )
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:

@@ -6,7 +6,7 @@ Only features at points are needed of the photographs, and these are few.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -30,6 +30,7 @@ from baselines.resolution import (
 from baselines.views import WarpedImage, north_angle
 from scene.config import Config
 from scene.geometry.pose import Pose
+from scene.localizer import MapPart
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.runtime.memory import return_freed
 from scene.runtime.progress import progress_bar
@@ -50,6 +51,10 @@ class Watch(Protocol):
         self, image: MapImage, key: str, view: WarpedImage, maps: list[FeatureMap]
     ) -> None:
         """See a photograph."""
+        ...
+
+    def write(self) -> None:
+        """Keep what was found in a file of the cache."""
         ...
 
 
@@ -102,6 +107,14 @@ class ReferenceSource:
     corners: int = 0
     options: ReferenceOptions = field(default_factory=ReferenceOptions)
     corner_options: CornerOptions = field(default_factory=CornerOptions)
+
+    def path(self, kept: MapCache) -> Path:
+        """Return the path of the file of observations in a cache."""
+        # Without corners, how they would be found changes nothing.
+        corner_key = self.corner_options.model_dump_json() if self.corners else ""
+        options_key = self.options.model_dump_json()
+        parts = (self.points, self.corners, corner_key, options_key, self.extractor_key)
+        return kept.path(self.name, _FORMAT, *parts)
 
 
 @dataclass(frozen=True)
@@ -181,41 +194,40 @@ def references(
     Raises:
         InputError: a photograph is missing, broken, not of its camera's size, or changed meanwhile.
     """
-    sparse_map, images = source.sparse_map, source.images
-    kept = MapCache.of(sparse_map, images, cache)
-    corners, longest = source.corners, source.extract.longest
-    # Without corners, how they would be found changes nothing.
-    corner_key = source.corner_options.model_dump_json() if corners else ""
-    options_key = source.options.model_dump_json()
-    parts = (source.points, corners, corner_key, options_key, source.extractor_key)
-    path = kept.path(source.name, _FORMAT, *parts)
+    kept = MapCache.of(source.sparse_map, source.images, cache)
+    path = source.path(kept)
     if not path.is_file():
-        corner_points = [np.empty((0, 3))] * len(sparse_map.names)
-        if corners:
-            find = CornerFinder(sparse_map, images, corners, longest, source.corner_options)
-            corner_points = all_corners(find, kept, corners, longest, corner_key)
-        _write_references(path, source, kept, corner_points, watch)
+        _write_references(source, kept, watch)
     return ReferenceFeatures(path, room(memory_mb))
 
 
-def _write_references(
-    path: Path,
-    source: ReferenceSource,
-    kept: MapCache,
-    corner_points: Sequence[NDArray[np.float64]],
-    watch: Watch | None,
-) -> None:
-    """Run the network on the photographs of a map and keep the features at their points.
+def write_part(source: ReferenceSource, cache: Path, part: MapPart, watch: Watch | None) -> None:
+    """Compute the observations of a part of a map's photographs, unless the cache holds all.
+
+    The arguments and errors are those of ``references``, which copies what this has written.
+    """
+    kept = MapCache.of(source.sparse_map, source.images, cache)
+    if not source.path(kept).is_file():
+        _write_references(source, replace(kept, part=part), watch)
+        if watch is not None:
+            watch.write()
+
+
+def _write_references(source: ReferenceSource, kept: MapCache, watch: Watch | None) -> None:
+    """Run the network on photographs of a map and keep the features at their points.
 
     Args:
-        path: of the file to write.
         source: what the observations are computed from.
         kept: the cache, whose earlier files may hold what did not change.
-        corner_points: further points (N, 3) of each photograph.
         watch: sees the feature maps.
     """
-    sparse_map, options = source.sparse_map, source.options
-    posed = [sparse_map.images[name] for name in sparse_map.names]
+    sparse_map, options, path = source.sparse_map, source.options, source.path(kept)
+    posed = [sparse_map.images[name] for name in kept.names]
+    corner_points = [np.empty((0, 3))] * len(posed)
+    if source.corners:
+        longest, how = source.extract.longest, source.corner_options
+        find = CornerFinder(sparse_map, source.images, source.corners, longest, how)
+        corner_points = all_corners(find, kept, source.corners, longest, how.model_dump_json())
     views, earlier = MapViews(source), kept.earlier(source.name)
     levels = len(source.extract.network.config.strides)
     names = _names(levels)
