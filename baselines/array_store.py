@@ -123,6 +123,11 @@ class ArrayStore:
         return InputError(f"{self._path} is damaged ({error}): delete it")
 
 
+def kept_files(cache: Path, prefix: str) -> list[Path]:
+    """Return the files of a prefix in a cache, and in its folders, where processes leave parts."""
+    return sorted([*cache.glob(f"{prefix}-*.h5"), *cache.glob(f"*/{prefix}-*.h5")])
+
+
 class Earlier:
     """The arrays that earlier files of a cache hold of photographs, by what they were made of.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from baselines.array_store import key_of
+from baselines.array_store import kept_files, key_of
 from baselines.views import north_angle, warp_image
 from scene.errors import InputError
 from scene.geometry.camera import Camera
@@ -158,7 +158,7 @@ def map_features(
         name: features_key([("", sha256)], *made_by, angles.get(name), cameras.get(name))
         for name, sha256 in named
     }
-    earlier = _Earlier(cache.rglob(f"{extractor.name}-*.h5"))
+    earlier = _Earlier(kept_files(cache, extractor.name))
     bar = progress_bar(f"{extractor.name} map features", len(wanted))
     with bar as advance, feature_writer(path, key if part is None else "") as add:
         left = []
@@ -220,7 +220,7 @@ class _Earlier:
 
     def __init__(self, paths: Iterable[Path]) -> None:
         self._found: dict[str, tuple[FeatureFile, str]] = {}
-        for path in sorted(paths):
+        for path in paths:
             with suppress(InputError):
                 file = FeatureFile(path)
                 self._found |= {key: (file, name) for key, name in file.by_key().items()}

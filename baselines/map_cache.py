@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.array_store import Earlier
+from baselines.array_store import Earlier, kept_files
 from scene.localizer import MapPart
 from scene.maps.sparse_map import SparseMap
 from scene.storage.digests import digests, require_unchanged
@@ -70,11 +70,8 @@ class MapCache:
         return folder / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
 
     def earlier(self, prefix: str) -> Earlier:
-        """Return what files of a prefix hold, whatever map they were made of.
-
-        Those in folders of the cache, where processes leave parts, are among them.
-        """
-        return Earlier(sorted(self.folder.rglob(f"{prefix}-*.h5")))
+        """Return what files of a prefix hold, whatever map they were made of."""
+        return Earlier(kept_files(self.folder, prefix))
 
     def require_unchanged(self) -> None:
         """Refuse photographs that changed since they were read: call it before a file is kept.

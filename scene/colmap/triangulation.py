@@ -133,6 +133,8 @@ def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> 
         changed = triangulator.complete_tracks(options.triangulation, _shown(model, added))
         changed += triangulator.merge_tracks(options.triangulation, _shown(model, added))
         shown = _shown(model, added)
+        if not shown:
+            break
         touched |= shown
         _adjust_points(model, shown)
         changed += manager.filter_points3D(
