@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import h5py
 import numpy as np
@@ -16,6 +17,9 @@ from scene.errors import HDF5_DAMAGE, InputError
 from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, dataset
+
+# Earlier files that are open at a time.
+_OPEN: Final = 8
 
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays of one photograph, by name; all have the same number of rows."""
@@ -139,17 +143,19 @@ class Earlier:
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:
-        self._found: dict[str, tuple[ArrayStore, int]] = {}
+        # A cache may hold more files than a process may have open.
+        self._store = lru_cache(maxsize=_OPEN)(ArrayStore)
+        self._found: dict[str, tuple[Path, int]] = {}
         for path in paths:
             with suppress(InputError):
-                store = ArrayStore(path)
-                self._found |= {key: (store, row) for row, key in enumerate(store.keys()) if key}
+                keys = self._store(path).keys()
+                self._found |= {key: (path, row) for row, key in enumerate(keys) if key}
 
     def read(self, key: str, names: Sequence[str]) -> dict[str, NDArray[Any]] | None:
         """Return arrays of the photograph with a key; None where no file holds them."""
         if key not in self._found:
             return None
-        store, row = self._found[key]
+        path, row = self._found[key]
         with suppress(InputError):
-            return {name: store.read(row, name) for name in names}
+            return {name: self._store(path).read(row, name) for name in names}
         return None

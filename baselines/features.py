@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ from scene.storage.scratch import scratch
 
 # Photographs whose features are in memory at once while they are extracted.
 _TOGETHER = 64
+# Earlier files that are open at a time.
+_OPEN = 8
 
 
 class Extractor(ABC):
@@ -219,19 +222,21 @@ class _Earlier:
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:
-        self._found: dict[str, tuple[FeatureFile, str]] = {}
+        # A cache may hold more files than a process may have open.
+        self._file = lru_cache(maxsize=_OPEN)(FeatureFile)
+        self._found: dict[str, tuple[Path, str]] = {}
         for path in paths:
             with suppress(InputError):
-                file = FeatureFile(path)
-                self._found |= {key: (file, name) for key, name in file.by_key().items()}
+                names = self._file(path).by_key()
+                self._found |= {key: (path, name) for key, name in names.items()}
 
     def read(self, key: str) -> Features | None:
         """Return the features of the photograph with a key; None where no file holds them."""
         if key not in self._found:
             return None
-        file, name = self._found[key]
+        path, name = self._found[key]
         with suppress(InputError):
-            return file[name]
+            return self._file(path)[name]
         return None
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,23 @@ def test_earlier_arrays_are_found_by_what_they_were_made_of(tmp_path: Path) -> N
     assert earlier.read(key_of("one", np.arange(2)), ["a", "b"]) is None
     assert earlier.read(key_of("damaged", np.arange(2)), ["a"]) is None
     assert earlier.read(key_of(""), ["a"]) is None
+
+
+def test_more_earlier_files_than_a_process_may_open(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{number}.h5" for number in range(60)]
+    for number, path in enumerate(paths):
+        with written_store(path) as add:
+            add({"a": np.array([number])}, key_of(number))
+    before, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    there = len(list(Path("/proc/self/fd").iterdir()))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (there + 30, hard))
+    try:
+        earlier = Earlier(paths)
+        for number in range(60):
+            found = earlier.read(key_of(number), ["a"])
+            assert found is not None and found["a"] == [number]
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (before, hard))
 
 
 def test_keys_tell_parts_apart() -> None:
