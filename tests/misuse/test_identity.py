@@ -257,7 +257,9 @@ def content(cache: Path) -> Content:
 
         def note(name: str, node: object, arrays: dict[str, list[Any]] = arrays) -> None:
             if isinstance(node, h5py.Dataset):
-                arrays[name] = np.round(node[...].astype(np.float64), 6).tolist()
+                values = node[...]
+                is_text = values.dtype.kind == "S"
+                arrays[name] = (values if is_text else np.round(values.astype(float), 6)).tolist()
 
         with h5py.File(path) as file:
             file.visititems(note)
