@@ -140,7 +140,7 @@ def _extend(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> 
         changed += manager.filter_points3D(
             options.mapper.filter_max_reproj_error, options.mapper.filter_min_tri_angle, shown
         )
-        if changed <= options.ba_global_max_refinement_change * max(1, len(shown)):
+        if changed <= options.ba_global_max_refinement_change * len(shown):
             break
     # An image whose observation of a point was filtered does not change it.
     for number in (touched - _shown(model, added)) & before.keys():
