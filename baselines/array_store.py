@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from functools import lru_cache
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import h5py
 import numpy as np
@@ -18,9 +16,6 @@ from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, dataset
 
-# Earlier files that are open at a time.
-_OPEN: Final = 8
-
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays of one photograph, by name; all have the same number of rows."""
 
@@ -29,18 +24,8 @@ class Add(Protocol):
     """Adds the arrays of the next photograph to a file."""
 
     def __call__(self, parts: Arrays, key: str = "") -> None:
-        """Add arrays; ``key`` says what they were made of, as ``key_of`` returns it."""
+        """Add arrays; ``key`` says what they were made of: see ``baselines.earlier.key_of``."""
         ...
-
-
-def key_of(*parts: object) -> str:
-    """Return a digest of all that something was made of: of the bytes of arrays, else of text."""
-    sha256 = hashlib.sha256()
-    for part in parts:
-        array = isinstance(part, np.ndarray)
-        data = np.ascontiguousarray(part).tobytes() if array else str(part).encode()
-        sha256.update(f"{len(data)} ".encode() + data)
-    return sha256.hexdigest()
 
 
 @contextmanager
@@ -97,12 +82,13 @@ class ArrayStore:
         """Return the number of photographs."""
         return len(self._ends)
 
-    def keys(self) -> list[str]:
-        """Return what says of each photograph what its arrays were made of; none if unknown."""
+    def by_key(self) -> dict[str, int]:
+        """Return the photographs of which is known what their arrays were made of, by that."""
         try:
-            return [key.decode() for key in array(self._file, "keys").tolist()]
+            keys = array(self._file, "keys").tolist()
         except HDF5_DAMAGE:
-            return []
+            return {}
+        return {key.decode(): photograph for photograph, key in enumerate(keys) if key}
 
     def attribute(self, name: str) -> Any:
         """Return an attribute that was written with the file."""
@@ -123,39 +109,9 @@ class ArrayStore:
         except HDF5_DAMAGE as error:
             raise self._damaged(error) from None
 
+    def arrays(self, photograph: int, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+        """Read arrays of a photograph by their names."""
+        return {name: self.read(photograph, name) for name in names}
+
     def _damaged(self, error: Exception) -> InputError:
         return InputError(f"{self._path} is damaged ({error}): delete it")
-
-
-def kept_files(cache: Path, prefix: str) -> list[Path]:
-    """Return the files of a prefix in a cache, and in its folders, where processes leave parts."""
-    return sorted([*cache.glob(f"{prefix}-*.h5"), *cache.glob(f"*/{prefix}-*.h5")])
-
-
-class Earlier:
-    """The arrays that earlier files of a cache hold of photographs, by what they were made of.
-
-    Where photographs are added to a map, a file is written anew, as one file holds the arrays of
-    all. Those that the change does not touch are copied from here.
-
-    Args:
-        paths: of files that ``written_store`` wrote; damaged and other files are passed over.
-    """
-
-    def __init__(self, paths: Iterable[Path]) -> None:
-        # A cache may hold more files than a process may have open.
-        self._store = lru_cache(maxsize=_OPEN)(ArrayStore)
-        self._found: dict[str, tuple[Path, int]] = {}
-        for path in paths:
-            with suppress(InputError):
-                keys = self._store(path).keys()
-                self._found |= {key: (path, row) for row, key in enumerate(keys) if key}
-
-    def read(self, key: str, names: Sequence[str]) -> dict[str, NDArray[Any]] | None:
-        """Return arrays of the photograph with a key; None where no file holds them."""
-        if key not in self._found:
-            return None
-        path, row = self._found[key]
-        with suppress(InputError):
-            return {name: self._store(path).read(row, name) for name in names}
-        return None

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from baselines.array_store import kept_files, key_of
+from baselines.earlier import Earlier, kept_files, key_of
 from baselines.views import north_angle, warp_image
 from scene.errors import InputError
 from scene.geometry.camera import Camera
@@ -26,7 +24,7 @@ from scene.maps.features import (
     unit_descriptors,
 )
 from scene.maps.matching import match
-from scene.maps.sparse_map import MapImage, SparseMap
+from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
 from scene.storage.digests import digests, require_unchanged
 from scene.storage.images import check_photographs, read_rgb
@@ -34,8 +32,6 @@ from scene.storage.scratch import scratch
 
 # Photographs whose features are in memory at once while they are extracted.
 _TOGETHER = 64
-# Earlier files that are open at a time.
-_OPEN = 8
 
 
 class Extractor(ABC):
@@ -136,18 +132,10 @@ def map_features(
         with scratch() as folder:
             return map_features(sparse_map, images, extractor, folder, part)
     check_photographs(images, {name: sparse_map.images[name].camera for name in sparse_map.names})
-    names, posed = sparse_map.names, sparse_map.images
-    # How photographs are seen: those of a turned extractor, as they are.
-    angles: dict[str, float] = {}
-    cameras: dict[str, str] = {}
-    if not extractor.turned:
-        angles = {name: north_angle(posed[name].cam_from_world[:3, :3]) for name in names}
-        cameras = {name: str(posed[name].camera) for name in names}
+    names = sparse_map.names
     files = [images / name for name in names]
     photographs = digests(files)
-    named = list(zip(names, photographs, strict=True))
-    made_by = (extractor.options, extractor.weights_sha256)
-    key = features_key(named, *made_by, angles, list(cameras.values()))
+    key, own = _keys(sparse_map, extractor, photographs)
     if (kept := _kept_with_map(sparse_map, key)) is not None:
         return kept
     path = cache / f"{extractor.name}-{key[:16]}.h5"
@@ -157,16 +145,12 @@ def map_features(
     if part is not None:
         wanted = part.names
         path = part.folder / f"{extractor.name}-{key_of(key, *wanted)[:16]}.h5"
-    own = {
-        name: features_key([("", sha256)], *made_by, angles.get(name), cameras.get(name))
-        for name, sha256 in named
-    }
-    earlier = _Earlier(kept_files(cache, extractor.name))
+    earlier = Earlier(FeatureFile, FeatureFile.by_key, kept_files(cache, extractor.name))
     bar = progress_bar(f"{extractor.name} map features", len(wanted))
     with bar as advance, feature_writer(path, key if part is None else "") as add:
         left = []
         for name in wanted:
-            if (item := earlier.read(own[name])) is None:
+            if (item := earlier.read(own[name], FeatureFile.__getitem__)) is None:
                 left.append(name)
             else:
                 add(name, item, own[name])
@@ -174,16 +158,43 @@ def map_features(
         def advanced(done: int) -> None:
             advance(len(wanted) - len(left) + done)
 
-        for name, item in _extracted(extractor, images, posed, left, cache, advanced):
+        for name, item in _extracted(extractor, images, sparse_map, left, cache, advanced):
             add(name, item, own[name])
         require_unchanged(files, photographs)
     return FeatureFile(path)
 
 
+def _keys(
+    sparse_map: SparseMap, extractor: Extractor, photographs: Sequence[str]
+) -> tuple[str, dict[str, str]]:
+    """Return digests of all that features depend on: of all photographs, and of each by name.
+
+    Args:
+        sparse_map: the map of the photographs.
+        extractor: extractor of the features.
+        photographs: digests of their bytes, in the order of ``SparseMap.names``.
+    """
+    made_by = (extractor.options, extractor.weights_sha256)
+    named = list(zip(sparse_map.names, photographs, strict=True))
+    # How photographs are seen: those of a turned extractor, as they are.
+    angles: dict[str, float] = {}
+    cameras: dict[str, str] = {}
+    if not extractor.turned:
+        for name in sparse_map.names:
+            image = sparse_map.images[name]
+            angles[name] = north_angle(image.cam_from_world[:3, :3])
+            cameras[name] = str(image.camera)
+    own = {
+        name: features_key([("", sha256)], *made_by, angles.get(name), cameras.get(name))
+        for name, sha256 in named
+    }
+    return features_key(named, *made_by, angles, list(cameras.values())), own
+
+
 def _extracted(
     extractor: Extractor,
     images: Path,
-    posed: Mapping[str, MapImage],
+    sparse_map: SparseMap,
     names: Sequence[str],
     cache: Path,
     on_progress: Callable[[int], None],
@@ -193,7 +204,7 @@ def _extracted(
     Args:
         extractor: extractor of the features.
         images: folder of the photographs.
-        posed: photographs of the map, by name.
+        sparse_map: the map of the photographs.
         names: of the photographs whose features are wanted.
         cache: folder for temporary files.
         on_progress: receives the number of finished photographs.
@@ -207,37 +218,11 @@ def _extracted(
 
             yield from extractor.of_photographs(images, some, advanced, cache).items()
             continue
-        image = posed[names[first]]
+        image = sparse_map.images[names[first]]
         rgb = read_rgb(images / image.name, image.camera)
         angle = north_angle(image.cam_from_world[:3, :3])
         yield image.name, extractor.seen(rgb, image.camera, angle)
         on_progress(first + 1)
-
-
-class _Earlier:
-    """Features of photographs in earlier files of a cache, by ``features_key`` of each.
-
-    Args:
-        paths: of feature files; damaged and other files are passed over.
-    """
-
-    def __init__(self, paths: Iterable[Path]) -> None:
-        # A cache may hold more files than a process may have open.
-        self._file = lru_cache(maxsize=_OPEN)(FeatureFile)
-        self._found: dict[str, tuple[Path, str]] = {}
-        for path in paths:
-            with suppress(InputError):
-                names = self._file(path).by_key()
-                self._found |= {key: (path, name) for key, name in names.items()}
-
-    def read(self, key: str) -> Features | None:
-        """Return the features of the photograph with a key; None where no file holds them."""
-        if key not in self._found:
-            return None
-        path, name = self._found[key]
-        with suppress(InputError):
-            return self._file(path)[name]
-        return None
 
 
 def _kept_with_map(sparse_map: SparseMap, key: str) -> FeatureFile | None:

@@ -6,7 +6,8 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.array_store import Earlier, kept_files
+from baselines.array_store import ArrayStore
+from baselines.earlier import Earlier, kept_files
 from scene.localizer import MapPart
 from scene.maps.sparse_map import SparseMap
 from scene.storage.digests import digests, require_unchanged
@@ -69,9 +70,9 @@ class MapCache:
             folder, words = self.part.folder, f"{words} {self.names}"
         return folder / f"{prefix}-{hashlib.sha256(words.encode()).hexdigest()[:16]}.h5"
 
-    def earlier(self, prefix: str) -> Earlier:
+    def earlier(self, prefix: str) -> Earlier[ArrayStore, int]:
         """Return what files of a prefix hold, whatever map they were made of."""
-        return Earlier(kept_files(self.folder, prefix))
+        return Earlier(ArrayStore, ArrayStore.by_key, kept_files(self.folder, prefix))
 
     def require_unchanged(self) -> None:
         """Refuse photographs that changed since they were read: call it before a file is kept.

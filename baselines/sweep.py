@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from baselines.array_store import key_of
+from baselines.earlier import key_of
 from baselines.grey_photograph import GreyPhotograph
 from baselines.neighbours import NeighbourOptions, Neighbours
 from baselines.plane_sweep import PlaneSweep

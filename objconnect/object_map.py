@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.array_store import Earlier, key_of, written_store
+from baselines.array_store import written_store
+from baselines.earlier import key_of
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.featuremetric.references import MapViews, ReferenceSource
 from baselines.map_cache import MapCache
@@ -156,7 +157,7 @@ class MapObjects:
         kept: MapCache | None = None,
     ) -> None:
         self._find, self._source, self._kept = find, source, kept
-        self._earlier = Earlier([]) if kept is None else kept.earlier(_DETECTIONS)
+        self._earlier = None if kept is None else kept.earlier(_DETECTIONS)
         self._see = MapViews(source)
         self._found: dict[str, Detections] = {}
 
@@ -164,10 +165,11 @@ class MapObjects:
         """Return whether a photograph looks down and its objects are not known."""
         if not looks_down(image.cam_from_world[:3, :3]):
             return False
-        if image.name not in self._found:
-            arrays = self._earlier.read(key_of(key, self._find.made_of()), _ARRAYS)
-            if arrays is not None:
-                self._found[image.name] = Detections(*map(torch.from_numpy, arrays.values()))
+        if image.name not in self._found and self._earlier is not None:
+            made_of = key_of(key, self._find.made_of())
+            found = self._earlier.read(made_of, lambda store, row: store.arrays(row, _ARRAYS))
+            if found is not None:
+                self._found[image.name] = Detections(*map(torch.from_numpy, found.values()))
         return image.name not in self._found
 
     def __call__(

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from baselines.array_store import ArrayStore, key_of, written_store
+from baselines.array_store import ArrayStore, written_store
+from baselines.earlier import key_of
 from baselines.map_cache import MapCache
 from baselines.sweep import Sweeper, SweepOptions
 from scene.config import Config
@@ -122,8 +123,8 @@ def all_corners(find: CornerFinder, kept: MapCache, *parts: object) -> list[NDAr
 
         def of_photograph(name: str) -> tuple[Mapping[str, NDArray[np.float64]], str]:
             key = key_of(_FORMAT, *parts, find.made_of(name, kept.digests))
-            found = earlier.read(key, ("xyz",))
-            return {"xyz": find(name).xyz} if found is None else found, key
+            xyz = earlier.read(key, lambda store, row: store.read(row, "xyz"))
+            return {"xyz": find(name).xyz if xyz is None else xyz}, key
 
         bar = progress_bar("corners of the map", len(kept.names))
         with written_store(path) as add, bar as advance:

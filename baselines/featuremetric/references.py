@@ -16,7 +16,8 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
-from baselines.array_store import ArrayStore, key_of, written_store
+from baselines.array_store import ArrayStore, written_store
+from baselines.earlier import key_of
 from baselines.featuremetric.corners import CornerFinder, CornerOptions, all_corners
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.map_cache import MapCache
@@ -241,7 +242,7 @@ def _write_references(source: ReferenceSource, kept: MapCache, watch: Watch | No
             key = key_of(
                 _FORMAT, seen_as, image.cam_from_world, points, source.points, options.grid
             )
-            arrays = earlier.read(key, names)
+            arrays = earlier.read(key, lambda store, row: store.arrays(row, names))
             if arrays is None or (watch is not None and watch.lacks(image, seen_as)):
                 view, maps = views(image)
                 if watch is not None:
