@@ -48,7 +48,7 @@ _MODULES: Final = {
 _EXTRAS: Final = {
     "simulate": ("bpy", "rendering"),
     "cluster": ("ray", "--cluster"),
-    "fast": ("numba", "computing depth maps in three fifths of the time"),
+    "fast": ("numba", "aligning images and computing depth maps in less time"),
     "geo": ("pyproj", "coordinates by EPSG code and GeoTIFF"),
     "video": ("av", "--video"),
     "robot": ("pymavlink", "writing for autopilots and ROS 2"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib.util import find_spec
 
 import torch
 from torch import Tensor
@@ -192,6 +194,8 @@ class LevelCost:
         in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
         projected = self.intrinsics.project(in_camera, jacobian=True)
         assert projected.jacobian is not None
+        if self._can_be_compiled():
+            return self._compiled(in_camera, projected)
         cells, seen = self._cells(projected)
         index, weights = stencil(cells, self.table, self.first)
 
@@ -219,3 +223,32 @@ class LevelCost:
             hessian=jacobian.flatten(1, 2).transpose(-1, -2) @ chained[..., 1:, :].flatten(1, 2),
             cells=cells,
         )
+
+    def _can_be_compiled(self) -> bool:
+        """Return whether compiled loops compute this: they know no gradients, and one precision."""
+        tensors = (self.table.cells, self.points, self.target)
+        usual = all(each.device.type == "cpu" and each.dtype == torch.float32 for each in tensors)
+        return usual and torch.is_inference_mode_enabled() and _has_compiler()
+
+    def _compiled(self, in_camera: Tensor, projected: Projection) -> Linearisation:
+        from baselines.align.compiled import linearised
+
+        return Linearisation(
+            *linearised(
+                (self.table.cells, None if self.trust is None else self.trust.cells),
+                (self.table.width, self.table.height),
+                self.first,
+                (self.target, self.target_trust),
+                in_camera,
+                projected,
+                self.mask,
+                self.stride,
+                self.border,
+                self.scale,
+            )
+        )
+
+
+@cache
+def _has_compiler() -> bool:
+    return find_spec("numba") is not None
