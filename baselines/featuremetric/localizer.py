@@ -25,6 +25,7 @@ from baselines.featuremetric.matcher import matcher
 from baselines.featuremetric.options import FeaturemetricConfig
 from baselines.featuremetric.priors import says_all, search_radius
 from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
+from baselines.featuremetric.quantized import quantized_extractor
 from baselines.featuremetric.references import ReferenceSource, references, write_part
 from baselines.featuremetric.refiner import Refiner
 from baselines.featuremetric.tracking import Tracking
@@ -84,9 +85,12 @@ class FeaturemetricLocalizer:
         other = self._other if config.multistart else None
         watch = None if other is None else other.watcher(source, cache)
         observations = references(source, cache, kept_mb, watch)
+        extract = self._extract
+        if config.quantized:
+            extract = quantized_extractor(source, config.quantization)
         solver = Options(**config.solver.model_dump(), iterations=config.iterations)
         problems = ProblemBuilder(
-            self._extract,
+            extract,
             observations,
             self._damping,
             solver,
@@ -101,7 +105,7 @@ class FeaturemetricLocalizer:
         retrieval = References.build(sparse_map, described, config.retrieval)
         self._refine = Refiner(
             config,
-            self._extract,
+            extract,
             problems,
             retrieval,
             matches,

@@ -104,7 +104,12 @@ class MapExtractor:
         keep_few_kernels()
         self.network = network
         self.longest = longest
+        self._precision = precision
         self._bfloat16 = resolved(precision) == "bfloat16"
+
+    def of(self, network: Network) -> MapExtractor:
+        """Return an extractor that runs another network in the same way."""
+        return MapExtractor(network, self.longest, self._precision)
 
     def __call__(
         self,

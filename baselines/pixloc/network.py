@@ -17,10 +17,10 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 from torch import Tensor, nn
-from torch.nn import functional
 
 from baselines.align.damping import Damping
 from baselines.checkpoint import load_into, read_weights
+from baselines.quantization import doubled
 from baselines.vgg import channels, encode, keep_variance, vgg16_encoder
 from scene.config import Config, describe
 from scene.errors import InputError
@@ -191,9 +191,7 @@ def _decode(
             if left >= right:
                 continue
         high, wide = _Window.of(top, bottom, rows), _Window.of(left, right, columns)
-        up = functional.interpolate(
-            coarse[..., high.coarse, wide.coarse], scale_factor=2.0, mode="bilinear"
-        )
+        up = doubled(coarse[..., high.coarse, wide.coarse])
         fine = skip[..., :rows, :columns][..., high.fine, wide.fine]
         up = up[..., high.shift :, wide.shift :][..., : fine.shape[-2], : fine.shape[-1]]
         made = step(torch.cat([up, fine], 1))
