@@ -20,6 +20,7 @@ from torch.nn import functional
 from baselines.folding import CellwiseConv, ConvReLU, has_bfloat16_units
 from baselines.vgg import IMAGENET_MEAN, IMAGENET_STD
 from scene.errors import InputError
+from scene.runtime.loops import has_compiler
 
 NetworkT = TypeVar("NetworkT", bound=nn.Module)
 Channelwise = dict[str, Tensor]
@@ -129,8 +130,11 @@ def doubled(maps: Tensor) -> Tensor:
     """Resize maps (B, C, h, w) bilinearly to (B, C, 2 h, 2 w); integers are rounded."""
     if maps.dtype != torch.uint8:
         return functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
-    # torch's own resizing of integers takes ten times as long. A cell is three parts of the one
-    # that it lies in and one part of the next, along either axis.
+    if has_compiler():
+        from baselines.doubling import doubled_integers
+
+        return doubled_integers(maps)
+    # A cell is three parts of the one that it lies in and one part of the next, along either axis.
     wide = maps.permute(0, 2, 3, 1).to(torch.int16)
     for axis, shift, half in ((1, 0, 0), (2, 4, 8)):
         ends = [wide.narrow(axis, 0, 1), wide, wide.narrow(axis, wide.shape[axis] - 1, 1)]

@@ -222,7 +222,9 @@ def warp_image(
         p2, p1 = (turn[:2, :2] @ [p2, p1]).tolist()
         model, lens = "OPENCV", (k1, k2, p1, p2)
     turned = Camera(model, int(wide[0]), int(wide[1]), (*(float(p) for p in params), *lens))
-    back = partial(_affine_back, np.linalg.inv(linear), affine[:, 2])
+    # The inverse of a rotation after a scaling. LAPACK would wake its threads, which takes 2 ms.
+    inverse = turn[:2, :2].T / per_axis[:, None]
+    back = partial(_affine_back, inverse, affine[:, 2])
     along = float(np.linalg.norm(affine[:, 0]))
     return WarpedImage(resampled(rgb, affine, wide), turned, turn, back, along, size)
 

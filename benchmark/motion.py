@@ -178,7 +178,9 @@ def _floored(covariance: Array, options: MotionOptions) -> Array:
 
 def _update(covariance: Array, innovation: Array, measured: Array) -> tuple[Array, Array]:
     """Return the correction (6,) of value and rate, and their covariance (6, 6) after it."""
-    gain = np.linalg.solve(covariance[:3, :3] + measured, covariance[:3]).T
+    total, crossed = covariance[:3, :3] + measured, covariance[:3]
+    # NumPy would wake the threads of LAPACK, which takes 2 ms.
+    gain = torch.linalg.solve(torch.from_numpy(total), torch.from_numpy(crossed)).numpy().T
     kept = np.eye(6) - gain @ np.eye(3, 6)
     # Joseph's form stays symmetric and positive.
     after = kept @ covariance @ kept.T + gain @ measured @ gain.T

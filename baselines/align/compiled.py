@@ -1,4 +1,4 @@
-"""The linearised cost of ``baselines.align.residuals`` in compiled loops, for processors.
+"""Projection and the cost of ``baselines.align.residuals`` in compiled loops, for processors.
 
 A point is finished before the next begins, so that its twelve cells are read once, and nothing but
 its products is written. Results differ by rounding alone.
@@ -6,8 +6,7 @@ its products is written. Results differ by rounding alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -16,26 +15,49 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from scene.geometry.projection import Projection
+from baselines.align.sampling import CellTable
+from scene.geometry.pose import Pose
+from scene.geometry.projection import MAX_SLOPE, MIN_DEPTH, Intrinsics, Projection
+from scene.runtime.loops import OPTIONS, compiled
 
 _HALF, _ONE = np.float32(0.5), np.float32(1)
-_OPTIONS: Final[dict[str, Any]] = {
-    "nogil": True,
-    "error_model": "numpy",
-    # What is not finite must stay so: flags that exclude it are missing.
-    "fastmath": {"contract", "reassoc", "arcp", "nsz"},
-}
-_plain = njit(**_OPTIONS)
+
+
+def projected(
+    cam_from_world: Pose, points: Tensor, camera: Intrinsics
+) -> tuple[Tensor, Projection]:
+    """Return points of the world in the frames of cameras (M, N, 3), and where these see them.
+
+    Args:
+        cam_from_world: (M).
+        points: (M, N, 3).
+        camera: perspective intrinsics, one or M.
+
+    Returns:
+        The points, and what ``Intrinsics.project`` returns with derivatives; pixels of points that
+        are not valid are zero.
+    """
+    shape = points.shape[:-1]
+    in_camera, jacobian = np.empty((*shape, 3), np.float32), np.zeros((*shape, 2, 3), np.float32)
+    xy, valid = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
+    cameras = (camera.focal, camera.principal, camera.distortion, camera.limit[..., None])
+    compiled(_project, _PROJECT)(
+        *_arrays(cam_from_world.rotation.float(), cam_from_world.translation.float(), points),
+        *_arrays(*(each.reshape(-1, each.shape[-1]) for each in cameras)),
+        np.float32(MIN_DEPTH),
+        np.float32(MAX_SLOPE),
+        (in_camera, xy, valid, jacobian),
+    )
+    there, pixels, seen, slopes = map(torch.from_numpy, (in_camera, xy, valid, jacobian))
+    return there, Projection(pixels, seen, slopes)
 
 
 def linearised(
-    tables: tuple[Tensor, Tensor | None],
-    size: tuple[int, int],
+    tables: tuple[CellTable, CellTable | None],
     first: Tensor,
     targets: tuple[Tensor, Tensor | None],
     in_camera: Tensor,
-    projected: Projection,
-    mask: Tensor,
+    projection: Projection,
     stride: Tensor,
     border: float,
     scale: float,
@@ -43,33 +65,31 @@ def linearised(
     """Return what ``Linearisation`` holds of M poses and N points, in the order of its fields.
 
     Args:
-        tables: cells (T, C) of features, and their confidence (T, 1) or None.
-        size: width and height of a map.
+        tables: features, and their confidence or None.
         first: (M,) number of the first cell of each one's map.
         targets: features (M, N, C) of the points, and their confidence (M, N) or None.
         in_camera: points (M, N, 3).
-        projected: their pixels, with derivatives.
-        mask: (M, N) points to use.
+        projection: their pixels, with derivatives; points that are not valid do not count.
         stride: (2,) pixels per cell.
         border: cells at the edge of the map in which points do not count.
         scale: scale of the robust cost.
     """
-    assert projected.jacobian is not None
-    poses, points = mask.shape
-    features, trust = tables
+    assert projection.jacobian is not None
+    shape = in_camera.shape[:-1]
+    table, trust = tables
     target, target_trust = targets
-    # Confidence that is not known is one: a table of one cell, and no points.
+    # Confidence that is not known is one, and not read.
     one = torch.ones(1, 1)
-    seen = np.zeros((poses, points), np.bool_)
-    weight, cost = (np.zeros((poses, points), np.float32) for _ in range(2))
-    pull = np.zeros((poses, points, 6), np.float32)
-    hessian = np.zeros((poses, 6, 6), np.float32)
-    cells = np.ones((poses, points, 2), np.float32)
-    _compiled()(
-        *_arrays(features, one if trust is None else trust.float()),
-        np.array(size),
+    seen = np.zeros(shape, np.bool_)
+    weight, cost = (np.zeros(shape, np.float32) for _ in range(2))
+    pull = np.zeros((*shape, 6), np.float32)
+    hessian = np.zeros((len(first), 6, 6), np.float32)
+    cells = np.ones((*shape, 2), np.float32)
+    compiled(_linearise, _LINEARISE)(
+        *_arrays(table.cells, one if trust is None else trust.cells.float()),
+        np.array((table.width, table.height)),
         *_arrays(first, target, one if target_trust is None else target_trust.float()),
-        *_arrays(in_camera, projected.xy, projected.valid & mask, projected.jacobian, stride),
+        *_arrays(in_camera, projection.xy, projection.valid, projection.jacobian, stride),
         np.float32(border),
         np.float32(2 * scale**2),
         trust is not None,
@@ -83,28 +103,62 @@ def _arrays(*tensors: Tensor) -> Iterator[NDArray[Any]]:
     return (tensor.contiguous().numpy() for tensor in tensors)
 
 
-@cache
-def _compiled() -> Callable[..., None]:
-    """Return the compiled loops, which are kept beside this file or in the user's cache.
-
-    To compile them takes more than a second, to read them a tenth of one.
-    """
-    try:
-        made = njit(cache=True, **_OPTIONS)(_linearise)
-        made.compile(_SIGNATURE)
-    except (OSError, RuntimeError):  # nowhere to keep them, or the disk is full
-        made = _plain(_linearise)
-        made.compile(_SIGNATURE)
-    loops: Callable[..., None] = made
-    return loops
-
-
-_SIGNATURE: Final = (
+_PROJECT: Final = (
+    "void(f4[:,:,::1], f4[:,::1], f4[:,:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4, f4, "
+    "Tuple((f4[:,:,::1], f4[:,:,::1], b1[:,::1], f4[:,:,:,::1])))"
+)
+_LINEARISE: Final = (
     "void(f4[:,::1], f4[:,::1], i8[::1], i8[::1], f4[:,:,::1], f4[:,::1], f4[:,:,::1], "
     "f4[:,:,::1], b1[:,::1], f4[:,:,:,::1], f4[::1], f4, f4, b1, b1, "
     "Tuple((b1[:,::1], f4[:,::1], f4[:,::1], f4[:,:,::1], f4[:,:,::1], f4[:,:,::1])))"
 )
 _Numbers = NDArray[np.float32]
+
+
+def _project(
+    rotation: _Numbers,
+    translation: _Numbers,
+    points: _Numbers,
+    focal: _Numbers,
+    principal: _Numbers,
+    distortion: _Numbers,
+    limit: _Numbers,
+    least_depth: np.float32,
+    most_slope: np.float32,
+    out: tuple[_Numbers, _Numbers, NDArray[np.bool_], _Numbers],
+) -> None:
+    in_camera, xy, valid, jacobian = out
+    for pose in range(len(points)):
+        turn, shift, k = rotation[pose], translation[pose], pose if len(focal) > 1 else 0
+        fx, fy = focal[k]
+        k1, k2, p1, p2 = distortion[k]
+        for point in range(points.shape[1]):
+            px, py, pz = points[pose, point]
+            x = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz + shift[0]
+            y = turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz + shift[1]
+            z = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2]
+            there = in_camera[pose, point]
+            there[0], there[1], there[2] = x, y, z
+            if not (z > least_depth and max(abs(x), abs(y)) < most_slope * z):
+                continue
+            u, v = x / z, y / z
+            uu, vv, uv2 = u * u, v * v, 2 * u * v
+            r2 = uu + vv
+            radial = _ONE + r2 * (k1 + k2 * r2)
+            slope = 2 * (k1 + 2 * k2 * r2)
+            j00 = radial + slope * uu + 2 * p1 * v + 6 * p2 * u
+            j11 = radial + slope * vv + 2 * p2 * u + 6 * p1 * v
+            j01 = slope * u * v + 2 * p1 * u + 2 * p2 * v
+            if not (r2 < limit[k, 0] * limit[k, 0] and j00 * j11 - j01 * j01 > 0):
+                continue
+            valid[pose, point] = True
+            at, by = xy[pose, point], jacobian[pose, point]
+            at[0] = fx * (u * radial + p1 * uv2 + p2 * (r2 + 2 * uu)) + principal[k, 0]
+            at[1] = fy * (v * radial + p2 * uv2 + p1 * (r2 + 2 * vv)) + principal[k, 1]
+            by[0, 0], by[0, 1] = fx * j00 / z, fx * j01 / z
+            by[1, 0], by[1, 1] = fy * j01 / z, fy * j11 / z
+            by[0, 2] = -(by[0, 0] * u + by[0, 1] * v)
+            by[1, 2] = -(by[1, 0] * u + by[1, 1] * v)
 
 
 def _linearise(
@@ -175,7 +229,7 @@ def _linearise(
                     hessian[pose, i, j] += both_x * rows[0, j] + both_y * rows[1, j]
 
 
-@njit(inline="always", **_OPTIONS)  # type: ignore[untyped-decorator]
+@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
 def _products(
     features: _Numbers,
     cell: int,

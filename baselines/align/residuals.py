@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.util import find_spec
 
 import torch
 from torch import Tensor
@@ -13,6 +11,7 @@ from baselines.align.sampling import VALUE, CellTable, Stride, inside, per_axis,
 from baselines.align.trees import rows
 from scene.geometry.pose import Pose
 from scene.geometry.projection import Intrinsics, Projection
+from scene.runtime.loops import has_compiler
 
 
 @dataclass(frozen=True)
@@ -191,11 +190,11 @@ class LevelCost:
 
     def linearise(self, cam_from_world: Pose) -> Linearisation:
         """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
+        if self._can_be_compiled():
+            return self._compiled(cam_from_world)
         in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
         projected = self.intrinsics.project(in_camera, jacobian=True)
         assert projected.jacobian is not None
-        if self._can_be_compiled():
-            return self._compiled(in_camera, projected)
         cells, seen = self._cells(projected)
         index, weights = stencil(cells, self.table, self.first)
 
@@ -228,27 +227,25 @@ class LevelCost:
         """Return whether compiled loops compute this: they know no gradients, and one precision."""
         tensors = (self.table.cells, self.points, self.target)
         usual = all(each.device.type == "cpu" and each.dtype == torch.float32 for each in tensors)
-        return usual and torch.is_inference_mode_enabled() and _has_compiler()
+        return usual and torch.is_inference_mode_enabled() and has_compiler()
 
-    def _compiled(self, in_camera: Tensor, projected: Projection) -> Linearisation:
-        from baselines.align.compiled import linearised
+    def _compiled(self, cam_from_world: Pose) -> Linearisation:
+        from baselines.align import compiled
 
+        if self.intrinsics.fisheye:
+            in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
+            projected = self.intrinsics.project(in_camera, jacobian=True)
+        else:
+            in_camera, projected = compiled.projected(cam_from_world, self.points, self.intrinsics)
         return Linearisation(
-            *linearised(
-                (self.table.cells, None if self.trust is None else self.trust.cells),
-                (self.table.width, self.table.height),
+            *compiled.linearised(
+                (self.table, self.trust),
                 self.first,
                 (self.target, self.target_trust),
                 in_camera,
-                projected,
-                self.mask,
+                projected._replace(valid=projected.valid & self.mask),
                 self.stride,
                 self.border,
                 self.scale,
             )
         )
-
-
-@cache
-def _has_compiler() -> bool:
-    return find_spec("numba") is not None

@@ -59,8 +59,9 @@ class Tracking:
             first = _first_level(problem, _unsure_px(problem, prior), options.reach_cells)
             if first is None:
                 return None
-            alignment = _aligned(problem, first, options)
-            attempt = judged(Found(view, problem, alignment), self.search)
+            found = Found(view, problem, _aligned(problem, first, options))
+            less = {"least_curvature": options.least_curvature}
+            attempt = judged(found, self.search.model_copy(update=less))
         if attempt.reason or not attempt.fit < options.accept_fit:
             return None
         return attempt if _is_near(attempt.pose, prior, options.most_sigmas) else None

@@ -7,15 +7,15 @@ is another. Pixels are COLMAP's: the centre of the top-left pixel is (0.5, 0.5).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor
 
 # Points with a smaller z (in units of the camera frame) count as behind the camera.
-_MIN_DEPTH = 1e-6
+MIN_DEPTH: Final = 1e-6
 # So do points with a larger x/z or y/z, whose powers overflow single precision.
-_MAX_SLOPE = 1e4
+MAX_SLOPE: Final = 1e4
 _NEWTON_STEPS = 30
 
 
@@ -72,7 +72,7 @@ class Intrinsics:
         """
         z = points[..., 2]
         aside = torch.maximum(points[..., 0].abs(), points[..., 1].abs())
-        in_front = (z > _MIN_DEPTH) & (aside < _MAX_SLOPE * z)
+        in_front = (z > MIN_DEPTH) & (aside < MAX_SLOPE * z)
         inverse_z = 1 / torch.where(in_front, z, torch.ones_like(z))
         uv = torch.where(in_front[..., None], points[..., :2] * inverse_z[..., None], 0)
         distorted, local, inside = self._distort(uv, jacobian)

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch.nn import functional
 
+import baselines.quantization as quantization
 from baselines.featuremetric.quantized import QuantizationOptions
 from baselines.folding import fold
 from baselines.quantization import doubled, largest_values, quantized
@@ -77,8 +78,12 @@ def test_parts_that_are_not_shown_change_nothing() -> None:
     torch.testing.assert_close(whole[..., 8:30, 20:50], part[..., 8:30, 20:50])
 
 
+@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (8, 8)])
-def test_doubling_rounds_bilinear_values(size: tuple[int, int]) -> None:
+def test_doubling_rounds_bilinear_values(
+    size: tuple[int, int], compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(quantization, "has_compiler", lambda: compiled)
     torch.manual_seed(2)
     maps = torch.randint(0, 256, (2, 6, *size), dtype=torch.uint8)
     maps = maps.contiguous(memory_format=torch.channels_last)

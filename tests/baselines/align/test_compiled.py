@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 
-import numpy as np
 import pytest
 import torch
 
-import baselines.align.compiled as compiled
 import baselines.align.residuals as residuals
 from baselines.align.residuals import Level, LevelCost, Linearisation
 from scene.geometry.camera import Camera
@@ -65,7 +63,7 @@ def test_it_is_what_torch_computes(camera: Camera, trusted: bool, poses: int) ->
         if each.name == "cost":  # that of points out of view does not count
             a, b = a[seen], b[seen]
         a, b = a.float(), b.float()
-        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5 * float(b.abs().max()))
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
 
 
 def test_what_is_not_finite_stays_so() -> None:
@@ -87,27 +85,8 @@ def test_gradients_and_double_precision_are_left_to_torch() -> None:
 
 def test_without_numba_torch_computes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     cost, pose = level_cost(PINHOLE, 1)
-    residuals._has_compiler.cache_clear()
-    monkeypatch.setattr(residuals, "find_spec", lambda name: None)
-    try:
-        with torch.inference_mode():
-            assert not cost._can_be_compiled()
-            around = cost.linearise(pose)
-    finally:
-        residuals._has_compiler.cache_clear()
+    monkeypatch.setattr(residuals, "has_compiler", lambda: False)
+    with torch.inference_mode():
+        assert not cost._can_be_compiled()
+        around = cost.linearise(pose)
     torch.testing.assert_close(around.pull, linearised(cost, pose, by_torch=True).pull)
-
-
-def test_loops_that_cannot_be_kept_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*arguments: object, **options: object) -> object:
-        raise OSError("No space left on device")
-
-    cost, pose = level_cost(PINHOLE, 1)
-    expected = linearised(cost, pose, by_torch=False)
-    compiled._compiled.cache_clear()
-    monkeypatch.setattr(compiled, "njit", full)
-    try:
-        again = linearised(cost, pose, by_torch=False)
-    finally:
-        compiled._compiled.cache_clear()
-    np.testing.assert_array_equal(again.hessian, expected.hessian)
