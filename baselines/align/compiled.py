@@ -42,16 +42,17 @@ def projected(
     xy, valid = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
     cameras = (camera.focal, camera.principal, camera.distortion, camera.limit[..., None])
     compiled(_project, _PROJECT)(
-        *_arrays(cam_from_world.rotation.float(), cam_from_world.translation.float(), points),
-        *_arrays(*(each.reshape(-1, each.shape[-1]) for each in cameras)),
-        np.float32(MIN_DEPTH),
-        np.float32(MAX_SLOPE),
+        (*_arrays(cam_from_world.rotation.float(), cam_from_world.translation.float()),),
+        *_arrays(points),
+        (*_arrays(*(each.reshape(-1, each.shape[-1]) for each in cameras)),),
+        (np.float32(MIN_DEPTH), np.float32(MAX_SLOPE)),
         (in_camera, xy, valid, jacobian),
     )
     there, pixels, seen, slopes = map(torch.from_numpy, (in_camera, xy, valid, jacobian))
     return there, Projection(pixels, seen, slopes)
 
 
+# More than six parameters: they are the fields of ``LevelCost``.
 def linearised(
     tables: tuple[CellTable, CellTable | None],
     first: Tensor,
@@ -86,14 +87,15 @@ def linearised(
     hessian = np.zeros((len(first), 6, 6), np.float32)
     cells = np.ones((*shape, 2), np.float32)
     compiled(_linearise, _LINEARISE)(
-        *_arrays(table.cells, one if trust is None else trust.cells.float()),
-        np.array((table.width, table.height)),
-        *_arrays(first, target, one if target_trust is None else target_trust.float()),
-        *_arrays(in_camera, projection.xy, projection.valid, projection.jacobian, stride),
-        np.float32(border),
-        np.float32(2 * scale**2),
-        trust is not None,
-        target_trust is not None,
+        (
+            *_arrays(table.cells, one if trust is None else trust.cells.float(), first),
+            table.width,
+            table.height,
+        ),
+        (*_arrays(target, one if target_trust is None else target_trust.float()),),
+        (*_arrays(in_camera, projection.xy, projection.valid, projection.jacobian, stride),),
+        (np.float32(border), np.float32(2 * scale**2)),
+        (trust is not None, target_trust is not None),
         (seen, weight, cost, pull, hessian, cells),
     )
     return tuple(map(torch.from_numpy, (seen, weight, cost, pull, hessian, cells)))
@@ -104,29 +106,28 @@ def _arrays(*tensors: Tensor) -> Iterator[NDArray[Any]]:
 
 
 _PROJECT: Final = (
-    "void(f4[:,:,::1], f4[:,::1], f4[:,:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4, f4, "
+    "void(Tuple((f4[:,:,::1], f4[:,::1])), f4[:,:,::1], UniTuple(f4[:,::1], 4), UniTuple(f4, 2), "
     "Tuple((f4[:,:,::1], f4[:,:,::1], b1[:,::1], f4[:,:,:,::1])))"
 )
 _LINEARISE: Final = (
-    "void(f4[:,::1], f4[:,::1], i8[::1], i8[::1], f4[:,:,::1], f4[:,::1], f4[:,:,::1], "
-    "f4[:,:,::1], b1[:,::1], f4[:,:,:,::1], f4[::1], f4, f4, b1, b1, "
+    "void(Tuple((f4[:,::1], f4[:,::1], i8[::1], i8, i8)), Tuple((f4[:,:,::1], f4[:,::1])), "
+    "Tuple((f4[:,:,::1], f4[:,:,::1], b1[:,::1], f4[:,:,:,::1], f4[::1])), "
+    "UniTuple(f4, 2), UniTuple(b1, 2), "
     "Tuple((b1[:,::1], f4[:,::1], f4[:,::1], f4[:,:,::1], f4[:,:,::1], f4[:,:,::1])))"
 )
 _Numbers = NDArray[np.float32]
 
 
 def _project(
-    rotation: _Numbers,
-    translation: _Numbers,
+    cam_from_world: tuple[_Numbers, _Numbers],
     points: _Numbers,
-    focal: _Numbers,
-    principal: _Numbers,
-    distortion: _Numbers,
-    limit: _Numbers,
-    least_depth: np.float32,
-    most_slope: np.float32,
+    camera: tuple[_Numbers, _Numbers, _Numbers, _Numbers],
+    bounds: tuple[np.float32, np.float32],
     out: tuple[_Numbers, _Numbers, NDArray[np.bool_], _Numbers],
 ) -> None:
+    rotation, translation = cam_from_world
+    focal, principal, distortion, limit = camera
+    least_depth, most_slope = bounds
     in_camera, xy, valid, jacobian = out
     for pose in range(len(points)):
         turn, shift, k = rotation[pose], translation[pose], pose if len(focal) > 1 else 0
@@ -162,25 +163,18 @@ def _project(
 
 
 def _linearise(
-    features: _Numbers,
-    trust: _Numbers,
-    size: NDArray[np.int64],
-    first: NDArray[np.int64],
-    target: _Numbers,
-    target_trust: _Numbers,
-    in_camera: _Numbers,
-    xy: _Numbers,
-    valid: NDArray[np.bool_],
-    jacobian: _Numbers,
-    stride: _Numbers,
-    border: np.float32,
-    twice_scale: np.float32,
-    has_trust: bool,
-    has_target_trust: bool,
+    maps: tuple[_Numbers, _Numbers, NDArray[np.int64], int, int],
+    targets: tuple[_Numbers, _Numbers],
+    points: tuple[_Numbers, _Numbers, NDArray[np.bool_], _Numbers, _Numbers],
+    numbers: tuple[np.float32, np.float32],
+    trusted: tuple[bool, bool],
     out: tuple[NDArray[np.bool_], _Numbers, _Numbers, _Numbers, _Numbers, _Numbers],
 ) -> None:
+    features, trust, first, width, height = maps
+    target, target_trust = targets
+    in_camera, xy, valid, jacobian, stride = points
+    border, twice_scale = numbers
     seen, weight, cost, pull, hessian, cells = out
-    width, height = size[0], size[1]
     last_x, last_y = np.float32(width - 1) - border, np.float32(height - 1) - border
     rows = np.empty((2, 6), np.float32)
     gram = np.empty(6, np.float32)
@@ -198,24 +192,15 @@ def _linearise(
             a, b = x - np.float32(left), y - np.float32(top)
             cell = first[pose] + top * width + left
             sure = _ONE
-            if has_trust:
-                sure = (_ONE - b) * ((_ONE - a) * trust[cell, 0] + a * trust[cell + 1, 0])
-                below = cell + width
-                sure += b * ((_ONE - a) * trust[below, 0] + a * trust[below + 1, 0])
-            if has_target_trust:
+            if trusted[0]:
+                sure = _bilinear(trust, cell, width, (a, b))
+            if trusted[1]:
                 sure *= target_trust[pose, point]
             if not sure > 0:
                 continue
-            _products(features, cell, width, a, b, target[pose, point], gram)
+            _products(features, cell, width, (a, b), target[pose, point], gram)
             for k in range(2):
-                of_x, of_y, of_z = jacobian[pose, point, k]
-                px, py, pz = in_camera[pose, point]
-                rows[k, 0] = (py * of_z - pz * of_y) / stride[k]
-                rows[k, 1] = (pz * of_x - px * of_z) / stride[k]
-                rows[k, 2] = (px * of_y - py * of_x) / stride[k]
-                rows[k, 3] = of_x / stride[k]
-                rows[k, 4] = of_y / stride[k]
-                rows[k, 5] = of_z / stride[k]
+                _row(in_camera[pose, point], jacobian[pose, point, k], stride[k], rows[k])
             share = sure / (_ONE + gram[0] / twice_scale)
             seen[pose, point], weight[pose, point] = True, sure
             cost[pose, point] = twice_scale * np.log1p(gram[0] / twice_scale)
@@ -230,23 +215,45 @@ def _linearise(
 
 
 @njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
+def _bilinear(
+    table: _Numbers, cell: int, width: int, between: tuple[np.float32, np.float32]
+) -> np.float32:
+    """Return the value between cells of a table of one channel."""
+    (a, b), below = between, cell + width
+    above = (_ONE - a) * table[cell, 0] + a * table[cell + 1, 0]
+    value: np.float32 = (_ONE - b) * above
+    value += b * ((_ONE - a) * table[below, 0] + a * table[below + 1, 0])
+    return value
+
+
+@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
+def _row(point: _Numbers, slope: _Numbers, stride: np.float32, row: _Numbers) -> None:
+    """Write the derivative of a pixel's coordinate, in cells, by the tangent of the pose."""
+    (x, y, z), (of_x, of_y, of_z) = point, slope
+    row[0], row[3] = (y * of_z - z * of_y) / stride, of_x / stride
+    row[1], row[4] = (z * of_x - x * of_z) / stride, of_y / stride
+    row[2], row[5] = (x * of_y - y * of_x) / stride, of_z / stride
+
+
+@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
 def _products(
     features: _Numbers,
     cell: int,
     width: int,
-    a: np.float32,
-    b: np.float32,
+    between: tuple[np.float32, np.float32],
     target: _Numbers,
     out: _Numbers,
 ) -> None:
     """Sum the products of residual and slopes over the channels: rr, rx, ry, xx, xy, yy.
 
-    The value is bilinear at ``a``, ``b`` between cells, the slopes are its central differences.
+    The value is bilinear ``between`` cells, the slopes are its central differences.
     """
+    a, b = between
     a1, b1 = _ONE - a, _ONE - b
-    first, second = cell - width, cell + width
-    over_left, over_right = features[first], features[first + 1]
-    before_top, top_left = features[cell - 1], features[cell]
+    second = cell + width
+    # In maps of three cells there is no cell before the first one.
+    over_left, over_right = features[max(cell - width, 0)], features[max(cell - width + 1, 0)]
+    before_top, top_left = features[max(cell - 1, 0)], features[cell]
     top_right, after_top = features[cell + 1], features[cell + 2]
     before_low, low_left = features[second - 1], features[second]
     low_right, after_low = features[second + 1], features[second + 2]

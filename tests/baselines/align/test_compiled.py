@@ -66,6 +66,24 @@ def test_it_is_what_torch_computes(camera: Camera, trusted: bool, poses: int) ->
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
 
 
+@pytest.mark.parametrize("size", [(1, 1), (3, 3), (3, 4), (4, 3), (4, 4), (5, 9)])
+def test_maps_of_few_cells(size: tuple[int, int]) -> None:
+    camera = Camera("PINHOLE", 20 * size[1], 20 * size[0], (60.0, 60.0, 10 * size[1], 10 * size[0]))
+    torch.manual_seed(1)
+    x, y = torch.rand(2, 400) - 0.5
+    points = torch.stack([x * size[1], y * size[0], torch.full((400,), 3.0)], -1)[None]
+    level = Level(torch.randn(1, 8, *size), 20.0, torch.randn(1, 400, 8))
+    usable = torch.ones(1, 400, dtype=torch.bool)
+    cost = LevelCost.of(level, points, usable, camera.intrinsics(torch.float32), 1.0, 0.3)
+    pose = Pose(torch.eye(3)[None], torch.zeros(1, 3))
+    ours, theirs = (linearised(cost, pose, by_torch=each) for each in (False, True))
+    assert torch.equal(ours.seen, theirs.seen)
+    if min(size) > 3:
+        assert ours.seen.any()
+    most = float(theirs.pull.abs().max())
+    torch.testing.assert_close(ours.pull, theirs.pull, rtol=1e-4, atol=1e-4 * most)
+
+
 def test_what_is_not_finite_stays_so() -> None:
     cost, pose = level_cost(PINHOLE, 1)
     broken = cost.table.cells.clone()
