@@ -180,10 +180,10 @@ class ProblemBuilder:
 
     def features(self, view: WarpedImage, levels: int | None = None) -> list[FeatureMap]:
         """Return feature maps of a view, of unit length, as ``view`` does."""
-        unit = torch.nn.functional.normalize
-        # Once for all problems that are made of them.
         maps = self.extract.features(view, levels)
-        return [replace(each, features=unit(each.features, dim=1)) for each in maps]
+        for each in maps:  # once for all problems that are made of them
+            torch.nn.functional.normalize(each.features, dim=1, out=each.features)
+        return maps
 
     def build(
         self,
