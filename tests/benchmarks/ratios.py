@@ -25,7 +25,7 @@ from scene.storage.files import parse_json, read_text
 
 # A benchmark with one of these words in its name is what others are measured by: a peer, a lower
 # bound, or another way. Of a group without any it is the first by name: tests run in any order.
-_YARDSTICKS: Final = ("bare", "pycolmap", "opencv", "products", "untracked")
+_YARDSTICKS: Final = ("bare", "pycolmap", "opencv", "products", "by_torch", "untracked")
 # Runs on different days differ by this share, though rounds of one run differ less.
 _LEAST_SPREAD: Final = 0.1
 KIND: Final = "file of ratios"

@@ -14,9 +14,13 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
+import baselines.align.residuals as residuals
+from baselines.align.residuals import Level, LevelCost
 from baselines.align.sampling import CellTable, stencil
+from baselines.featuremetric.quantized import QuantizationOptions
 from baselines.folding import fold
 from baselines.grey_photograph import GreyPhotograph
+from baselines.quantization import largest_values, quantized
 from baselines.sweep import SweepOptions
 from baselines.window_sweep import WindowSweep
 from objconnect.localizer import SHIPPED
@@ -147,6 +151,26 @@ def test_mix_bare_lookup(
     benchmark(lambda: table.cells.index_select(0, index[..., 4:16].flatten()))
 
 
+@pytest.mark.benchmark(group="the cost of a pose around 2,048 points, 32 channels")
+@pytest.mark.parametrize("way", ["compiled", "by_torch"])
+def test_linearise(benchmark: BenchmarkFixture, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In compiled loops, and by operations of torch."""
+    monkeypatch.setattr(residuals, "has_compiler", lambda: way == "compiled")
+    generator = torch.Generator().manual_seed(0)
+    maps = torch.rand(1, 32, 256, 256, generator=generator).contiguous(
+        memory_format=torch.channels_last
+    )
+    aside = 130 * (torch.rand(1, 2048, 2, generator=generator) - 0.5)
+    points = torch.cat([aside, torch.full((1, 2048, 1), 80.0)], -1)
+    level = Level(maps, 2.0, torch.rand(1, 2048, 32, generator=generator))
+    camera = Camera("PINHOLE", 512, 512, (400.0, 400.0, 256.0, 256.0)).intrinsics(torch.float32)
+    usable = torch.ones(1, 2048, dtype=torch.bool)
+    pose = Pose(torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64))
+    with torch.inference_mode():
+        cost = LevelCost.of(level, points, usable, camera, 1.0, 0.3)
+        assert float(benchmark(cost.linearise, pose).seen.float().mean()) > 0.5
+
+
 @pytest.fixture(scope="module")
 def photographs() -> tuple[GreyPhotograph, GreyPhotograph, torch.Tensor]:
     """Return two photographs of 512 pixels from 80 m, 20 m apart, and 2,000 pixels of the first."""
@@ -185,7 +209,7 @@ def test_windows_bare_lookup(
     benchmark(lambda: cv2.remap(grey, x, y, cv2.INTER_LINEAR))
 
 
-@pytest.mark.parametrize("way", ["as trained", "folded", "folded, bfloat16"])
+@pytest.mark.parametrize("way", ["as trained", "folded", "folded, bfloat16", "quantized"])
 @pytest.mark.benchmark(group="the shipped network on 512 x 512")
 def test_network(benchmark: BenchmarkFixture, way: str) -> None:
     network, _ = read_network(SHIPPED)
@@ -193,6 +217,10 @@ def test_network(benchmark: BenchmarkFixture, way: str) -> None:
     if way != "as trained":
         fold(network, "bfloat16" if half else "float32")
     image = torch.rand(1, 3, 512, 512).contiguous(memory_format=torch.channels_last)
+    if way == "quantized":
+        with torch.inference_mode(), largest_values(network) as largest:
+            network(image)
+        network = quantized(network, QuantizationOptions().scales(largest), network.config.strides)
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=half):
         assert len(benchmark(network, image)) == 3
 
