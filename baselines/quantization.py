@@ -48,6 +48,19 @@ def largest_values(network: nn.Module) -> Iterator[Channelwise]:
             handle.remove()
 
 
+def require_quantizable(network: nn.Module) -> None:
+    """Refuse a network that ``quantized`` cannot take.
+
+    Raises:
+        InputError: the processor has no units for integers, or the network has another decoder.
+    """
+    if not torch.cpu._is_vnni_supported():
+        raise InputError("quantized=true needs a processor with units for integers (VNNI)")
+    with_objects = any(name.startswith("objects_of.") for name, _ in network.named_modules())
+    if with_objects or not isinstance(network.get_submodule("decoder"), nn.ModuleList):
+        raise InputError("quantized=true needs a network with a U-Net decoder, without objects")
+
+
 def quantized(network: NetworkT, scales: Channelwise, strides: Sequence[int]) -> NetworkT:
     """Return a copy of a folded network whose convolutions take and give integers of eight bits.
 
@@ -60,17 +73,12 @@ def quantized(network: NetworkT, scales: Channelwise, strides: Sequence[int]) ->
         strides: of the levels that the heads read.
 
     Raises:
-        InputError: the processor has no units for integers, or the network has another decoder.
+        InputError: see ``require_quantizable``.
     """
-    if not torch.cpu._is_vnni_supported():
-        raise InputError("quantized=true needs a processor with units for integers (VNNI)")
+    require_quantizable(network)
     made = copy.deepcopy(network)
-    encoder, decoder = made.get_submodule("encoder"), made.get_submodule("decoder")
-    with_objects = any(name.startswith("objects_of.") for name, _ in made.named_modules())
-    if with_objects or not isinstance(decoder, nn.ModuleList):
-        raise InputError("quantized=true needs a network with a U-Net decoder, without objects")
-    blocks = _quantize_encoder(_sequences(encoder), scales)
-    levels = _quantize_decoder(_sequences(decoder), blocks, scales)
+    blocks = _quantize_encoder(_sequences(made.get_submodule("encoder")), scales)
+    levels = _quantize_decoder(_sequences(made.get_submodule("decoder")), blocks, scales)
     for name in ("features", "confidence"):
         heads = made.get_submodule(name)
         assert isinstance(heads, nn.ModuleList)

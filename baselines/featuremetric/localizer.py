@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from baselines.align.options import Options
 from baselines.featuremetric.attempt import Attempt, estimated
@@ -30,6 +31,7 @@ from baselines.featuremetric.references import ReferenceSource, references, writ
 from baselines.featuremetric.refiner import Refiner
 from baselines.featuremetric.tracking import Tracking
 from baselines.place.finder import PlaceFinder
+from baselines.quantization import require_quantizable
 from baselines.retrieval import OnDemand, References
 from baselines.sift import SiftLocalizer
 from baselines.starts import starts
@@ -50,6 +52,9 @@ class FeaturemetricLocalizer:
         weights_sha256: digest of its weights.
         config: options of the method.
         other: finds places too, before the search or after it.
+
+    Raises:
+        InputError: the network is to be quantized, and cannot be here.
     """
 
     def __init__(
@@ -60,6 +65,9 @@ class FeaturemetricLocalizer:
         config: FeaturemetricConfig,
         other: OtherFinder | None = None,
     ) -> None:
+        if config.quantized:
+            assert isinstance(network, nn.Module)
+            require_quantizable(network)
         self.name = name
         self.weights_sha256: str | None = weights_sha256
         self.config = config

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from pydantic import Field
 from torch import nn
 
@@ -9,6 +11,9 @@ from baselines.featuremetric.maps import MapExtractor
 from baselines.featuremetric.references import MapViews, ReferenceSource
 from baselines.quantization import Channelwise, largest_values, quantized
 from scene.config import Config
+
+# Numerical guard: of a layer that returns nothing but zeros.
+_SMALLEST: Final = 1e-6
 
 
 class QuantizationOptions(Config):
@@ -30,8 +35,12 @@ class QuantizationOptions(Config):
 
     def scales(self, largest: Channelwise) -> Channelwise:
         """Return what a step of each channel is worth, given the largest values."""
+        least = {
+            name: max(self.least_share * float(values.max()), _SMALLEST)
+            for name, values in largest.items()
+        }
         return {
-            name: values.clamp(min=self.least_share * float(values.max())) * (self.margin / 255)
+            name: values.clamp(min=least[name]) * (self.margin / 255)
             for name, values in largest.items()
         }
 

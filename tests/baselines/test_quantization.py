@@ -23,6 +23,9 @@ from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, wr
 from tests.baselines.test_folding import networks, trained
 
 STRIDES = (16, 4, 1)
+needs_units = pytest.mark.skipif(
+    not torch.cpu._is_vnni_supported(), reason="the processor has no units for integers (VNNI)"
+)
 
 
 def pictures(count: int) -> torch.Tensor:
@@ -39,6 +42,7 @@ def similarity(a: torch.Tensor, b: torch.Tensor) -> float:
     return float(functional.cosine_similarity(a.float(), b.float(), dim=1).mean())
 
 
+@needs_units
 @pytest.mark.parametrize("method", ["pixloc", "objconnect"])
 def test_features_are_nearly_the_same(method: str) -> None:
     network = trained(networks()[0]) if method == "pixloc" else read_network(SHIPPED)[0]
@@ -63,6 +67,7 @@ def test_features_are_nearly_the_same(method: str) -> None:
         assert float((sure.float() - truth).abs().mean()) < 0.05
 
 
+@needs_units
 def test_parts_that_are_not_shown_change_nothing() -> None:
     network, _ = read_network(SHIPPED)
     fold(network, "float32")
@@ -97,6 +102,7 @@ def test_doubling_rounds_bilinear_values(
 def test_what_cannot_be_quantized_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     pyramid = networks()[2].eval()
     fold(pyramid, "float32")
+    monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: True)
     with pytest.raises(InputError, match=r"quantized=true needs a network with a U-Net decoder"):
         quantized(pyramid, {}, STRIDES)
     monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: False)
@@ -104,6 +110,19 @@ def test_what_cannot_be_quantized_is_said(monkeypatch: pytest.MonkeyPatch) -> No
         quantized(pyramid, {}, STRIDES)
 
 
+def test_a_layer_of_zeros() -> None:
+    scales = QuantizationOptions().scales({"layer": torch.zeros(4), "other": torch.ones(4)})
+    assert all(bool((each > 0).all()) for each in scales.values())
+
+
+@pytest.mark.parametrize("method", ["objconnect", "pixloc", "pixloc-search"])
+def test_it_is_said_before_a_map_is_prepared(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cpu, "_is_vnni_supported", lambda: False)
+    with pytest.raises(InputError, match=r"quantized=true needs a processor .*VNNI"):
+        create(method, {"quantized": True})
+
+
+@needs_units
 @pytest.mark.parametrize("method", ["objconnect", "pixloc"])
 def test_poses_are_found(method: str, tmp_path: Path) -> None:
     localizer = create(method, {"quantized": True})
@@ -117,6 +136,7 @@ def test_poses_are_found(method: str, tmp_path: Path) -> None:
     assert float(metres) < 0.1 and float(degrees) < 0.25
 
 
+@needs_units
 def test_the_network_of_the_map_is_left_alone() -> None:
     network = networks()[0].eval()
     fold(network, "float32")

@@ -218,6 +218,8 @@ def test_network(benchmark: BenchmarkFixture, way: str) -> None:
         fold(network, "bfloat16" if half else "float32")
     image = torch.rand(1, 3, 512, 512).contiguous(memory_format=torch.channels_last)
     if way == "quantized":
+        if not torch.cpu._is_vnni_supported():
+            pytest.skip("the processor has no units for integers (VNNI)")
         with torch.inference_mode(), largest_values(network) as largest:
             network(image)
         network = quantized(network, QuantizationOptions().scales(largest), network.config.strides)
