@@ -10,8 +10,8 @@ from pathlib import Path
 _HELD = Path("/proc/self/statm")
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
-# Convolutions that are kept: those of a network for two or three sizes.
-_KERNELS = "64"
+# Convolutions that are kept: those of a network for one or two sizes.
+_KERNELS = "32"
 
 
 def resident_bytes() -> int:
