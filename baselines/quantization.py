@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -200,18 +200,18 @@ class _QuantizedConvReLU(nn.Module):
         self._bias, self._zero = bias / out, zero
         self._steps = weight.abs().amax((1, 2, 3)).clamp(min=1e-12) / 127
         self._zeros = torch.zeros(len(weight), dtype=torch.int64)
-        self._where = [[each, each] for each in (*convolution.stride[:1], *convolution.padding[:1])]
+        sides = (convolution.stride, convolution.padding, convolution.dilation)
+        self._where: list[Any] = [*map(list, sides), convolution.groups]
         integers = (weight / self._steps[:, None, None, None]).round().to(torch.int8)
         self._weight = torch.ops.onednn.qconv_prepack(
-            integers, self._steps, 1.0, zero, *self._where, [1, 1], 1, None
+            integers, self._steps, 1.0, zero, *self._where, None
         )
         self._type = torch.uint8 if rounded else _heads_type()
 
     def forward(self, maps: Tensor) -> Tensor:
         weight = (self._weight, self._steps, self._zeros, self._bias)
-        where = (*self._where, [1, 1], 1)
         result: Tensor = torch.ops.onednn.qconv2d_pointwise(
-            maps, 1.0, self._zero, *weight, *where, 1.0, 0, self._type, "relu", [], ""
+            maps, 1.0, self._zero, *weight, *self._where, 1.0, 0, self._type, "relu", [], ""
         )
         return result
 

@@ -20,6 +20,7 @@ from torch import Tensor
 from dense.options import DEFAULTS, CostOptions
 from dense.photometry import NOISE, STEPS, WORST, Visibility
 from dense.warp import MIN_DEPTH, StereoView, Warp
+from scene.runtime.loops import OPTIONS
 
 _F = np.float32
 # Offsets (S,) of the samples around a pixel. Compiled code takes them as constants.
@@ -31,8 +32,8 @@ _SAMPLES = len(_DX)
 _MORE = 17
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
 _NOISE, _WORST, _MIN_DEPTH = _F(NOISE), _F(WORST), _F(MIN_DEPTH)
-# Infinite costs are compared, so that the flags that exclude them are missing.
-_compiled = njit(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
+# The options allow infinite costs, which are compared.
+_compiled = njit(**OPTIONS)
 
 
 class CompiledWindow(NamedTuple):

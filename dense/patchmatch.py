@@ -10,7 +10,6 @@ points are tried again at every larger size, because small pictures lose objects
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -24,6 +23,7 @@ from dense.options import DEFAULTS, SearchOptions
 from dense.photometry import Photometry, PlaneCosts
 from dense.planes import moved, planes_at_nearest, planes_through, resized
 from dense.warp import StereoView
+from scene.runtime.loops import has_compiler
 from scene.runtime.threads import torch_threads
 
 # Number of pixels processed at once, whose windows fit into the processor's cache.
@@ -221,7 +221,7 @@ class _Search:
 
 def _photometry(device: torch.device) -> Callable[..., PlaneCosts]:
     """Return the class that takes the least time on a device, of those that are installed."""
-    if device.type == "cpu" and find_spec("numba") is not None:
+    if device.type == "cpu" and has_compiler():
         from dense.compiled import CompiledPhotometry
 
         return CompiledPhotometry

@@ -173,6 +173,11 @@ class LevelCost:
         values = self.table.value(index, weights).to(cells)
         return values, self._trust(seen, index, weights)
 
+    def _projected(self, cam_from_world: Pose) -> tuple[Tensor, Projection]:
+        """Return points in the frames of cameras (M, N, 3), and their pixels with derivatives."""
+        in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
+        return in_camera, self.intrinsics.project(in_camera, jacobian=True)
+
     def _cells(self, projected: Projection) -> tuple[Tensor, Tensor]:
         """Return where points lie on the level, (M, N, 2), and which of them count, (M, N)."""
         cells = projected.xy / self.stride - 0.5
@@ -192,8 +197,7 @@ class LevelCost:
         """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
         if self._can_be_compiled():
             return self._compiled(cam_from_world)
-        in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
-        projected = self.intrinsics.project(in_camera, jacobian=True)
+        in_camera, projected = self._projected(cam_from_world)
         assert projected.jacobian is not None
         cells, seen = self._cells(projected)
         index, weights = stencil(cells, self.table, self.first)
@@ -233,8 +237,7 @@ class LevelCost:
         from baselines.align import compiled
 
         if self.intrinsics.fisheye:
-            in_camera = cam_from_world.to(dtype=self.points.dtype).transform(self.points)
-            projected = self.intrinsics.project(in_camera, jacobian=True)
+            in_camera, projected = self._projected(cam_from_world)
         else:
             in_camera, projected = compiled.projected(cam_from_world, self.points, self.intrinsics)
         return Linearisation(

@@ -35,12 +35,9 @@ class QuantizationOptions(Config):
 
     def scales(self, largest: Channelwise) -> Channelwise:
         """Return what a step of each channel is worth, given the largest values."""
-        least = {
-            name: max(self.least_share * float(values.max()), _SMALLEST)
-            for name, values in largest.items()
-        }
         return {
-            name: values.clamp(min=least[name]) * (self.margin / 255)
+            name: values.clamp(min=max(self.least_share * float(values.max()), _SMALLEST))
+            * (self.margin / 255)
             for name, values in largest.items()
         }
 
