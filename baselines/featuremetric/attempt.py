@@ -115,6 +115,13 @@ def estimated(
     )
 
 
+def is_sure(attempt: Attempt, options: SearchOptions) -> bool:
+    """Return whether a pose is accepted, and its cost rises as steeply as it should around it."""
+    if attempt.reason or attempt.spread is None:
+        return False
+    return float(attempt.spread.curvature[0]) >= options.sure_curvature
+
+
 def is_clear(row: int, attempts: Sequence[Attempt], options: SearchOptions) -> bool:
     """Return whether another attempt led to the pose of this one, or all others fit worse."""
     attempt = attempts[row]

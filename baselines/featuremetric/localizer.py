@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from baselines.align.options import Options
-from baselines.featuremetric.attempt import Attempt, estimated
+from baselines.featuremetric.attempt import Attempt, estimated, is_sure
 from baselines.featuremetric.global_search import GlobalSearch, OtherFinder
 from baselines.featuremetric.maps import MapExtractor, Network
 from baselines.featuremetric.matcher import matcher
@@ -197,11 +197,11 @@ class FeaturemetricLocalizer:
         begin: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts; around a known pose, where none is accepted, once more and thoroughly."""
+        """Try starts; around a known pose, where no answer is sure, once more and thoroughly."""
         options = self.config.search
         attempts = self._tried(self._refine, query, chosen, begin, clock)
         more = self.config.multistart and options.again > 1 and says_all(query.prior)
-        if more and all(each.reason for each in attempts):
+        if more and not any(is_sure(each, options) for each in attempts):
             thorough = self._refine.searching(options.times(options.again))
             attempts += self._tried(thorough, query, chosen, begin, clock)
         return attempts

@@ -152,8 +152,14 @@ class SearchOptions(Config):
     again: int = Field(
         2,
         ge=1,
-        description="Where no pose around a prior is accepted, the search begins again with so "
-        "many times the hypotheses and compared points; 1 for not.",
+        description="Where no pose around a prior is accepted, or none is sure, the search begins "
+        "again with so many times the hypotheses and compared points, and the best pose is "
+        "answered; 1 for not.",
+    )
+    sure_curvature: float = Field(
+        0.5,
+        ge=0,
+        description="A pose is sure where the share is not below this.",
     )
 
     def times(self, factor: int) -> SearchOptions:

@@ -21,8 +21,11 @@ _FRAMES = 5
 _KINDS = ("still", "flat", "raw", "bare", "ours")
 
 
-def frame_cost(config: SimulateConfig) -> dict[str, float]:
-    """Processor seconds a frame of `config`'s first session, by part: medians over frames."""
+def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
+    """Processor seconds a frame of `config`'s first session, by part: medians over frames.
+
+    All of them are rendered with some settings, so that Blender takes these in once.
+    """
     job = nadir_job(config, _FRAMES)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "session"
@@ -30,8 +33,8 @@ def frame_cost(config: SimulateConfig) -> dict[str, float]:
         try:
             spent = {}
             for kind in _KINDS:
-                renderer.ask(kind, 0)  # Blender takes in what differs from the kind before
-                asked = [renderer.ask(kind, k)[0] for k in range(_FRAMES)]
+                renderer.ask(kind, 0, *settings)  # takes in what differs from the kind before
+                asked = [renderer.ask(kind, k, *settings)[0] for k in range(_FRAMES)]
                 spent[kind] = float(np.median(asked))
         finally:
             renderer.stop()
@@ -97,9 +100,10 @@ def main() -> None:
     words.add_argument("--area", type=float, default=400)
     words.add_argument("--size", type=int, default=512)
     words.add_argument("--spp", type=int, default=4)
+    words.add_argument("--with", action="append", default=[], help="settings of all parts")
     words.add_argument("--try", action="append", default=[], help="settings as cycles.samples=2")
     asked = vars(words.parse_args())
-    settings = asked.pop("try")
+    settings, always = asked.pop("try"), asked.pop("with")
     session = {
         "condition": asked.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,
     }  # fmt: skip
@@ -109,7 +113,7 @@ def main() -> None:
         for line in tried(config, settings):
             print(line, flush=True)
         return
-    cost = frame_cost(config)
+    cost = frame_cost(config, *always)
     print("| part of a frame | cpu-seconds |\n|---|---|")
     for part, seconds in cost.items():
         print(f"| {part} | {seconds:.2f} |")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from baselines.featuremetric.options import SearchOptions
 from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
 from baselines.place.finder import PlaceOptions
 from baselines.views import with_heading
@@ -113,6 +114,28 @@ def test_many_starts_reach_further(weights: Path, made: tuple[SparseMap, Path]) 
         found[many] = errors(localizer.localize(far))[0]
     assert found[False] > 1
     assert found[True] < 0.2
+
+
+def test_an_answer_that_is_not_sure_is_searched_again(
+    weights: Path, made: tuple[SparseMap, Path]
+) -> None:
+    found = {}
+    for name, search in {
+        "sure": SearchOptions(sure_curvature=0),
+        "unsure": SearchOptions(sure_curvature=2),
+        "once": SearchOptions(sure_curvature=2, again=1),
+        "refused": SearchOptions(least_curvature=2),
+        "refused once": SearchOptions(least_curvature=2, again=1),
+    }.items():
+        localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True, search=search))
+        localizer.prepare(*made)
+        found[name] = localizer.localize(QUERY)
+    assert found["unsure"].iterations > 1.5 * found["once"].iterations
+    assert found["sure"].iterations == found["once"].iterations
+    assert found["refused"].iterations > 1.5 * found["refused once"].iterations
+    assert found["refused"].status is Status.FALLBACK
+    # The better of both searches is answered.
+    assert errors(found["unsure"])[0] < 0.1 and found["unsure"].status is Status.OK
 
 
 @pytest.mark.thorough
