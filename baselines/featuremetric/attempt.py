@@ -137,22 +137,23 @@ def is_clear(row: int, attempts: Sequence[Attempt], options: SearchOptions) -> b
 def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
     """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
 
-    What the alignment measures grows by ``covariance_factor / curvature**covariance_power``: the
-    less of what the query shows is found again, the less is the rest believed. It grows, too, by
-    ``(100 / patches)**covariance_patches_power``: clustered estimates from few clusters are too
-    small (Cameron and Miller, Journal of Human Resources 2015). What moves all points alike, such
-    as shadows when the sun moves, cannot be seen in their residuals. A variance is added for it, in
-    proportion to what the fit is above ``covariance_unchanged_fit``.
+    What the alignment measures grows by ``covariance_factor`` and, where light and season are not
+    the map's, by ``(fit / covariance_unchanged_fit)**covariance_fit_power``: the query's slopes are
+    then not those of the map. It grows, too, by ``(100 / patches)**covariance_patches_power``:
+    clustered estimates from few clusters are too small (Cameron and Miller, Journal of Human
+    Resources 2015). What moves all points alike, such as shadows when the sun moves, cannot be seen
+    in their residuals. A variance is added for it, in proportion to what the fit is above
+    ``covariance_unchanged_fit``.
     """
     if attempt.spread is None:
         return None
     measured = attempt.spread.covariance[0].numpy()
     if not np.isfinite(measured).all():
         return None
-    share, depth = float(attempt.spread.curvature[0]), float(attempt.spread.depth[0])
-    factor = options.covariance_factor * share**-options.covariance_power
+    unchanged, depth = options.covariance_unchanged_fit, float(attempt.spread.depth[0])
+    factor = options.covariance_factor * (attempt.fit / unchanged) ** options.covariance_fit_power
     factor *= (float(attempt.spread.patches[0]) / 100) ** -options.covariance_patches_power
-    change = max(0.0, attempt.fit - options.covariance_unchanged_fit)
+    change = max(0.0, attempt.fit - unchanged)
     variance = change * (options.covariance_floor * np.repeat([1.0, depth], 3)) ** 2
     return attempt.view.photograph_covariance(factor * measured + np.diag(variance))
 

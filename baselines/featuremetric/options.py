@@ -89,26 +89,27 @@ class SearchOptions(Config):
         3.0, gt=0, description="How far the alignment may turn a pose from matches."
     )
     covariance_factor: float = Field(
-        2.25,
+        2.15,
         gt=0,
-        description="Factor on the covariance that the alignment measures where the query looks "
-        "wholly like the map, from 100 patches of it. python -m tests.benchmarks.covariance finds "
-        "this and the next four.",
+        description="Factor on the covariance that the alignment measures at a fit of "
+        "covariance_unchanged_fit, from 100 patches of the query. python -m "
+        "tests.benchmarks.covariance finds this and the next four.",
     )
     covariance_patches_power: float = Field(
-        0.2,
+        0.23,
         ge=0,
         description="Power of the number of patches, as a share of 100, by which the covariance is "
         "divided: it is measured too small from few of them.",
     )
-    covariance_power: float = Field(
-        0.6,
+    covariance_fit_power: float = Field(
+        0.9,
         ge=0,
-        description="Power of the curvature, as a share of Gauss and Newton's, by which the "
-        "covariance is divided: the share is less where the query looks less like the map.",
+        description="Power of the fit, as a share of covariance_unchanged_fit, by which the "
+        "covariance is multiplied: it is measured too small where the query looks less like the "
+        "map.",
     )
     covariance_floor: float = Field(
-        1.9e-4,
+        1.87e-4,
         ge=0,
         description="Standard deviation, per axis, of what moves all points alike, as shadows do "
         "when the sun moves: radians, and metres per metre to the points, at a fit of 1 more than "
@@ -116,14 +117,15 @@ class SearchOptions(Config):
     )
     covariance_unchanged_fit: float = Field(
         0.63,
-        ge=0,
+        gt=0,
         description="Fit below which light and season are the map's, and nothing is added to the "
         "covariance. The variance that is added grows with what the fit is above it.",
     )
     least_curvature: float = Field(
         0.4,
         ge=0,
-        description="A pose is not accepted where the share is below this.",
+        description="A pose is not accepted where the curvature of its cost, as a share of Gauss "
+        "and Newton's, is below this.",
     )
     compared_points: int = Field(
         512,
@@ -159,7 +161,7 @@ class SearchOptions(Config):
     sure_curvature: float = Field(
         0.5,
         ge=0,
-        description="A pose is sure where the share is not below this.",
+        description="A pose is sure where its curvature is not below this.",
     )
 
     def times(self, factor: int) -> SearchOptions:

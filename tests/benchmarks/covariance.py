@@ -4,12 +4,12 @@
         [--start error=3m,5deg] [--cache CACHE]
 
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
-queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_power``, ``_floor`` and
-``_unchanged_fit`` make the errors most likely, if these follow a Student distribution of eight
-degrees of freedom; they are then scaled so that 95 % of the errors lie in the 95 % ellipsoid.
-Printed are the five, and for each condition the normalised errors squared (NEES) with them, with
-those that the method has now, and with the covariance as it is measured; of several scenes, also
-the NEES of each with the numbers that the others give.
+queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_fit_power``, ``_floor``
+and ``_unchanged_fit`` make most likely both the errors, if these follow a Student distribution of
+eight degrees of freedom, and the mean of their normalised squares (NEES) under each condition.
+Printed are the five, and for each condition the NEES with them, with those that the method has now,
+and with the covariance as it is measured; of several scenes, also the NEES of each with the numbers
+that the others give.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ from scene.runtime.progress import progress_bar
 
 # Degrees of freedom of the errors: fewer than infinitely many, as some poses are wrong by far more.
 _TAIL: Final = 8.0
+# Mean and variance of the NEES of such errors.
+_MEAN: Final = 6.0
+_VARIANCE: Final = 2 * _MEAN * (_TAIL + 4) / (_TAIL - 4)
 
 
 class Numbers(NamedTuple):
@@ -47,7 +50,7 @@ class Numbers(NamedTuple):
 
     factor: float
     patches_power: float
-    power: float
+    fit_power: float
     floor: float
     unchanged_fit: float
 
@@ -62,7 +65,6 @@ class Answers:
         errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
         covariances: (N, 6, 6) as the alignments measure them.
         patches: (N,) of the picture with points in view.
-        curvature: (N,) of their costs, as shares of Gauss and Newton's.
         depth: (N,) metres to the points.
         fit: (N,) cost as a share of the cost by chance.
         false: (N,) whether they are wrong by more than 5 m or 10 degrees.
@@ -73,7 +75,6 @@ class Answers:
     errors: NDArray[np.float64]
     covariances: NDArray[np.float64]
     patches: NDArray[np.float64]
-    curvature: NDArray[np.float64]
     depth: NDArray[np.float64]
     fit: NDArray[np.float64]
     false: NDArray[np.bool_]
@@ -85,7 +86,7 @@ class Answers:
     def calibrated(self, numbers: Numbers) -> NDArray[np.float64]:
         """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
         factor = numbers.factor * (self.patches / 100) ** -numbers.patches_power
-        factor *= self.curvature**-numbers.power
+        factor *= (self.fit / numbers.unchanged_fit) ** numbers.fit_power
         change = np.maximum(0, self.fit - numbers.unchanged_fit)
         alike = numbers.floor**2 * np.repeat([change, change * self.depth**2], 3, axis=0).T
         return factor[:, None, None] * self.covariances + alike[..., None] * np.eye(6)
@@ -102,14 +103,15 @@ def calibrate(answers: Answers) -> Numbers:
     def unlikeliness(logarithms: NDArray[np.float64]) -> float:
         numbers = Numbers(*np.exp(logarithms).tolist())
         volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
-        tail = np.log1p(answers.nees(numbers) / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
-        return float(volume + tail)
+        nees = answers.nees(numbers)
+        tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
+        means = [nees[answers.conditions == each] for each in np.unique(answers.conditions)]
+        off = sum(len(each) * (each.mean() - _MEAN) ** 2 for each in means) / (2 * _VARIANCE)
+        return float(volume + tail + off)
 
     begin = np.log([2.0, 0.3, 0.5, 2e-4, 0.6])
     found = minimize(unlikeliness, begin, method="Nelder-Mead", options={"maxiter": 2000})
-    numbers = Numbers(*np.exp(found.x).tolist())
-    scale = float(np.quantile(answers.nees(numbers), 0.95)) / _CHI2_95
-    return numbers._replace(factor=numbers.factor * scale, floor=numbers.floor * scale**0.5)
+    return Numbers(*np.exp(found.x).tolist())
 
 
 def unseen_nees(answers: Answers) -> NDArray[np.float64]:
@@ -141,7 +143,7 @@ def main() -> None:
     now = Numbers(*(getattr(options, f"covariance_{name}") for name in Numbers._fields))
     for name, value in found._asdict().items():
         print(f"covariance_{name} {value:.3g}")
-    measured = Numbers(1.0, 0.0, 0.0, 0.0, 0.0)
+    measured = Numbers(1.0, 0.0, 0.0, 0.0, 1.0)
     for title, numbers in (("found", found), ("now", now), ("measured", measured)):
         _table(title, answers, answers.nees(numbers))
     if len(np.unique(answers.scenes)) > 1:
@@ -164,7 +166,7 @@ def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterat
         plain = {
             "covariance_factor": 1.0,
             "covariance_patches_power": 0.0,
-            "covariance_power": 0.0,
+            "covariance_fit_power": 0.0,
             "covariance_floor": 0.0,
         }
         return calibrated(attempt, options.model_copy(update=plain))
@@ -193,7 +195,6 @@ def _together(answers: Iterable[_Answer]) -> Answers:
                 (truth @ estimate.cam_from_world.inverse()).log().numpy(),
                 estimate.covariance,
                 float(attempt.spread.patches[0]),
-                float(attempt.spread.curvature[0]),
                 float(attempt.spread.depth[0]),
                 attempt.fit,
                 metres > 5 or degrees > 10,

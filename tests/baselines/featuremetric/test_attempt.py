@@ -20,7 +20,7 @@ from scene.geometry.pose import Pose
 OPTIONS = SearchOptions(
     covariance_factor=2.0,
     covariance_patches_power=0.5,
-    covariance_power=1.0,
+    covariance_fit_power=1.0,
     covariance_floor=1e-3,
     covariance_unchanged_fit=0.6,
 )
@@ -28,14 +28,14 @@ CAMERA = Camera.parse(["PINHOLE", "64", "64", "60", "60", "32", "32"])
 DEPTH = 50.0
 
 
-def attempt(measured: float, curvature: float, fit: float, patches: float = 100) -> Attempt:
+def attempt(measured: float, fit: float, patches: float = 100) -> Attempt:
     """An attempt of which the alignment measured the same variance along each axis."""
     one = torch.ones(1, dtype=torch.float64)
     pose = Pose(torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64))
     covariance = measured * torch.eye(6, dtype=torch.float64)[None]
     view = warp_image(np.zeros((64, 64, 3), np.uint8), CAMERA)
     alignment = Alignment(pose, (pose,), covariance, one, one, one, torch.zeros(1))
-    spread = Spread(covariance, curvature * one, DEPTH * one, patches * one)
+    spread = Spread(covariance, one, DEPTH * one, patches * one)
     return Attempt(view, alignment, spread, fit, "")
 
 
@@ -46,24 +46,25 @@ def variances(tried: Attempt, options: SearchOptions = OPTIONS) -> NDArray[np.fl
     return covariance.diagonal()
 
 
-def test_a_pose_is_less_sure_where_less_of_the_query_is_found_again() -> None:
-    np.testing.assert_allclose(variances(attempt(1e-4, 0.5, 0.0)), 2.0 / 0.5 * 1e-4)
+@pytest.mark.parametrize("fit", [0.3, 0.6])
+def test_a_pose_is_less_sure_where_the_fit_is_worse(fit: float) -> None:
+    np.testing.assert_allclose(variances(attempt(1e-4, fit)), 2.0 * fit / 0.6 * 1e-4)
 
 
 def test_a_pose_is_less_sure_from_fewer_patches() -> None:
-    np.testing.assert_allclose(variances(attempt(1e-4, 1.0, 0.0, patches=25)), 2.0 * 2 * 1e-4)
+    np.testing.assert_allclose(variances(attempt(1e-4, 0.6, patches=25)), 2.0 * 2 * 1e-4)
 
 
 @pytest.mark.parametrize(("fit", "change"), [(0.4, 0.0), (0.6, 0.0), (0.7, 0.1), (0.9, 0.3)])
 def test_what_moves_all_points_alike_is_more_where_the_fit_is_worse(
     fit: float, change: float
 ) -> None:
-    added = variances(attempt(0.0, 1.0, fit))
+    added = variances(attempt(0.0, fit))
     np.testing.assert_allclose(added[:3], change * 1e-3**2, atol=1e-15)
     np.testing.assert_allclose(added[3:], change * (DEPTH * 1e-3) ** 2, atol=1e-12)
 
 
 def test_points_that_do_not_tell_the_pose_give_no_covariance() -> None:
-    unknown = attempt(float("inf"), 1.0, 0.5)
+    unknown = attempt(float("inf"), 0.5)
     assert calibrated(unknown, OPTIONS) is None
     assert calibrated(replace(unknown, spread=None), OPTIONS) is None
