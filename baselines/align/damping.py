@@ -10,7 +10,9 @@ from scene.geometry.pose import Pose, so3_exp
 # Range of the decimal logarithm of a factor: part of the model that the weights were trained for.
 _LOG_RANGE = (-6.0, 5.0)
 # Numerical guard: the least value added to the diagonal of the Hessian, in its units.
-_FLOOR = 1e-6
+FLOOR = 1e-6
+# Numerical bounds of the factor on the damping.
+LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e8
 
 
 class Damping(nn.Module):
@@ -47,7 +49,7 @@ def damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
     """
     H, g = hessian.double(), gradient.double()
     diagonal = H.diagonal(dim1=-2, dim2=-1)
-    added = (diagonal * damping).clamp_min(_FLOOR)
+    added = (diagonal * damping).clamp_min(FLOOR)
     H = H + added.diag_embed()
     alone = (diagonal.abs() + added).diag_embed()
     broken = torch.linalg.cholesky_ex(H.detach()).info != 0

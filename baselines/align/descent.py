@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import torch
 from torch import Tensor
 
-from baselines.align.damping import damped_step, moved
+from baselines.align.damping import LEAST_FACTOR, MOST_FACTOR, damped_step, moved
 from baselines.align.options import Options
 from baselines.align.residuals import LevelCost, Linearisation
 from baselines.align.trees import choose, rows, tree_map
 from scene.geometry.pose import Pose
-
-# Numerical bounds of the factor on the damping.
-_MIN_DAMPING: Final = 1e-3
-_MAX_DAMPING: Final = 1e8
 
 
 @dataclass(frozen=True)
@@ -52,6 +47,8 @@ def descend(
         damping: (6,) factors of the Hessian's diagonal.
         options: how the level is minimised.
     """
+    if options.careful and cost.can_be_compiled() and not cost.intrinsics.fisheye:
+        return _compiled(cost, pose, alive, damping, options)
     around = cost.linearise(pose)
     none = torch.zeros(len(alive), dtype=torch.long, device=alive.device)
     state = State(pose, around, none, torch.ones_like(none, dtype=torch.float64)[:, None])
@@ -75,7 +72,7 @@ def descend(
             change = options.damping_change
             factor = torch.where(better, 1 / change, change)[:, None]
             state = replace(
-                state, damping=(state.damping * factor).clamp(_MIN_DAMPING, _MAX_DAMPING)
+                state, damping=(state.damping * factor).clamp(LEAST_FACTOR, MOST_FACTOR)
             )
             moving = ~_small(step, options)
         else:
@@ -84,6 +81,17 @@ def descend(
     order = torch.cat([numbers for numbers, _ in finished]).argsort()
     states = [each for _, each in finished]
     return tree_map(lambda *parts: torch.cat(parts)[order], *states)
+
+
+def _compiled(
+    cost: LevelCost, pose: Pose, alive: Tensor, damping: Tensor, options: Options
+) -> State:
+    from baselines.align.compiled import descended
+
+    points = (cost.points, cost.mask)
+    found = descended(cost.fields(), points, cost.intrinsics, pose, alive, damping, options)
+    around = Linearisation(*found.around)
+    return State(found.pose, around, found.iterations, found.damping)
 
 
 def healthy(around: Linearisation, min_points: int) -> Tensor:

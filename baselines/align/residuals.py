@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -12,6 +13,9 @@ from baselines.align.trees import rows
 from scene.geometry.pose import Pose
 from scene.geometry.projection import Intrinsics, Projection
 from scene.runtime.loops import has_compiler
+
+if TYPE_CHECKING:
+    from baselines.align.compiled import LevelFields
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,7 @@ class LevelCost:
 
     def linearise(self, cam_from_world: Pose) -> Linearisation:
         """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
-        if self._can_be_compiled():
+        if self.can_be_compiled():
             return self._compiled(cam_from_world)
         in_camera, projected = self._projected(cam_from_world)
         assert projected.jacobian is not None
@@ -227,7 +231,7 @@ class LevelCost:
             cells=cells,
         )
 
-    def _can_be_compiled(self) -> bool:
+    def can_be_compiled(self) -> bool:
         """Return whether compiled loops compute this: they know no gradients, and one precision."""
         tensors = (self.table.cells, self.points, self.target)
         usual = all(each.device.type == "cpu" and each.dtype == torch.float32 for each in tensors)
@@ -236,19 +240,16 @@ class LevelCost:
     def _compiled(self, cam_from_world: Pose) -> Linearisation:
         from baselines.align import compiled
 
-        if self.intrinsics.fisheye:
-            in_camera, projected = self._projected(cam_from_world)
-        else:
-            in_camera, projected = compiled.projected(cam_from_world, self.points, self.intrinsics)
-        return Linearisation(
-            *compiled.linearised(
-                (self.table, self.trust),
-                self.first,
-                (self.target, self.target_trust),
-                in_camera,
-                projected._replace(valid=projected.valid & self.mask),
-                self.stride,
-                self.border,
-                self.scale,
-            )
-        )
+        if not self.intrinsics.fisheye:
+            points = (self.points, self.mask)
+            around = compiled.around(self.fields(), points, self.intrinsics, cam_from_world)
+            return Linearisation(*around)
+        in_camera, projected = self._projected(cam_from_world)
+        projected = projected._replace(valid=projected.valid & self.mask)
+        return Linearisation(*compiled.linearised(self.fields(), in_camera, projected))
+
+    def fields(self) -> LevelFields:
+        """Return what compiled loops need to know of the level."""
+        from baselines.align.compiled import LevelFields
+
+        return LevelFields(*(getattr(self, name) for name in LevelFields._fields))

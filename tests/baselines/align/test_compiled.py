@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 import torch
 
 import baselines.align.residuals as residuals
+from baselines.align import kernels
+from baselines.align.damping import FLOOR, damped_step
+from baselines.align.descent import State, descend
+from baselines.align.options import Options
 from baselines.align.residuals import Level, LevelCost, Linearisation
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
@@ -16,12 +21,17 @@ from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down,
 POINTS, CHANNELS = 300, 24
 
 
-def level_cost(camera: Camera, poses: int, *, trusted: bool = True) -> tuple[LevelCost, Pose]:
+def level_cost(
+    camera: Camera, poses: int, *, trusted: bool = True, smooth: bool = False
+) -> tuple[LevelCost, Pose]:
     """Make a level of two queries, whose points partly leave the picture, and poses for it."""
     torch.manual_seed(0)
     truth, world = looking_down(1), World(1)
     points = torch.as_tensor(world.points(camera, truth, POINTS), dtype=torch.float32)
-    maps = torch.randn(2, CHANNELS, 56, 72).contiguous(memory_format=torch.channels_last)
+    maps = torch.randn(2, CHANNELS, 56, 72)
+    if smooth:
+        maps = 5 * torch.nn.functional.avg_pool2d(maps, 9, 1, 4)
+    maps = maps.contiguous(memory_format=torch.channels_last)
     level = Level(
         features=maps,
         stride=(4.5, 4.4),
@@ -38,7 +48,13 @@ def level_cost(camera: Camera, poses: int, *, trusted: bool = True) -> tuple[Lev
         torch.stack([each.rotation for each in starts]),
         torch.stack([each.translation for each in starts]),
     )
-    return cost.rows(torch.arange(poses) % 2), pose
+    cost = cost.rows(torch.arange(poses) % 2)
+    if smooth:  # so that poses have somewhere to go
+        there = Pose(
+            *(each.expand(poses, *each.shape) for each in (truth.rotation, truth.translation))
+        )
+        cost = replace(cost, target=cost.sampled(there)[0] + 0.1 * cost.target)
+    return cost, pose
 
 
 def linearised(cost: LevelCost, pose: Pose, *, by_torch: bool) -> Linearisation:
@@ -46,7 +62,7 @@ def linearised(cost: LevelCost, pose: Pose, *, by_torch: bool) -> Linearisation:
         with torch.no_grad():
             return cost.linearise(pose)
     with torch.inference_mode():
-        assert cost._can_be_compiled()
+        assert cost.can_be_compiled()
         return cost.linearise(pose)
 
 
@@ -64,6 +80,72 @@ def test_it_is_what_torch_computes(camera: Camera, trusted: bool, poses: int) ->
             a, b = a[seen], b[seen]
         a, b = a.float(), b.float()
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4 * float(b.abs().max()))
+
+
+def descended(cost: LevelCost, pose: Pose, alive: torch.Tensor, *, by_torch: bool) -> State:
+    arguments = (cost, pose, alive, torch.full((6,), 0.01), Options(min_points=40))
+    if by_torch:
+        with torch.no_grad():
+            return descend(*arguments)
+    with torch.inference_mode():
+        return descend(*arguments)
+
+
+@pytest.mark.parametrize("camera", [PINHOLE, DISTORTED])
+@pytest.mark.parametrize("trusted", [True, False])
+def test_a_descent_is_that_of_torch(camera: Camera, trusted: bool) -> None:
+    cost, pose = level_cost(camera, 6, trusted=trusted, smooth=True)
+    alive = torch.tensor([True, True, False, True, True, True])
+    away = pose.translation + torch.tensor([0, 0, 0, 0, 0, 1e4])[:, None]
+    pose = Pose(pose.rotation, away)  # the last one sees nothing
+    ours, theirs = (descended(cost, pose, alive, by_torch=each) for each in (False, True))
+    assert theirs.iterations[[0, 1, 3, 4]].min() > 2 and theirs.damping.min() < 0.1
+    assert torch.equal(ours.iterations, theirs.iterations)
+    torch.testing.assert_close(ours.damping, theirs.damping)
+    torch.testing.assert_close(ours.pose.matrix(), theirs.pose.matrix(), rtol=1e-4, atol=1e-5)
+    assert torch.equal(ours.pose.matrix()[[2, 5]], pose.matrix()[[2, 5]])
+    assert not ours.around.seen[5].any()
+    before = linearised(cost, pose, by_torch=True).mean_cost()
+    moved = ours.iterations > 0
+    assert (ours.around.mean_cost() < 0.9 * before)[moved].all()
+    torch.testing.assert_close(ours.around.mean_cost(), theirs.around.mean_cost())
+
+
+def test_a_descent_from_features_that_are_not_finite_stays() -> None:
+    cost, pose = level_cost(PINHOLE, 1)
+    broken = torch.full_like(cost.table.cells, torch.nan)
+    cost = replace(cost, table=replace(cost.table, cells=broken))
+    alive = torch.ones(1, dtype=torch.bool)
+    ours, theirs = (descended(cost, pose, alive, by_torch=each) for each in (False, True))
+    assert int(ours.iterations) == int(theirs.iterations) == 0
+    assert torch.equal(ours.pose.matrix(), pose.matrix())
+
+
+def test_a_step_where_the_hessian_is_not_positive() -> None:
+    """It takes the diagonal alone, with no more than a floor where that is negative."""
+    gradient = np.arange(1.0, 7.0)
+    for diagonal in ([2.0, 1, 3, 1, 1, 2], [2.0, -1, 3, 0, 1, 2]):
+        for off in (0.1, 5.0):
+            hessian = np.full((6, 6), off, np.float32)
+            np.fill_diagonal(hessian, diagonal)
+            ours = np.empty(6)
+            kernels._damped_step(gradient, hessian, np.full(6, 0.3), FLOOR, ours)
+            theirs = damped_step(
+                torch.tensor(gradient)[None], torch.tensor(hessian)[None], torch.full((6,), 0.3)
+            )
+            np.testing.assert_allclose(ours, theirs[0].numpy(), rtol=1e-6)
+
+
+def test_fisheye_cameras() -> None:
+    camera = Camera("OPENCV_FISHEYE", 320, 240, (160.0, 160.0, 160.0, 120.0, 0.02, 0.0, 0.0, 0.0))
+    cost, pose = level_cost(camera, 3, smooth=True)
+    ours, theirs = (linearised(cost, pose, by_torch=each) for each in (False, True))
+    assert ours.seen.any() and torch.equal(ours.seen, theirs.seen)
+    most = float(theirs.hessian.abs().max())
+    torch.testing.assert_close(ours.hessian, theirs.hessian, rtol=1e-4, atol=1e-4 * most)
+    alive = torch.ones(3, dtype=torch.bool)
+    here, there = (descended(cost, pose, alive, by_torch=each) for each in (False, True))
+    torch.testing.assert_close(here.pose.matrix(), there.pose.matrix(), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 3), (3, 4), (4, 3), (4, 4), (5, 9)])
@@ -95,16 +177,16 @@ def test_what_is_not_finite_stays_so() -> None:
 
 def test_gradients_and_double_precision_are_left_to_torch() -> None:
     cost, _ = level_cost(PINHOLE, 1)
-    assert not cost._can_be_compiled()
+    assert not cost.can_be_compiled()
     with torch.inference_mode():
         exact = replace(cost, points=cost.points.double())
-        assert cost._can_be_compiled() and not exact._can_be_compiled()
+        assert cost.can_be_compiled() and not exact.can_be_compiled()
 
 
 def test_without_numba_torch_computes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     cost, pose = level_cost(PINHOLE, 1)
     monkeypatch.setattr(residuals, "has_compiler", lambda: False)
     with torch.inference_mode():
-        assert not cost._can_be_compiled()
+        assert not cost.can_be_compiled()
         around = cost.linearise(pose)
     torch.testing.assert_close(around.pull, linearised(cost, pose, by_torch=True).pull)

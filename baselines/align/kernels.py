@@ -1,0 +1,396 @@
+"""Loops over points that Numba compiles for ``baselines.align.compiled``.
+
+A point is finished before the next begins, so that its twelve cells are read once, and nothing but
+its products is written. All loops are in this file, by which Numba knows what it kept of them.
+"""
+
+from __future__ import annotations
+
+from math import sin, sqrt
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scene.runtime.loops import OPTIONS
+
+Singles = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Integers = NDArray[np.int64]
+Maps = tuple[Singles, Singles, Integers, int, int]
+"""Tables of features and of confidence, the first cell of each pose's maps, width and height."""
+Targets = tuple[Singles, Singles]
+"""Features and confidence of the points."""
+Numbers = tuple[np.float32, np.float32]
+Level = tuple[Maps, Targets, Singles, Numbers, tuple[bool, bool]]
+"""Then pixels per cell; border, and twice the squared scale of the robust cost; whether there is
+confidence of the query, and of the points."""
+Camera = tuple[tuple[Singles, Singles, Singles, Singles], Numbers]
+"""Focal lengths, principal points, distortion and limit of one or M; least depth, steepest ray."""
+View = tuple[Singles, Singles, Flags, Singles]
+"""Points in the frames of cameras, their pixels, whether these are valid, and derivatives."""
+Around = tuple[Flags, Singles, Singles, Singles, Singles, Singles]
+"""The fields of ``residuals.Linearisation``."""
+
+_HALF, _ONE = np.float32(0.5), np.float32(1)
+
+_CAMERA: Final = "Tuple((UniTuple(f4[:,::1], 4), UniTuple(f4, 2)))"
+_VIEW: Final = "Tuple((f4[:,:,::1], f4[:,:,::1], b1[:,::1], f4[:,:,:,::1]))"
+_LEVEL: Final = (
+    "Tuple((Tuple((f4[:,::1], f4[:,::1], i8[::1], i8, i8)), Tuple((f4[:,:,::1], f4[:,::1])), "
+    "f4[::1], UniTuple(f4, 2), UniTuple(b1, 2)))"
+)
+_AROUND: Final = "Tuple((b1[:,::1], f4[:,::1], f4[:,::1], f4[:,:,::1], f4[:,:,::1], f4[:,:,::1]))"
+LINEARISE: Final = f"void({_LEVEL}, {_VIEW}, {_AROUND})"
+DESCEND: Final = (
+    f"void({_LEVEL}, Tuple((f4[:,:,::1], b1[:,::1], {_CAMERA})), "
+    "Tuple((f8[:,:,::1], f8[:,::1], b1[::1], i8[::1], f8[::1])), "
+    f"Tuple((f8[::1], UniTuple(f8, 6), UniTuple(i8, 2))), {_AROUND})"
+)
+
+
+def linearise(level: Level, points: View, out: Around) -> None:
+    """Write the cost around poses whose points are projected already."""
+    in_camera, xy, valid, jacobian = points
+    seen, weight, cost, pull, hessian, cells = out
+    for pose in range(len(valid)):
+        view = (in_camera[pose], xy[pose], valid[pose], jacobian[pose])
+        one = (seen[pose], weight[pose], cost[pose], pull[pose], hessian[pose], cells[pose])
+        _linearise(level, pose, view, one)
+
+
+def descend(
+    level: Level,
+    points: tuple[Singles, Flags, Camera],
+    state: tuple[Doubles, Doubles, Flags, Integers, Doubles],
+    options: tuple[Doubles, tuple[float, float, float, float, float, float], tuple[int, int]],
+    out: Around,
+) -> None:
+    """Move each pose to where its cost is least.
+
+    Args:
+        level: what the cost is of.
+        points: (M, N, 3), which of them to use, and the cameras.
+        state: rotations and translations, which are changed; which of these to move; steps tried
+            and factors on the damping, which are written.
+        options: damping (6,); what a rejected step multiplies it by, the least and the most of that
+            factor, the least that is added to the diagonal, the turn (rad) and the shift (m) that
+            end a level; the most steps and the fewest points.
+        out: the cost around the last poses.
+    """
+    positions, used, camera = points
+    turns, shifts, alive, tried, factors = state
+    damping, (change, least, most, floor, small_turn, small_shift), (steps, min_points) = options
+    seen, weight, cost, pull, hessian, cells = out
+    number = positions.shape[1]
+    view = (
+        np.empty((number, 3), np.float32),
+        np.empty((number, 2), np.float32),
+        np.empty(number, np.bool_),
+        np.empty((number, 2, 3), np.float32),
+    )
+    there = (
+        np.empty(number, np.bool_),
+        np.empty(number, np.float32),
+        np.empty(number, np.float32),
+        np.empty((number, 6), np.float32),
+        np.empty((6, 6), np.float32),
+        np.empty((number, 2), np.float32),
+    )
+    gradient, step = np.empty(6), np.empty(6)
+    turn, shift = np.empty((3, 3)), np.empty(3)
+    for pose in range(len(alive)):
+        own = (positions[pose], used[pose], camera)
+        here = (seen[pose], weight[pose], cost[pose], pull[pose], hessian[pose], cells[pose])
+        _look(level, pose, own, (turns[pose], shifts[pose]), view, here)
+        tried[pose], factors[pose] = 0, 1.0
+        while alive[pose] and tried[pose] < steps and here[0].sum() >= min_points:
+            if not _gradient(here, gradient):
+                break
+            _damped_step(gradient, here[4], factors[pose] * damping, floor, step)
+            _move(turns[pose], shifts[pose], step, turn, shift)
+            _look(level, pose, own, (turn, shift), view, there)
+            tried[pose] += 1
+            if _falls(here, there, min_points):
+                turns[pose], shifts[pose] = turn, shift
+                here[0][:], here[1][:], here[2][:] = there[:3]
+                here[3][:], here[4][:], here[5][:] = there[3:]
+                factors[pose] /= change
+            else:
+                factors[pose] *= change
+            factors[pose] = min(max(factors[pose], least), most)
+            if _norm(step[:3]) < small_turn and _norm(step[3:]) < small_shift:
+                break
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _look(
+    level: Level,
+    pose: int,
+    points: tuple[Singles, Flags, Camera],
+    cam_from_world: tuple[Doubles, Doubles],
+    view: View,
+    out: Around,
+) -> None:
+    """Write the cost around one pose."""
+    positions, used, camera = points
+    turn, shift = cam_from_world
+    _project(turn.astype(np.float32), shift.astype(np.float32), positions, (camera, pose), view)
+    for point in range(len(used)):
+        view[2][point] &= used[point]
+    _linearise(level, pose, view, out)
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _gradient(around: Around, out: Doubles) -> bool:
+    """Write the gradient (6,), and return whether a step can be computed."""
+    pull, hessian = around[3], around[4]
+    out[:] = 0
+    for point in range(len(pull)):
+        for k in range(6):
+            out[k] += pull[point, k]
+    return bool(np.isfinite(out).all() and np.isfinite(hessian).all())
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _falls(here: Around, there: Around, min_points: int) -> bool:
+    """Return whether the mean cost falls, over the points in view from both poses."""
+    count = 0
+    before = after = weight_before = weight_after = 0.0
+    for point in range(len(here[0])):
+        if here[0][point] and there[0][point]:
+            count += 1
+            weight_before += here[1][point]
+            weight_after += there[1][point]
+            before += here[1][point] * here[2][point]
+            after += there[1][point] * there[2][point]
+    lower = after * weight_before < before * weight_after
+    return lower and count >= min_points and _gradient(there, np.empty(6))
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _damped_step(
+    gradient: Doubles, hessian: Singles, damping: Doubles, floor: float, out: Doubles
+) -> None:
+    """Write the step of ``damping.damped_step``."""
+    lower = np.zeros((6, 6))
+    if not _cholesky(hessian, damping, floor, lower):
+        for k in range(6):  # the diagonal alone
+            own = float(hessian[k, k])
+            out[k] = -gradient[k] / (abs(own) + max(own * damping[k], floor))
+        return
+    for row in range(6):
+        rest = -gradient[row]
+        for k in range(row):
+            rest -= lower[row, k] * out[k]
+        out[row] = rest / lower[row, row]
+    for row in range(5, -1, -1):
+        rest = out[row]
+        for k in range(row + 1, 6):
+            rest -= lower[k, row] * out[k]
+        out[row] = rest / lower[row, row]
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _cholesky(hessian: Singles, damping: Doubles, floor: float, lower: Doubles) -> bool:
+    """Write the factor of the damped Hessian, and return whether it is positive definite."""
+    for row in range(6):
+        for column in range(row + 1):
+            rest = float(hessian[row, column])
+            if row == column:
+                rest += max(rest * damping[row], floor)
+            for k in range(column):
+                rest -= lower[row, k] * lower[column, k]
+            if row != column:
+                lower[row, column] = rest / lower[column, column]
+            elif rest > 0:
+                lower[row, row] = sqrt(rest)
+            else:
+                return False
+    return True
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _norm(vector: Doubles) -> float:
+    return sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _move(
+    turn: Doubles, shift: Doubles, step: Doubles, to_turn: Doubles, to_shift: Doubles
+) -> None:
+    """Write the pose of ``damping.moved``."""
+    x, y, z = step[0], step[1], step[2]
+    angle = _norm(step[:3])
+    a, b = 1 - angle**2 / 6, 0.5 - angle**2 / 24
+    if angle > 1e-4:  # below, the series are exact
+        a, b = sin(angle) / angle, 2 * sin(angle / 2) ** 2 / angle**2
+    by = np.empty((3, 3))
+    by[0, 0], by[0, 1], by[0, 2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    by[1, 0], by[1, 1], by[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+    by[2, 0], by[2, 1], by[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+    for row in range(3):
+        to_shift[row] = step[3 + row]
+        for k in range(3):
+            to_shift[row] += by[row, k] * shift[k]
+        for column in range(3):
+            to_turn[row, column] = 0.0
+            for k in range(3):
+                to_turn[row, column] += by[row, k] * turn[k, column]
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _project(
+    turn: Singles, shift: Singles, points: Singles, camera: tuple[Camera, int], out: View
+) -> None:
+    """Write what one pose sees."""
+    ((focal, principal, distortion, limit), (least_depth, most_slope)), pose = camera
+    in_camera, xy, valid, jacobian = out
+    k = pose if len(focal) > 1 else 0
+    fx, fy = focal[k]
+    k1, k2, p1, p2 = distortion[k]
+    for point in range(len(points)):
+        px, py, pz = points[point]
+        x = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz + shift[0]
+        y = turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz + shift[1]
+        z = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2]
+        there = in_camera[point]
+        there[0], there[1], there[2] = x, y, z
+        valid[point] = False
+        if not (z > least_depth and max(abs(x), abs(y)) < most_slope * z):
+            continue
+        u, v = x / z, y / z
+        uu, vv, uv2 = u * u, v * v, 2 * u * v
+        r2 = uu + vv
+        radial = _ONE + r2 * (k1 + k2 * r2)
+        slope = 2 * (k1 + 2 * k2 * r2)
+        j00 = radial + slope * uu + 2 * p1 * v + 6 * p2 * u
+        j11 = radial + slope * vv + 2 * p2 * u + 6 * p1 * v
+        j01 = slope * u * v + 2 * p1 * u + 2 * p2 * v
+        if not (r2 < limit[k, 0] * limit[k, 0] and j00 * j11 - j01 * j01 > 0):
+            continue
+        valid[point] = True
+        at, by = xy[point], jacobian[point]
+        at[0] = fx * (u * radial + p1 * uv2 + p2 * (r2 + 2 * uu)) + principal[k, 0]
+        at[1] = fy * (v * radial + p2 * uv2 + p1 * (r2 + 2 * vv)) + principal[k, 1]
+        by[0, 0], by[0, 1] = fx * j00 / z, fx * j01 / z
+        by[1, 0], by[1, 1] = fy * j01 / z, fy * j11 / z
+        by[0, 2] = -(by[0, 0] * u + by[0, 1] * v)
+        by[1, 2] = -(by[1, 0] * u + by[1, 1] * v)
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _linearise(level: Level, pose: int, points: View, out: Around) -> None:
+    """Write the cost around one pose."""
+    (features, trust, first, width, height), targets, stride, numbers, trusted = level
+    target, target_trust = targets
+    in_camera, xy, valid, jacobian = points
+    border, twice_scale = numbers
+    seen, weight, cost, pull, hessian, cells = out
+    last_x, last_y = np.float32(width - 1) - border, np.float32(height - 1) - border
+    rows = np.empty((2, 6), np.float32)
+    gram = np.empty(6, np.float32)
+    seen[:], weight[:], cost[:], pull[:], hessian[:], cells[:] = False, 0, 0, 0, 0, 1
+    for point in range(len(valid)):
+        if not valid[point]:
+            continue
+        x = xy[point, 0] / stride[0] - _HALF
+        y = xy[point, 1] / stride[1] - _HALF
+        if not (border <= x <= last_x and border <= y <= last_y):
+            continue
+        cells[point, 0], cells[point, 1] = x, y
+        left = min(max(int(x), 1), width - 3)
+        top = min(max(int(y), 1), height - 3)
+        a, b = x - np.float32(left), y - np.float32(top)
+        cell = first[pose] + top * width + left
+        sure = _ONE
+        if trusted[0]:
+            sure = _bilinear(trust, cell, width, (a, b))
+        if trusted[1]:
+            sure *= target_trust[pose, point]
+        if not sure > 0:
+            continue
+        _products(features, cell, width, (a, b), target[pose, point], gram)
+        for k in range(2):
+            _row(in_camera[point], jacobian[point, k], stride[k], rows[k])
+        share = sure / (_ONE + gram[0] / twice_scale)
+        seen[point], weight[point] = True, sure
+        cost[point] = twice_scale * np.log1p(gram[0] / twice_scale)
+        gx, gy = share * gram[1], share * gram[2]
+        gxx, gxy, gyy = share * gram[3], share * gram[4], share * gram[5]
+        for i in range(6):
+            along_x, along_y = rows[0, i], rows[1, i]
+            pull[point, i] = gx * along_x + gy * along_y
+            both_x, both_y = gxx * along_x + gxy * along_y, gxy * along_x + gyy * along_y
+            for j in range(6):
+                hessian[i, j] += both_x * rows[0, j] + both_y * rows[1, j]
+
+
+@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
+def _bilinear(
+    table: Singles, cell: int, width: int, between: tuple[np.float32, np.float32]
+) -> np.float32:
+    """Return the value between cells of a table of one channel."""
+    (a, b), below = between, cell + width
+    above = (_ONE - a) * table[cell, 0] + a * table[cell + 1, 0]
+    value: np.float32 = (_ONE - b) * above
+    value += b * ((_ONE - a) * table[below, 0] + a * table[below + 1, 0])
+    return value
+
+
+@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
+def _row(point: Singles, slope: Singles, stride: np.float32, row: Singles) -> None:
+    """Write the derivative of a pixel's coordinate, in cells, by the tangent of the pose."""
+    (x, y, z), (of_x, of_y, of_z) = point, slope
+    row[0], row[3] = (y * of_z - z * of_y) / stride, of_x / stride
+    row[1], row[4] = (z * of_x - x * of_z) / stride, of_y / stride
+    row[2], row[5] = (x * of_y - y * of_x) / stride, of_z / stride
+
+
+@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
+def _products(
+    features: Singles,
+    cell: int,
+    width: int,
+    between: tuple[np.float32, np.float32],
+    target: Singles,
+    out: Singles,
+) -> None:
+    """Sum the products of residual and slopes over the channels: rr, rx, ry, xx, xy, yy.
+
+    The value is bilinear ``between`` cells, the slopes are its central differences.
+    """
+    a, b = between
+    a1, b1 = _ONE - a, _ONE - b
+    second = cell + width
+    # In maps of three cells there is no cell before the first one.
+    over_left, over_right = features[max(cell - width, 0)], features[max(cell - width + 1, 0)]
+    before_top, top_left = features[max(cell - 1, 0)], features[cell]
+    top_right, after_top = features[cell + 1], features[cell + 2]
+    before_low, low_left = features[second - 1], features[second]
+    low_right, after_low = features[second + 1], features[second + 2]
+    under_left, under_right = features[second + width], features[second + width + 1]
+    rr = rx = ry = xx = xy = yy = np.float32(0)
+    # A signed number would be tested for being negative, and cells gathered one by one.
+    for c in range(np.uint64(len(target))):
+        # Columns and rows through the point, of which slopes are differences.
+        left = b1 * top_left[c] + b * low_left[c]
+        right = b1 * top_right[c] + b * low_right[c]
+        before = b1 * before_top[c] + b * before_low[c]
+        after = b1 * after_top[c] + b * after_low[c]
+        top = a1 * top_left[c] + a * top_right[c]
+        low = a1 * low_left[c] + a * low_right[c]
+        over = a1 * over_left[c] + a * over_right[c]
+        under = a1 * under_left[c] + a * under_right[c]
+        residual = b1 * top + b * low - target[c]
+        slope_x = _HALF * (a1 * (right - before) + a * (after - left))
+        slope_y = _HALF * (b1 * (low - over) + b * (under - top))
+        rr += residual * residual
+        rx += residual * slope_x
+        ry += residual * slope_y
+        xx += slope_x * slope_x
+        xy += slope_x * slope_y
+        yy += slope_y * slope_y
+    out[0], out[1], out[2], out[3], out[4], out[5] = rr, rx, ry, xx, xy, yy
