@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import radians
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -19,8 +19,21 @@ from baselines.align.damping import FLOOR, LEAST_FACTOR, MOST_FACTOR
 from baselines.align.options import Options
 from baselines.align.sampling import CellTable
 from scene.geometry.pose import Pose
-from scene.geometry.projection import MAX_SLOPE, MIN_DEPTH, Intrinsics, Projection
+from scene.geometry.projection import MAX_SLOPE, MIN_DEPTH, Intrinsics
 from scene.runtime.loops import compiled
+
+# Types of the arguments of ``kernels.descend``.
+_CAMERA: Final = "Tuple((UniTuple(f4[:,::1], 4), UniTuple(f4, 2), b1))"
+_LEVEL: Final = (
+    "Tuple((Tuple((f4[:,::1], f4[:,::1], i8[::1], i8, i8)), Tuple((f4[:,:,::1], f4[:,::1])), "
+    "f4[::1], UniTuple(f4, 2), UniTuple(b1, 2)))"
+)
+_AROUND: Final = "Tuple((b1[:,::1], f4[:,::1], f4[:,::1], f4[:,:,::1], f4[:,:,::1], f4[:,:,::1]))"
+_DESCEND: Final = (
+    f"void({_LEVEL}, Tuple((f4[:,:,::1], b1[:,::1], {_CAMERA})), "
+    "Tuple((f8[:,:,::1], f8[:,::1], b1[::1], i8[::1], f8[::1])), "
+    f"Tuple((f8[::1], UniTuple(f8, 6), UniTuple(i8, 2))), {_AROUND})"
+)
 
 
 class LevelFields(NamedTuple):
@@ -52,21 +65,6 @@ class LevelFields(NamedTuple):
         )
 
 
-def linearised(level: LevelFields, in_camera: Tensor, projection: Projection) -> tuple[Tensor, ...]:
-    """Return the fields of ``Linearisation`` of M poses and N points that are projected already.
-
-    Args:
-        level: what the cost is of.
-        in_camera: points (M, N, 3).
-        projection: their pixels, with derivatives; points that are not valid do not count.
-    """
-    assert projection.jacobian is not None
-    out = _empty(*in_camera.shape[:-1])
-    view = (*_arrays(in_camera, projection.xy, projection.valid, projection.jacobian),)
-    compiled(kernels.linearise, kernels.LINEARISE)(level.arrays(), view, out)
-    return tuple(map(torch.from_numpy, out))
-
-
 class Descent(NamedTuple):
     """The fields of ``descent.State``; ``around`` are those of ``Linearisation``."""
 
@@ -91,7 +89,7 @@ def descended(
     Args:
         level: what the cost is of.
         points: (M, N, 3), and which to use (M, N).
-        camera: perspective intrinsics, one or M.
+        camera: intrinsics, one or M.
         pose: (M) where to begin.
         alive: (M,) which to move.
         damping: (6,) factors of the Hessian's diagonal.
@@ -103,7 +101,7 @@ def descended(
     out = _empty(*used.shape)
     rules = (options.damping_change, LEAST_FACTOR, MOST_FACTOR, FLOOR)
     small = (radians(options.converged_deg), options.converged_m)
-    compiled(kernels.descend, kernels.DESCEND)(
+    compiled(kernels.descend, _DESCEND)(
         level.arrays(),
         (positions, used, _camera(camera)),
         (turns, shifts, moving, tried, factors),
@@ -141,7 +139,7 @@ def _camera(camera: Intrinsics) -> kernels.Camera:
         *(each.reshape(-1, each.shape[-1]) for each in fields)
     )
     bounds = (np.float32(MIN_DEPTH), np.float32(MAX_SLOPE))
-    return (focal, principal, distortion, limit), bounds
+    return (focal, principal, distortion, limit), bounds, camera.fisheye
 
 
 def _arrays(*tensors: Tensor) -> Iterator[NDArray[Any]]:

@@ -47,7 +47,7 @@ def descend(
         damping: (6,) factors of the Hessian's diagonal.
         options: how the level is minimised.
     """
-    if options.careful and cost.can_be_compiled() and not cost.intrinsics.fisheye:
+    if options.careful and cost.can_be_compiled():
         return _compiled(cost, pose, alive, damping, options)
     around = cost.linearise(pose)
     none = torch.zeros(len(alive), dtype=torch.long, device=alive.device)

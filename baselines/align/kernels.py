@@ -6,8 +6,7 @@ its products is written. All loops are in this file, by which Numba knows what i
 
 from __future__ import annotations
 
-from math import sin, sqrt
-from typing import Final
+from math import isfinite, sin, sqrt
 
 import numpy as np
 from numba import njit
@@ -27,38 +26,15 @@ Numbers = tuple[np.float32, np.float32]
 Level = tuple[Maps, Targets, Singles, Numbers, tuple[bool, bool]]
 """Then pixels per cell; border, and twice the squared scale of the robust cost; whether there is
 confidence of the query, and of the points."""
-Camera = tuple[tuple[Singles, Singles, Singles, Singles], Numbers]
-"""Focal lengths, principal points, distortion and limit of one or M; least depth, steepest ray."""
+Camera = tuple[tuple[Singles, Singles, Singles, Singles], Numbers, bool]
+"""Focal lengths, principal points, distortion and limit of one or M; least depth, steepest ray;
+whether it is a fisheye."""
 View = tuple[Singles, Singles, Flags, Singles]
 """Points in the frames of cameras, their pixels, whether these are valid, and derivatives."""
 Around = tuple[Flags, Singles, Singles, Singles, Singles, Singles]
 """The fields of ``residuals.Linearisation``."""
 
 _HALF, _ONE = np.float32(0.5), np.float32(1)
-
-_CAMERA: Final = "Tuple((UniTuple(f4[:,::1], 4), UniTuple(f4, 2)))"
-_VIEW: Final = "Tuple((f4[:,:,::1], f4[:,:,::1], b1[:,::1], f4[:,:,:,::1]))"
-_LEVEL: Final = (
-    "Tuple((Tuple((f4[:,::1], f4[:,::1], i8[::1], i8, i8)), Tuple((f4[:,:,::1], f4[:,::1])), "
-    "f4[::1], UniTuple(f4, 2), UniTuple(b1, 2)))"
-)
-_AROUND: Final = "Tuple((b1[:,::1], f4[:,::1], f4[:,::1], f4[:,:,::1], f4[:,:,::1], f4[:,:,::1]))"
-LINEARISE: Final = f"void({_LEVEL}, {_VIEW}, {_AROUND})"
-DESCEND: Final = (
-    f"void({_LEVEL}, Tuple((f4[:,:,::1], b1[:,::1], {_CAMERA})), "
-    "Tuple((f8[:,:,::1], f8[:,::1], b1[::1], i8[::1], f8[::1])), "
-    f"Tuple((f8[::1], UniTuple(f8, 6), UniTuple(i8, 2))), {_AROUND})"
-)
-
-
-def linearise(level: Level, points: View, out: Around) -> None:
-    """Write the cost around poses whose points are projected already."""
-    in_camera, xy, valid, jacobian = points
-    seen, weight, cost, pull, hessian, cells = out
-    for pose in range(len(valid)):
-        view = (in_camera[pose], xy[pose], valid[pose], jacobian[pose])
-        one = (seen[pose], weight[pose], cost[pose], pull[pose], hessian[pose], cells[pose])
-        _linearise(level, pose, view, one)
 
 
 def descend(
@@ -102,56 +78,64 @@ def descend(
     gradient, step = np.empty(6), np.empty(6)
     turn, shift = np.empty((3, 3)), np.empty(3)
     for pose in range(len(alive)):
-        own = (positions[pose], used[pose], camera)
+        own = (positions[pose], used[pose])
         here = (seen[pose], weight[pose], cost[pose], pull[pose], hessian[pose], cells[pose])
-        _look(level, pose, own, (turns[pose], shifts[pose]), view, here)
-        tried[pose], factors[pose] = 0, 1.0
-        while alive[pose] and tried[pose] < steps and here[0].sum() >= min_points:
-            if not _gradient(here, gradient):
+        step[:] = 0
+        tried[pose], factors[pose], ended = -1, 1.0, not alive[pose]
+        while True:
+            angle, length = _move(turns[pose], shifts[pose], step, turn, shift)
+            _project((turn, shift), own, (camera, pose), view)
+            _linearise(level, pose, view, there)
+            tried[pose] += 1
+            better = tried[pose] == 0 or _falls(here, there, min_points)
+            if better:
+                _accept((turn, shift), there, (turns[pose], shifts[pose]), here)
+            if tried[pose] > 0:
+                ended = angle < small_turn and length < small_shift
+                factor = factors[pose] / change if better else factors[pose] * change
+                factors[pose] = min(max(factor, least), most)
+            if ended or tried[pose] == steps or not _gradient(here, min_points, gradient):
                 break
             _damped_step(gradient, here[4], factors[pose] * damping, floor, step)
-            _move(turns[pose], shifts[pose], step, turn, shift)
-            _look(level, pose, own, (turn, shift), view, there)
-            tried[pose] += 1
-            if _falls(here, there, min_points):
-                turns[pose], shifts[pose] = turn, shift
-                here[0][:], here[1][:], here[2][:] = there[:3]
-                here[3][:], here[4][:], here[5][:] = there[3:]
-                factors[pose] /= change
-            else:
-                factors[pose] *= change
-            factors[pose] = min(max(factors[pose], least), most)
-            if _norm(step[:3]) < small_turn and _norm(step[3:]) < small_shift:
-                break
 
 
 @njit(**OPTIONS)  # type: ignore[untyped-decorator]
-def _look(
-    level: Level,
-    pose: int,
-    points: tuple[Singles, Flags, Camera],
-    cam_from_world: tuple[Doubles, Doubles],
-    view: View,
-    out: Around,
+def _accept(
+    found: tuple[Doubles, Doubles], there: Around, pose: tuple[Doubles, Doubles], here: Around
 ) -> None:
-    """Write the cost around one pose."""
-    positions, used, camera = points
-    turn, shift = cam_from_world
-    _project(turn.astype(np.float32), shift.astype(np.float32), positions, (camera, pose), view)
-    for point in range(len(used)):
-        view[2][point] &= used[point]
-    _linearise(level, pose, view, out)
+    """Copy a pose and the cost around it."""
+    for row in range(3):
+        pose[1][row] = found[1][row]
+        for column in range(3):
+            pose[0][row, column] = found[0][row, column]
+    for row in range(6):
+        for column in range(6):
+            here[4][row, column] = there[4][row, column]
+    for point in range(len(here[0])):
+        here[0][point], here[1][point] = there[0][point], there[1][point]
+        here[2][point] = there[2][point]
+        for k in range(6):
+            here[3][point, k] = there[3][point, k]
+        for k in range(2):
+            here[5][point, k] = there[5][point, k]
 
 
 @njit(**OPTIONS)  # type: ignore[untyped-decorator]
-def _gradient(around: Around, out: Doubles) -> bool:
+def _gradient(around: Around, min_points: int, out: Doubles) -> bool:
     """Write the gradient (6,), and return whether a step can be computed."""
-    pull, hessian = around[3], around[4]
-    out[:] = 0
-    for point in range(len(pull)):
+    seen, _, _, pull, hessian, _ = around
+    finite, count = True, 0
+    for k in range(6):
+        out[k] = 0
+    for point in range(len(seen)):
+        count += seen[point]
         for k in range(6):
             out[k] += pull[point, k]
-    return bool(np.isfinite(out).all() and np.isfinite(hessian).all())
+    for row in range(6):
+        finite &= isfinite(out[row])
+        for column in range(6):
+            finite &= isfinite(hessian[row, column])
+    return finite and count >= min_points
 
 
 @njit(**OPTIONS)  # type: ignore[untyped-decorator]
@@ -167,7 +151,7 @@ def _falls(here: Around, there: Around, min_points: int) -> bool:
             before += here[1][point] * here[2][point]
             after += there[1][point] * there[2][point]
     lower = after * weight_before < before * weight_after
-    return lower and count >= min_points and _gradient(there, np.empty(6))
+    return lower and count >= min_points and _gradient(there, 0, np.empty(6))
 
 
 @njit(**OPTIONS)  # type: ignore[untyped-decorator]
@@ -175,55 +159,34 @@ def _damped_step(
     gradient: Doubles, hessian: Singles, damping: Doubles, floor: float, out: Doubles
 ) -> None:
     """Write the step of ``damping.damped_step``."""
-    lower = np.zeros((6, 6))
-    if not _cholesky(hessian, damping, floor, lower):
-        for k in range(6):  # the diagonal alone
-            own = float(hessian[k, k])
-            out[k] = -gradient[k] / (abs(own) + max(own * damping[k], floor))
-        return
+    system = np.empty((6, 7))
     for row in range(6):
-        rest = -gradient[row]
-        for k in range(row):
-            rest -= lower[row, k] * out[k]
-        out[row] = rest / lower[row, row]
-    for row in range(5, -1, -1):
-        rest = out[row]
-        for k in range(row + 1, 6):
-            rest -= lower[k, row] * out[k]
-        out[row] = rest / lower[row, row]
-
-
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
-def _cholesky(hessian: Singles, damping: Doubles, floor: float, lower: Doubles) -> bool:
-    """Write the factor of the damped Hessian, and return whether it is positive definite."""
-    for row in range(6):
-        for column in range(row + 1):
-            rest = float(hessian[row, column])
-            if row == column:
-                rest += max(rest * damping[row], floor)
-            for k in range(column):
-                rest -= lower[row, k] * lower[column, k]
-            if row != column:
-                lower[row, column] = rest / lower[column, column]
-            elif rest > 0:
-                lower[row, row] = sqrt(rest)
-            else:
-                return False
-    return True
-
-
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
-def _norm(vector: Doubles) -> float:
-    return sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+        own = hessian[row, row]
+        added = max(own * damping[row], floor)
+        out[row] = -gradient[row] / (abs(own) + added)  # of the diagonal alone
+        for column in range(6):
+            system[row, column] = hessian[row, column]
+        system[row, row] += added
+        system[row, 6] = -gradient[row]
+    for k in range(6):  # Gauss and Jordan
+        if not system[k, k] > 0:  # it is not positive definite
+            return
+        for row in range(6):
+            share = system[row, k] / system[k, k]
+            if row != k:
+                for column in range(k, 7):
+                    system[row, column] -= share * system[k, column]
+    for k in range(6):
+        out[k] = system[k, 6] / system[k, k]
 
 
 @njit(**OPTIONS)  # type: ignore[untyped-decorator]
 def _move(
     turn: Doubles, shift: Doubles, step: Doubles, to_turn: Doubles, to_shift: Doubles
-) -> None:
-    """Write the pose of ``damping.moved``."""
+) -> tuple[float, float]:
+    """Write the pose of ``damping.moved``, and return the angle and the length of the step."""
     x, y, z = step[0], step[1], step[2]
-    angle = _norm(step[:3])
+    angle = sqrt(x * x + y * y + z * z)
     a, b = 1 - angle**2 / 6, 0.5 - angle**2 / 24
     if angle > 1e-4:  # below, the series are exact
         a, b = sin(angle) / angle, 2 * sin(angle / 2) ** 2 / angle**2
@@ -239,46 +202,81 @@ def _move(
             to_turn[row, column] = 0.0
             for k in range(3):
                 to_turn[row, column] += by[row, k] * turn[k, column]
+    return angle, sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
 
 
 @njit(**OPTIONS)  # type: ignore[untyped-decorator]
 def _project(
-    turn: Singles, shift: Singles, points: Singles, camera: tuple[Camera, int], out: View
+    cam_from_world: tuple[Doubles, Doubles],
+    points: tuple[Singles, Flags],
+    camera: tuple[Camera, int],
+    out: View,
 ) -> None:
-    """Write what one pose sees."""
-    ((focal, principal, distortion, limit), (least_depth, most_slope)), pose = camera
+    """Write what one pose sees of the points to use."""
+    turn, shift = cam_from_world[0].astype(np.float32), cam_from_world[1].astype(np.float32)
+    positions, used = points
+    ((focal, principal, distortion, limit), (least_depth, most_slope), fisheye), pose = camera
     in_camera, xy, valid, jacobian = out
     k = pose if len(focal) > 1 else 0
     fx, fy = focal[k]
-    k1, k2, p1, p2 = distortion[k]
-    for point in range(len(points)):
-        px, py, pz = points[point]
+    bent = np.empty(5, np.float32)
+    for point in range(len(used)):
+        px, py, pz = positions[point]
         x = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz + shift[0]
         y = turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz + shift[1]
         z = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2]
         there = in_camera[point]
         there[0], there[1], there[2] = x, y, z
         valid[point] = False
-        if not (z > least_depth and max(abs(x), abs(y)) < most_slope * z):
+        if not (used[point] and z > least_depth and max(abs(x), abs(y)) < most_slope * z):
             continue
         u, v = x / z, y / z
-        uu, vv, uv2 = u * u, v * v, 2 * u * v
-        r2 = uu + vv
-        radial = _ONE + r2 * (k1 + k2 * r2)
-        slope = 2 * (k1 + 2 * k2 * r2)
-        j00 = radial + slope * uu + 2 * p1 * v + 6 * p2 * u
-        j11 = radial + slope * vv + 2 * p2 * u + 6 * p1 * v
-        j01 = slope * u * v + 2 * p1 * u + 2 * p2 * v
-        if not (r2 < limit[k, 0] * limit[k, 0] and j00 * j11 - j01 * j01 > 0):
+        if fisheye:
+            inside = _bend_fisheye(u, v, distortion[k], limit[k, 0], bent)
+        else:
+            inside = _bend(u, v, distortion[k], limit[k, 0], bent)
+        if not inside:
             continue
         valid[point] = True
         at, by = xy[point], jacobian[point]
-        at[0] = fx * (u * radial + p1 * uv2 + p2 * (r2 + 2 * uu)) + principal[k, 0]
-        at[1] = fy * (v * radial + p2 * uv2 + p1 * (r2 + 2 * vv)) + principal[k, 1]
-        by[0, 0], by[0, 1] = fx * j00 / z, fx * j01 / z
-        by[1, 0], by[1, 1] = fy * j01 / z, fy * j11 / z
+        at[0], at[1] = fx * bent[0] + principal[k, 0], fy * bent[1] + principal[k, 1]
+        by[0, 0], by[0, 1] = fx * bent[2] / z, fx * bent[3] / z
+        by[1, 0], by[1, 1] = fy * bent[3] / z, fy * bent[4] / z
         by[0, 2] = -(by[0, 0] * u + by[0, 1] * v)
         by[1, 2] = -(by[1, 0] * u + by[1, 1] * v)
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _bend(u: np.float32, v: np.float32, by: Singles, limit: np.float32, out: Singles) -> bool:
+    """Write what distortion makes of a ray, with derivatives xx, xy and yy, if it is inside."""
+    k1, k2, p1, p2 = by
+    uu, vv, uv2 = u * u, v * v, 2 * u * v
+    r2 = uu + vv
+    radial = _ONE + r2 * (k1 + k2 * r2)
+    slope = 2 * (k1 + 2 * k2 * r2)
+    out[0] = u * radial + p1 * uv2 + p2 * (r2 + 2 * uu)
+    out[1] = v * radial + p2 * uv2 + p1 * (r2 + 2 * vv)
+    out[2] = radial + slope * uu + 2 * p1 * v + 6 * p2 * u
+    out[3] = slope * u * v + 2 * p1 * u + 2 * p2 * v
+    out[4] = radial + slope * vv + 2 * p2 * u + 6 * p1 * v
+    return bool(r2 < limit * limit and out[2] * out[4] - out[3] * out[3] > 0)
+
+
+@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+def _bend_fisheye(
+    u: np.float32, v: np.float32, by: Singles, limit: np.float32, out: Singles
+) -> bool:
+    """Write the same of a fisheye."""
+    k1, k2, k3, k4 = by
+    r = max(np.sqrt(u * u + v * v), np.float32(1e-9))
+    angle = np.arctan(r)
+    t2 = angle * angle
+    scale = angle * (_ONE + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) / r
+    slope = _ONE + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+    along = (slope / (_ONE + r * r) - scale) / (r * r)
+    out[0], out[1] = u * scale, v * scale
+    out[2], out[3], out[4] = scale + along * u * u, along * u * v, scale + along * v * v
+    return bool(angle < limit)
 
 
 @njit(**OPTIONS)  # type: ignore[untyped-decorator]
@@ -292,8 +290,14 @@ def _linearise(level: Level, pose: int, points: View, out: Around) -> None:
     last_x, last_y = np.float32(width - 1) - border, np.float32(height - 1) - border
     rows = np.empty((2, 6), np.float32)
     gram = np.empty(6, np.float32)
-    seen[:], weight[:], cost[:], pull[:], hessian[:], cells[:] = False, 0, 0, 0, 0, 1
+    for i in range(6):
+        for j in range(6):
+            hessian[i, j] = 0
     for point in range(len(valid)):
+        seen[point], weight[point], cost[point] = False, 0, 0
+        cells[point, 0] = cells[point, 1] = 1
+        for i in range(6):
+            pull[point, i] = 0
         if not valid[point]:
             continue
         x = xy[point, 0] / stride[0] - _HALF

@@ -240,13 +240,9 @@ class LevelCost:
     def _compiled(self, cam_from_world: Pose) -> Linearisation:
         from baselines.align import compiled
 
-        if not self.intrinsics.fisheye:
-            points = (self.points, self.mask)
-            around = compiled.around(self.fields(), points, self.intrinsics, cam_from_world)
-            return Linearisation(*around)
-        in_camera, projected = self._projected(cam_from_world)
-        projected = projected._replace(valid=projected.valid & self.mask)
-        return Linearisation(*compiled.linearised(self.fields(), in_camera, projected))
+        points = (self.points, self.mask)
+        around = compiled.around(self.fields(), points, self.intrinsics, cam_from_world)
+        return Linearisation(*around)
 
     def fields(self) -> LevelFields:
         """Return what compiled loops need to know of the level."""
