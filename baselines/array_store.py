@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import h5py
 import numpy as np
@@ -15,6 +15,10 @@ from scene.errors import HDF5_DAMAGE, InputError
 from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, dataset
+
+# A photograph has hundreds of rows. Chunks that HDF5 chooses by itself divide the columns, too, and
+# take eight times as long to read.
+_CHUNK_ROWS: Final = 512
 
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays of one photograph, by name; all have the same number of rows."""
@@ -48,7 +52,13 @@ def written_store(path: Path, **attributes: float) -> Iterator[Add]:
                     del file[name]
                 if name not in file:
                     shape = values.shape[1:]
-                    file.create_dataset(name, (0, *shape), values.dtype, maxshape=(None, *shape))
+                    file.create_dataset(
+                        name,
+                        (0, *shape),
+                        values.dtype,
+                        maxshape=(None, *shape),
+                        chunks=(_CHUNK_ROWS, *shape) if all(shape) else True,
+                    )
                 if len(values):
                     file[name].resize(ends[-1] + len(values), axis=0)
                     file[name][ends[-1] :] = values

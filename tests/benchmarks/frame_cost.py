@@ -56,25 +56,35 @@ def frame_cost(config: SimulateConfig, *settings: str) -> dict[str, float]:
     }
 
 
-def tried(config: SimulateConfig, settings: Sequence[str]) -> Iterator[str]:
-    """Yield a line for each setting: seconds of the picture alone, and how it differs without it.
+def tried(
+    config: SimulateConfig, settings: Sequence[str], always: Sequence[str], paths: int
+) -> Iterator[str]:
+    """Yield a line for each setting: seconds of the picture alone, and how it differs.
 
-    A setting may consist of several, with blanks between them.
+    Args:
+        config: of the frames.
+        settings: each may consist of several, with blanks between them.
+        always: settings of all pictures.
+        paths: per pixel of the picture to compare with, which is not denoised; 0 compares with the
+            picture without the setting.
     """
     job = nadir_job(config, _FRAMES)
     with tempfile.TemporaryDirectory() as scratch:
         renderer = Renderer(job, Path(scratch) / "session")
 
-        def picture(frame: int, *setting: str) -> tuple[float, NDArray[np.float64]]:
-            took = renderer.ask("bare", frame, *setting)[0]
+        def picture(
+            frame: int, *setting: str, kind: str = "bare"
+        ) -> tuple[float, NDArray[np.float64]]:
+            took = renderer.ask(kind, frame, *always, *setting)[0]
             with Image.open(renderer.rendered / "bare.png") as shown:
                 return took, np.asarray(shown.convert("RGB"), float)
 
         rows: dict[str, list[tuple[float, float, float]]] = {}
         try:
-            renderer.ask("bare", 0)  # takes the scene in
+            picture(0)  # takes the scene in
             for frame in range(_FRAMES):
-                _, usual = picture(frame)
+                many = (f"cycles.samples={paths}", "cycles.seed=1")
+                _, usual = picture(frame, *many, kind="raw") if paths else picture(frame)
                 for setting in ("", *settings):
                     took, other = picture(frame, *setting.split())
                     off = other - usual
@@ -87,7 +97,7 @@ def tried(config: SimulateConfig, settings: Sequence[str]) -> Iterator[str]:
         psnr = (
             "none"
             if square == 0
-            else f"{off:.2f} grey levels, {20 * np.log10(255 / square**0.5):.0f} dB"
+            else f"{off:.2f} grey levels, {20 * np.log10(255 / square**0.5):.1f} dB"
         )
         yield f"| {setting or 'as it is'} | {took:.2f} | {psnr} |"
 
@@ -102,15 +112,16 @@ def main() -> None:
     words.add_argument("--spp", type=int, default=4)
     words.add_argument("--with", action="append", default=[], help="settings of all parts")
     words.add_argument("--try", action="append", default=[], help="settings as cycles.samples=2")
+    words.add_argument("--paths", type=int, default=0, help="per pixel of the picture of --try")
     asked = vars(words.parse_args())
-    settings, always = asked.pop("try"), asked.pop("with")
+    settings, always, paths = asked.pop("try"), asked.pop("with"), asked.pop("paths")
     session = {
         "condition": asked.pop("condition"), "flight": "nadir", "role": "map", "frames": _FRAMES,
     }  # fmt: skip
     config = SimulateConfig.model_validate({"seed": 7, "sessions": [session], **asked})
     if settings:
         print("| | cpu-seconds | difference |\n|---|--:|---|")
-        for line in tried(config, settings):
+        for line in tried(config, settings, always, paths):
             print(line, flush=True)
         return
     cost = frame_cost(config, *always)
