@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import radians
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -17,7 +17,8 @@ from torch import Tensor
 from baselines.align import kernels
 from baselines.align.damping import FLOOR, LEAST_FACTOR, MOST_FACTOR
 from baselines.align.options import Options
-from baselines.align.sampling import CellTable
+from baselines.align.residuals import LevelCost, Linearisation
+from baselines.align.state import State
 from scene.geometry.pose import Pose
 from scene.geometry.projection import MAX_SLOPE, MIN_DEPTH, Intrinsics
 from scene.runtime.loops import compiled
@@ -36,89 +37,48 @@ _DESCEND: Final = (
 )
 
 
-class LevelFields(NamedTuple):
-    """What ``residuals.LevelCost`` knows of a level, in its names."""
-
-    table: CellTable
-    trust: CellTable | None
-    first: Tensor
-    stride: Tensor
-    target: Tensor
-    target_trust: Tensor | None
-    border: float
-    scale: float
-
-    def arrays(self) -> kernels.Level:
-        """Return the fields as the kernels take them."""
-        # Confidence that is not known is one, and not read.
-        one = torch.ones(1, 1)
-        trust = one if self.trust is None else self.trust.cells.float()
-        target_trust = one if self.target_trust is None else self.target_trust.float()
-        features, sure, first = _arrays(self.table.cells, trust, self.first)
-        target, target_sure, stride = _arrays(self.target, target_trust, self.stride)
-        return (
-            (features, sure, first, self.table.width, self.table.height),
-            (target, target_sure),
-            stride,
-            (np.float32(self.border), np.float32(2 * self.scale**2)),
-            (self.trust is not None, self.target_trust is not None),
-        )
-
-
-class Descent(NamedTuple):
-    """The fields of ``descent.State``; ``around`` are those of ``Linearisation``."""
-
-    pose: Pose
-    around: tuple[Tensor, ...]
-    iterations: Tensor
-    damping: Tensor
-
-
-# More than six parameters: they are those of ``descent.descend``, whose cost is in parts here.
 def descended(
-    level: LevelFields,
-    points: tuple[Tensor, Tensor],
-    camera: Intrinsics,
-    pose: Pose,
-    alive: Tensor,
-    damping: Tensor,
-    options: Options,
-) -> Descent:
-    """Return what ``descent.descend`` does, with careful steps.
-
-    Args:
-        level: what the cost is of.
-        points: (M, N, 3), and which to use (M, N).
-        camera: intrinsics, one or M.
-        pose: (M) where to begin.
-        alive: (M,) which to move.
-        damping: (6,) factors of the Hessian's diagonal.
-        options: how the level is minimised.
-    """
-    positions, used, moving = _arrays(*points, alive)
+    cost: LevelCost, pose: Pose, alive: Tensor, damping: Tensor, options: Options
+) -> State:
+    """Return what ``descent.descend`` does, with careful steps."""
+    positions, used, moving = _arrays(cost.points, cost.mask, alive)
     turns, shifts = (np.array(each, float) for each in _arrays(pose.rotation, pose.translation))
     tried, factors = np.zeros(len(moving), np.int64), np.ones(len(moving))
     out = _empty(*used.shape)
     rules = (options.damping_change, LEAST_FACTOR, MOST_FACTOR, FLOOR)
     small = (radians(options.converged_deg), options.converged_m)
     compiled(kernels.descend, _DESCEND)(
-        level.arrays(),
-        (positions, used, _camera(camera)),
+        _level(cost),
+        (positions, used, _camera(cost.intrinsics)),
         (turns, shifts, moving, tried, factors),
         (*_arrays(damping.double()), (*rules, *small), (options.iterations, options.min_points)),
         out,
     )
     to = Pose(torch.from_numpy(turns), torch.from_numpy(shifts))
-    around = tuple(map(torch.from_numpy, out))
-    return Descent(to, around, torch.from_numpy(tried), torch.from_numpy(factors)[:, None])
+    there = Linearisation(*map(torch.from_numpy, out))
+    return State(to, there, torch.from_numpy(tried), torch.from_numpy(factors)[:, None])
 
 
-def around(
-    level: LevelFields, points: tuple[Tensor, Tensor], camera: Intrinsics, pose: Pose
-) -> tuple[Tensor, ...]:
-    """Return the fields of ``Linearisation`` of M poses, for points and a camera as above."""
-    still = torch.zeros(len(level.first), dtype=torch.bool)
-    return descended(level, points, camera, pose, still, torch.zeros(6), Options()).around
+def around(cost: LevelCost, pose: Pose) -> Linearisation:
+    """Return what ``LevelCost.linearise`` does."""
+    still = torch.zeros(len(cost.first), dtype=torch.bool)
+    return descended(cost, pose, still, torch.zeros(6), Options()).around
+
+
+def _level(cost: LevelCost) -> kernels.Level:
+    # Confidence that is not known is one, and not read.
+    one = torch.ones(1, 1)
+    trust = one if cost.trust is None else cost.trust.cells.float()
+    target_trust = one if cost.target_trust is None else cost.target_trust.float()
+    features, sure, first = _arrays(cost.table.cells, trust, cost.first)
+    target, target_sure, stride = _arrays(cost.target, target_trust, cost.stride)
+    return (
+        (features, sure, first, cost.table.width, cost.table.height),
+        (target, target_sure),
+        stride,
+        (np.float32(cost.border), np.float32(2 * cost.scale**2)),
+        (cost.trust is not None, cost.target_trust is not None),
+    )
 
 
 def _empty(poses: int, points: int) -> kernels.Around:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from baselines.align.damping import moved
+from baselines.align.linearise import linearise
 from baselines.align.local import Local
 from baselines.align.problem import Problem
 from baselines.align.residuals import LevelCost, Linearisation
@@ -96,7 +97,7 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     """
     options, local = problem.options, Local.of(problem.starting_at(aligned))
     cost = local.cost(problem.levels[-1], options)
-    around = cost.linearise(local.start)
+    around = linearise(cost, local.start)
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2].double()
     depth = torch.where(around.seen, depth, torch.nan)
     pull, patches = _by_patch(around, options.covariance_patch_cells)
@@ -127,7 +128,7 @@ def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:
     """Return the gradients (B, K, 6) of half the summed cost after steps (B, K, 6) from poses."""
     owner = torch.arange(len(steps), device=steps.device).repeat_interleave(steps.shape[1])
     shifted = moved(rows(pose, owner), steps.flatten(0, 1))
-    return cost.rows(owner).linearise(shifted).gradient.double().view_as(steps)
+    return linearise(cost.rows(owner), shifted).gradient.double().view_as(steps)
 
 
 def _by_patch(around: Linearisation, side: float) -> tuple[Tensor, Tensor]:

@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from baselines.align.damping import LEAST_FACTOR, MOST_FACTOR, damped_step, moved
+from baselines.align.linearise import can_be_compiled, linearise
 from baselines.align.options import Options
 from baselines.align.residuals import LevelCost, Linearisation
+from baselines.align.state import State
 from baselines.align.trees import choose, rows, tree_map
 from scene.geometry.pose import Pose
-
-
-@dataclass(frozen=True)
-class State:
-    """The state of M elements of a batch.
-
-    Attributes:
-        pose: ``cam_from_world``.
-        around: the cost there.
-        iterations: (M,) steps tried.
-        damping: (M, 1) factor on the level's damping.
-    """
-
-    pose: Pose
-    around: Linearisation
-    iterations: Tensor
-    damping: Tensor
 
 
 def descend(
@@ -47,9 +32,11 @@ def descend(
         damping: (6,) factors of the Hessian's diagonal.
         options: how the level is minimised.
     """
-    if options.careful and cost.can_be_compiled():
-        return _compiled(cost, pose, alive, damping, options)
-    around = cost.linearise(pose)
+    if options.careful and can_be_compiled(cost):
+        from baselines.align.compiled import descended
+
+        return descended(cost, pose, alive, damping, options)
+    around = linearise(cost, pose)
     none = torch.zeros(len(alive), dtype=torch.long, device=alive.device)
     state = State(pose, around, none, torch.ones_like(none, dtype=torch.float64)[:, None])
     number = torch.arange(len(alive), device=alive.device)
@@ -65,7 +52,7 @@ def descend(
         step = damped_step(state.around.gradient, state.around.hessian, damping * state.damping)
         trial_pose = moved(state.pose, step)
         state = replace(state, iterations=state.iterations + 1)
-        trial = replace(state, pose=trial_pose, around=cost.linearise(trial_pose))
+        trial = replace(state, pose=trial_pose, around=linearise(cost, trial_pose))
         if options.careful:
             better = _falls(state.around, trial.around, options.min_points)
             state = choose(better, trial, state)
@@ -81,17 +68,6 @@ def descend(
     order = torch.cat([numbers for numbers, _ in finished]).argsort()
     states = [each for _, each in finished]
     return tree_map(lambda *parts: torch.cat(parts)[order], *states)
-
-
-def _compiled(
-    cost: LevelCost, pose: Pose, alive: Tensor, damping: Tensor, options: Options
-) -> State:
-    from baselines.align.compiled import descended
-
-    points = (cost.points, cost.mask)
-    found = descended(cost.fields(), points, cost.intrinsics, pose, alive, damping, options)
-    around = Linearisation(*found.around)
-    return State(found.pose, around, found.iterations, found.damping)
 
 
 def healthy(around: Linearisation, min_points: int) -> Tensor:

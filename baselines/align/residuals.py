@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -12,10 +11,6 @@ from baselines.align.sampling import VALUE, CellTable, Stride, inside, per_axis,
 from baselines.align.trees import rows
 from scene.geometry.pose import Pose
 from scene.geometry.projection import Intrinsics, Projection
-from scene.runtime.loops import has_compiler
-
-if TYPE_CHECKING:
-    from baselines.align.compiled import LevelFields
 
 
 @dataclass(frozen=True)
@@ -199,8 +194,6 @@ class LevelCost:
 
     def linearise(self, cam_from_world: Pose) -> Linearisation:
         """Compute the cost around poses (M), ``cam_from_world``, with its derivatives."""
-        if self.can_be_compiled():
-            return self._compiled(cam_from_world)
         in_camera, projected = self._projected(cam_from_world)
         assert projected.jacobian is not None
         cells, seen = self._cells(projected)
@@ -230,22 +223,3 @@ class LevelCost:
             hessian=jacobian.flatten(1, 2).transpose(-1, -2) @ chained[..., 1:, :].flatten(1, 2),
             cells=cells,
         )
-
-    def can_be_compiled(self) -> bool:
-        """Return whether compiled loops compute this: they know no gradients, and one precision."""
-        tensors = (self.table.cells, self.points, self.target)
-        usual = all(each.device.type == "cpu" and each.dtype == torch.float32 for each in tensors)
-        return usual and torch.is_inference_mode_enabled() and has_compiler()
-
-    def _compiled(self, cam_from_world: Pose) -> Linearisation:
-        from baselines.align import compiled
-
-        points = (self.points, self.mask)
-        around = compiled.around(self.fields(), points, self.intrinsics, cam_from_world)
-        return Linearisation(*around)
-
-    def fields(self) -> LevelFields:
-        """Return what compiled loops need to know of the level."""
-        from baselines.align.compiled import LevelFields
-
-        return LevelFields(*(getattr(self, name) for name in LevelFields._fields))
