@@ -196,6 +196,37 @@ $(call learned,equal-connected): $(call learned,equal-objects) $(ABOVE:%=$(W)/se
 	mkdir -p $(@D)
 	$(BIN)/python -m objconnect.constellation_training $(ABOVE:%=$(W)/season-%) --weights $< --out $@
 
+# Further, on more places and in larger pictures: for a GPU. `make further` makes the shipped weights of
+# objconnect; `make further-pixloc` and `make full-width` what docs/evidence/further.md compares with them.
+MORE := $(sort $(SEASONS) town-1202 town-1204 suburb-1212 park-1223 park-1224 park-1225 park-1226 farmland-1242 \
+  farmland-1243 farmland-1244 farmland-1245 farmland-1246 industrial-1232 street-1253)
+MORE_ABOVE := $(filter-out street-%,$(MORE))
+# The graph over objects needs maps.
+MORE_MAPPED := $(ABOVE) town-1202 park-1223 farmland-1242 farmland-1244 suburb-1212 industrial-1232
+train_further = $(BIN)/objconnect train $(1) $(MORE:%=--data $(W)/season-%) --config configs/train/$(2).yaml \
+  $(if $(3),--set weights=$(3)) $(if $(PHOTOS),--set 'photographs=[$(PHOTOS)]') --out $(@D)
+
+.PHONY: further further-pixloc full-width
+further: $(call learned,further-connected)
+further-pixloc full-width: %: $(W)/%/weights.safetensors
+
+$(call learned,further-pixloc): $(call learned,equal-pixloc) $(MORE:%=$(W)/season-%/scene.json)
+	$(call train_further,pixloc,further,$<)
+
+$(call learned,further-objconnect): $(call learned,equal-connected) $(MORE:%=$(W)/season-%/scene.json)
+	$(call train_further,objconnect,further,$<)
+
+$(call learned,full-width): $(MORE:%=$(W)/season-%/scene.json)
+	$(call train_further,objconnect,full-width,)
+
+$(call learned,further-objects): $(call learned,further-objconnect)
+	$(BIN)/objconnect train objects $(MORE_ABOVE:%=--data $(W)/season-%) --set batch=8 \
+	  --config configs/train/objects-detector.yaml --set weights=$< --out $(@D)
+
+$(call learned,further-connected): $(call learned,further-objects) $(MORE_MAPPED:%=$(W)/season-%/map/points3D.bin)
+	mkdir -p $(@D)
+	$(BIN)/python -m objconnect.constellation_training $(MORE_MAPPED:%=$(W)/season-%) --weights $< --out $@
+
 # Maps with their photographs: what places on small things are learned from.
 MAPPED := map-1001 map-1002 map-1003
 

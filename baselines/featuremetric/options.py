@@ -89,34 +89,34 @@ class SearchOptions(Config):
         3.0, gt=0, description="How far the alignment may turn a pose from matches."
     )
     covariance_factor: float = Field(
-        2.15,
+        1.84,
         gt=0,
         description="Factor on the covariance that the alignment measures at a fit of "
         "covariance_unchanged_fit, from 100 patches of the query. python -m "
         "tests.benchmarks.covariance finds this and the next four.",
     )
     covariance_patches_power: float = Field(
-        0.23,
+        0.253,
         ge=0,
         description="Power of the number of patches, as a share of 100, by which the covariance is "
         "divided: it is measured too small from few of them.",
     )
     covariance_fit_power: float = Field(
-        0.9,
+        1.62,
         ge=0,
         description="Power of the fit, as a share of covariance_unchanged_fit, by which the "
         "covariance is multiplied: it is measured too small where the query looks less like the "
         "map.",
     )
     covariance_floor: float = Field(
-        1.87e-4,
+        1.64e-4,
         ge=0,
         description="Standard deviation, per axis, of what moves all points alike, as shadows do "
         "when the sun moves: radians, and metres per metre to the points, at a fit of 1 more than "
         "covariance_unchanged_fit.",
     )
     covariance_unchanged_fit: float = Field(
-        0.63,
+        0.615,
         gt=0,
         description="Fit below which light and season are the map's, and nothing is added to the "
         "covariance. The variance that is added grows with what the fit is above it.",

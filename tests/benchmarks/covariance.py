@@ -43,6 +43,9 @@ _TAIL: Final = 8.0
 # Mean and variance of the NEES of such errors.
 _MEAN: Final = 6.0
 _VARIANCE: Final = 2 * _MEAN * (_TAIL + 4) / (_TAIL - 4)
+# A pose with a larger NEES counts as this in the mean of its condition: no covariance of poses that
+# are right makes up for one that is wrong by far and sure of itself.
+_SURE_AND_WRONG: Final = 100.0
 
 
 class Numbers(NamedTuple):
@@ -105,7 +108,8 @@ def calibrate(answers: Answers) -> Numbers:
         volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
         nees = answers.nees(numbers)
         tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
-        means = [nees[answers.conditions == each] for each in np.unique(answers.conditions)]
+        bounded = np.minimum(nees, _SURE_AND_WRONG)
+        means = [bounded[answers.conditions == each] for each in np.unique(answers.conditions)]
         off = sum(len(each) * (each.mean() - _MEAN) ** 2 for each in means) / (2 * _VARIANCE)
         return float(volume + tail + off)
 
