@@ -126,8 +126,8 @@ class PlaceFinder:
 
     def find(self, query: Query) -> list[Candidate]:
         """Return places where the query may be, best first; none where the map was not seen from
-        above."""
-        if self._mosaic.is_empty:
+        above, or where the query's picture is of one colour, which nothing can be told from."""
+        if self._mosaic.is_empty or (query.image == query.image[0, 0]).all():
             return []
 
         def look(pose: Pose) -> tuple[WarpedImage, FeatureMap]:

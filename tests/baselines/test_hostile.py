@@ -141,7 +141,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("kind", IMAGES)
 def test_an_image_of_nothing_is_not_localized(localizer: Localizer, kind: str) -> None:
-    if localizer.name == "place" and kind != "black":
+    if localizer.name == "place" and kind == "noise":
         pytest.skip("place answers the likeliest start, which nothing has verified")
     for query in (IMAGES[kind], replace(IMAGES[kind], prior=None)):
         estimate = localizer.localize(query)

@@ -125,15 +125,21 @@ def test_it_is_said_before_a_map_is_prepared(method: str, monkeypatch: pytest.Mo
 @needs_units
 @pytest.mark.parametrize("method", ["objconnect", "pixloc"])
 def test_poses_are_found(method: str, tmp_path: Path) -> None:
-    localizer = create(method, {"quantized": True})
-    images = tmp_path / "images"
-    localizer.prepare(write_map(images), images)
+    """They are those of floating point, whatever the weights make of these painted pictures."""
     truth, start = looking_down(9.3, -0.4, (1.5, -1.0, 4.0)), looking_down(8.9, -0.1, (0.5, 0, 3))
     prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
-    found = localizer.localize(Query("query.png", photograph(truth), CAMERA, prior))
-    assert found.status is Status.OK and found.cam_from_world is not None
-    metres, degrees = found.cam_from_world.error_to(truth)
+    sparse_map, images = write_map(tmp_path / "images"), tmp_path / "images"
+    poses = []
+    for quantized_too in (True, False):
+        localizer = create(method, {"quantized": quantized_too})
+        localizer.prepare(sparse_map, images)
+        found = localizer.localize(Query("query.png", photograph(truth), CAMERA, prior))
+        assert found.status is Status.OK and found.cam_from_world is not None
+        poses.append(found.cam_from_world)
+    metres, degrees = poses[0].error_to(poses[1])
     assert float(metres) < 0.1 and float(degrees) < 0.25
+    began, ended = (float(pose.error_to(truth)[0]) for pose in (start, poses[0]))
+    assert ended < began / 2
 
 
 @needs_units
