@@ -123,9 +123,10 @@ def test_it_is_said_before_a_map_is_prepared(method: str, monkeypatch: pytest.Mo
 
 
 @needs_units
-@pytest.mark.parametrize("method", ["objconnect", "pixloc"])
-def test_poses_are_found(method: str, tmp_path: Path) -> None:
-    """They are those of floating point, whatever the weights make of these painted pictures."""
+@pytest.mark.parametrize(("method", "share"), [("objconnect", 1.5), ("pixloc", 1.0)])
+def test_poses_are_found(method: str, share: float, tmp_path: Path) -> None:
+    """They are those of floating point. The weights of `objconnect` are less exact than PixLoc's on
+    these painted pictures, in floating point too, and may be further from the truth by this share."""
     truth, start = looking_down(9.3, -0.4, (1.5, -1.0, 4.0)), looking_down(8.9, -0.1, (0.5, 0, 3))
     prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
     sparse_map, images = write_map(tmp_path / "images"), tmp_path / "images"
@@ -138,8 +139,8 @@ def test_poses_are_found(method: str, tmp_path: Path) -> None:
         poses.append(found.cam_from_world)
     metres, degrees = poses[0].error_to(poses[1])
     assert float(metres) < 0.1 and float(degrees) < 0.25
-    began, ended = (float(pose.error_to(truth)[0]) for pose in (start, poses[0]))
-    assert ended < began / 2
+    metres, degrees = poses[0].error_to(truth)
+    assert float(metres) < 0.1 * share and float(degrees) < 0.25 * share
 
 
 @needs_units
