@@ -125,8 +125,9 @@ def test_it_is_said_before_a_map_is_prepared(method: str, monkeypatch: pytest.Mo
 @needs_units
 @pytest.mark.parametrize(("method", "share"), [("objconnect", 1.5), ("pixloc", 1.0)])
 def test_poses_are_found(method: str, share: float, tmp_path: Path) -> None:
-    """They are those of floating point. The weights of `objconnect` are less exact than PixLoc's on
-    these painted pictures, in floating point too, and may be further from the truth by this share."""
+    """They are those of floating point. Weights of `objconnect` are less exact than PixLoc's on
+    these painted pictures, in floating point too, and may be further from the truth by this share.
+    """
     truth, start = looking_down(9.3, -0.4, (1.5, -1.0, 4.0)), looking_down(8.9, -0.1, (0.5, 0, 3))
     prior = Prior(start.centre().numpy(), None, start.rotation.numpy(), None)
     sparse_map, images = write_map(tmp_path / "images"), tmp_path / "images"
