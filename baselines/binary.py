@@ -35,10 +35,12 @@ class Binary(Extractor):
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        keypoints, descriptors = self._detector().detectAndCompute(grey, None)
+        detector = self._detector()
+        keypoints, descriptors = detector.detectAndCompute(grey, None)
         if not keypoints:
             nothing = np.zeros(0, np.float32)
-            return Features(nothing.reshape(0, 2), nothing, np.zeros((0, 1), np.uint8))
+            no_bits = np.zeros((0, detector.descriptorSize()), np.uint8)
+            return Features(nothing.reshape(0, 2), nothing, no_bits)
         scale = np.array([point.size for point in keypoints], np.float32)
         xy = self._pixels(keypoints, (grey.shape[1], grey.shape[0]))
         return Features(xy.astype(np.float32), scale, np.asarray(descriptors))

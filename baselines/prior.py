@@ -47,8 +47,12 @@ class PriorLocalizer:
         """Return the query's starting pose."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
-        if query.prior is None and query.references is None:
-            return Estimate(Status.FAILED, reason="no prior, and no photograph of the map is named")
+        if query.references is None:
+            if query.prior is None:
+                reason = "no prior, and no photograph of the map is named"
+                return Estimate(Status.FAILED, reason=reason)
+            if not query.prior.has_position:
+                return Estimate(Status.FAILED, reason="the prior has no position")
         clock = Stopwatch()
         with clock.stage("retrieval"):
             chosen = self._references.choose(query, 1, lambda: np.empty((0, 1), np.float32))

@@ -14,13 +14,12 @@ from torch import Tensor
 
 from scene.config import Config
 from scene.geometry.pose import Pose
+from scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN
 
 # Keeps denominators away from zero.
 _TINY = 1e-24
 # Steps (rad and m) shorter than this change nothing measurable.
 _CONVERGED = 1e-7
-# Standard deviation of a normal distribution over the median of its absolute values.
-_SIGMA_OF_MEDIAN = 1.4826
 # Exact matches have no noise to scale by (px).
 _LEAST_SIGMA = 1e-3
 # A condition number beyond which nothing is left of double precision.
@@ -32,7 +31,7 @@ class RefinementOptions(Config):
 
     max_steps: int = Field(30, ge=1, description="Most steps of Levenberg-Marquardt.")
     cauchy_scale: float = Field(
-        2.385,
+        CAUCHY,
         gt=0,
         description="Scale of the Cauchy loss in standard deviations of the noise; at 2.385 it "
         "loses 5 % of efficiency where all matches are inliers.",
@@ -147,7 +146,7 @@ def _stacked(pose: Pose, photographs: Sequence[Matches], focal: float) -> tuple[
 
 def _sigma(error: Tensor) -> float:
     """Estimate the standard deviation of residuals (px) from their median, robust to outliers."""
-    return max(_SIGMA_OF_MEDIAN * float(error.abs().median()), _LEAST_SIGMA)
+    return max(SIGMA_OF_MEDIAN * float(error.abs().median()), _LEAST_SIGMA)
 
 
 def _cost(error: Tensor, scale: float) -> float:

@@ -36,6 +36,10 @@ from scene.storage.scratch import scratch
 _FORMAT = 1
 
 
+class NoKeypointOnPointError(InputError):
+    """The keypoints of a map's photographs are nowhere at its points: it is not built from them."""
+
+
 class StructureConfig(PnpConfig):
     """Options of a structure-based localizer."""
 
@@ -159,7 +163,7 @@ class StructureLocalizer:
                 descriptors = keypoints.descriptors[kept]
                 add({"point": points, "xyz": xyz, "descriptors": descriptors})
             if not carried and _is_observed(sparse_map):
-                raise InputError(
+                raise NoKeypointOnPointError(
                     f"no keypoint of the photographs in {images} lies where the map has a point: "
                     "they are not the photographs the map was built from, or were resized since"
                 )

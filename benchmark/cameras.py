@@ -69,7 +69,8 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
     alike.sort(key=lambda camera: (_unlike(camera, exif), str(camera)))
     same = [camera for camera in alike if (camera.width, camera.height) == size]
     if same and (
-        _unlike(same[0], exif) < _SAME_LENS or (exif.focal_in_widths is None and len(same) == 1)
+        _unlike(same[0], exif) < _SAME_LENS
+        or (exif.focal_in_longest_sides is None and len(same) == 1)
     ):
         return Calibration(same[0], CameraSource.MAP)
     made = exif.xmp.camera
@@ -77,7 +78,7 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
         return Calibration(_fitted(made, size), CameraSource.CALIBRATED)
     if alike and _unlike(alike[0], exif) < _SAME_LENS:
         return Calibration(_fitted(alike[0], size), CameraSource.SCALED)
-    focal = exif.focal_in_widths
+    focal = exif.focal_in_longest_sides
     if focal is not None:
         return Calibration(_pinhole(size, focal), CameraSource.EXIF)
     tried = [_fitted(camera, size) for camera in alike]
@@ -131,7 +132,7 @@ def _rotation_sigma(estimate: Estimate) -> float:
 
 def _unlike(camera: Camera, exif: Exif) -> float:
     """Return by which share a camera's focal length differs from that of EXIF."""
-    focal = exif.focal_in_widths
+    focal = exif.focal_in_longest_sides
     if focal is None:
         return math.inf
     ratio = camera.focal[0] / max(camera.width, camera.height) / focal

@@ -92,9 +92,10 @@ class Journal(Generic[Entry]):
         if header.get("key") != self._key:
             self.dropped = _parts(header) if _finished(lines[1:], self._model) else None
         else:
-            self.done = _finished(lines[1:], self._model)
+            entries = _finished(lines[1:], self._model)
+            self.done = {entry.name: entry for entry in entries}
             good = sum(
-                len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(self.done)]
+                len(line.encode("utf-8", "surrogateescape")) for line in lines[: 1 + len(entries)]
             )
         # The rest was cut short by a crash, or belongs to another run.
         self._file.truncate(good)
@@ -151,15 +152,18 @@ def _parts(header: Mapping[str, object]) -> dict[str, str] | None:
     return parts
 
 
-def _finished(lines: list[str], model: type[Entry]) -> dict[str, Entry]:
-    """Return the entries up to the first line that is incomplete or invalid."""
-    done: dict[str, Entry] = {}
+def _finished(lines: list[str], model: type[Entry]) -> list[Entry]:
+    """Return the entries up to the first line that is incomplete or invalid.
+
+    Of two entries of one name the later one replaces the earlier one.
+    """
+    done: list[Entry] = []
     for line in lines:
         try:
             result = model.model_validate_json(line)
         except ValidationError:
             break
-        if result.name in done or not line.endswith("\n"):
+        if not line.endswith("\n"):
             break
-        done[result.name] = result
+        done.append(result)
     return done

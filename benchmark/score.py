@@ -31,7 +31,7 @@ class Threshold(NamedTuple):
 THRESHOLDS: Final = (Threshold(0.25, 2), Threshold(0.5, 5), Threshold(5, 10))
 
 
-FALSE_FIX: Final = Threshold(5, 10)
+FALSE_FIX: Final = THRESHOLDS[-1]
 """A pose that is farther off by either is a false fix, where the method says that it is right."""
 
 

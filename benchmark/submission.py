@@ -9,6 +9,7 @@ from typing import Final
 
 from benchmark.datasets.cmu import Slice, open_slices
 from benchmark.datasets.textfiles import pose_line
+from benchmark.scored_query import localize_safely
 from scene.errors import InputError, WriteError
 from scene.localizer import Localizer, Query, Status
 from scene.maps.colmap_files import read_model
@@ -94,7 +95,7 @@ def _slice(part: Slice, localizer: Localizer, path: Path, cache: Path | None) ->
         for count, name in enumerate(part.queries, 1):
             camera = part.camera(name)
             image = read_rgb(part.folder / "query" / name, camera)
-            estimate = localizer.localize(Query(name, image, camera))
+            estimate = localize_safely(localizer, Query(name, image, camera))
             if estimate.status is Status.OK and estimate.cam_from_world is not None:
                 lines.append(pose_line(name, estimate.cam_from_world, _DECIMALS))
             advance(count)

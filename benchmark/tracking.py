@@ -18,6 +18,8 @@ from benchmark.scored_query import localize_safely
 from scene.config import Config
 from scene.localizer import Estimate, Localizer, Prior, Query, Status
 
+# A position that claims to be more exact than this, metres, counts as this exact.
+_MOST_EXACT_M = 1e-3
 _CONTRADICTED = "what was found contradicts the motion of the camera"
 
 
@@ -162,7 +164,8 @@ class Tracker:
         pose = estimate.cam_from_world
         if prior is None or prior.position_sigma is None or pose is None:
             return True
-        errors = (pose.centre().numpy() - prior.position) / prior.position_sigma
+        sigma = np.maximum(prior.position_sigma, _MOST_EXACT_M)
+        errors = (pose.centre().numpy() - prior.position) / sigma
         return bool(errors @ errors < self._config.gate)
 
     def _same(self, estimate: Estimate, other: Estimate) -> bool:

@@ -13,6 +13,7 @@ from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.datasets.simulated import is_scene
 from benchmark.registry import create
+from benchmark.score import FALSE_FIX
 from scene.checks.conventions import OURS, POSE_READINGS, Reading
 from scene.checks.map_check import check_map, check_principal_points
 from scene.checks.report import Check, Report
@@ -22,8 +23,6 @@ from scene.maps.sparse_map import SparseMap
 
 # Number of queries whose reference poses are compared with poses that SIFT finds.
 _PROBES = 5
-# A reference pose agrees with SIFT below these errors, the largest threshold of recall.
-_SAME_METRES, _SAME_DEGREES = 5.0, 10.0
 # Another convention explains the poses if its errors are smaller than ours by this factor.
 _EXPLAINS = 0.5
 
@@ -81,7 +80,7 @@ def _check_reference_poses(dataset: Dataset, sparse_map: SparseMap, cache: Path 
     if best < _EXPLAINS * (metres + degrees):
         return Check(name, False, reading.fault, figures)
     detail = f"median {metres:.2f} m, {degrees:.2f}° from where SIFT finds {len(localized)} queries"
-    ok = metres < _SAME_METRES and degrees < _SAME_DEGREES
+    ok = metres < FALSE_FIX.metres and degrees < FALSE_FIX.degrees
     return Check(name, ok, detail, figures)
 
 

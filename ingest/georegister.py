@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ingest.options import PlacementOptions
 from scene.errors import InputError
+from scene.geometry.robust import SIGMA_OF_MEDIAN
 from scene.maps.sparse_map import SparseMap
 
 Array = NDArray[np.float64]
@@ -197,7 +198,7 @@ def _upright(model: SparseMap, ground_sigmas: float) -> Array:
         middle = points[near].mean(0)
         normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
         off = np.abs((points - middle) @ normal)
-        near = off <= ground_sigmas * 1.4826 * np.median(off)
+        near = off <= ground_sigmas * SIGMA_OF_MEDIAN * np.median(off)
     if ((model.centres - middle) @ normal).mean() < 0:
         normal = -normal
     east = np.cross([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [1.0, 0.0, 0.0], normal)

@@ -19,6 +19,7 @@ from scene.colmap.triangulation import triangulate_matched
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
+from scene.geometry.robust import SIGMA_OF_MEDIAN
 from scene.imports.formats import read_foreign
 from scene.imports.names import match_files
 from scene.maps.photographs import Photograph, PosedImage
@@ -27,8 +28,6 @@ from scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
-# Standard deviations from a median of distances without sign, of normal errors.
-_FROM_MEDIAN = 1.4826
 _IDENTITY = np.eye(4)[:3]
 
 
@@ -147,7 +146,7 @@ def as_given(
     names = [name for name in model.names if name in fixes]
     off = np.array([fixes[n] - model.images[n].centre for n in names]).reshape(-1, 3)
     limits, distance = options.placement, np.linalg.norm(off, axis=1)
-    usual = _FROM_MEDIAN * float(np.median(distance)) if names else 0.0
+    usual = SIGMA_OF_MEDIAN * float(np.median(distance)) if names else 0.0
     good = distance <= max(limits.blunder_sigmas * usual, limits.usual_error_m)
     sigma = np.sqrt((off[good] ** 2).mean(0)) if good.any() else np.full(3, limits.min_sigma_m)
     blunders = tuple(name for name, ok in zip(names, good, strict=True) if not ok)

@@ -182,7 +182,7 @@ def photographs_of(
     """
     photographs = []
     for image in images:
-        focal = image.exif.focal_in_widths
+        focal = image.exif.focal_in_longest_sides
         if calibration is None:
             width, height = reduced(image, longest)
             pixels = (focal or guessed_focal) * max(width, height)

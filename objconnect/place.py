@@ -60,7 +60,7 @@ class PlaceLocalizer:
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
-        """Search the place of the query; the score stands in the reason of those not found."""
+        """Search the place of the query."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()

@@ -384,7 +384,8 @@ def _pack(
 ) -> Iterator[dict[Layer, NDArray[Any]]]:
     """Write every rendered frame's photograph and yield its annotations."""
     (folder / "images").mkdir(exist_ok=True)
-    focal_35mm = 36 * frames.cameras[0].focal[0] / frames.cameras[0].width
+    camera = frames.cameras[0]
+    focal_35mm = 36 * camera.focal[0] / max(camera.width, camera.height)
     for k, name in enumerate(frames.names):
         with np.load(frame_path(folder / _RENDERED, k)) as layers:
             exif = Exif(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -12,6 +14,7 @@ from baselines.training.loop import PairSources, Trainable, join, train_loop
 from baselines.training.planes import PlanePairs
 from baselines.training.rendered import RenderedPairs
 from scene.bundle.scene import Scene
+from scene.storage.digests import digest
 from scene.storage.locks import write_lock
 from scene.storage.outputs import check_output_folder
 
@@ -51,10 +54,23 @@ def train(
         planes = PlanePairs(config.photographs, size, points, config.strength, config.pairs)
     chosen = RenderedPairs(looked_at, size, points, 0.0, config.pairs) if looked_at else None
     sources = PairSources(rendered, planes, chosen)
-    described = {"method": method, "scenes": [scene.manifest.seed for scene in scenes]}
+    described = {"method": method, "scenes": [_identity(scene) for scene in scenes]}
+    if config.weights is not None:
+        described["weights"] = digest(config.weights)
     first = join().rank == 0
     with write_lock(out) if first else nullcontext():
         weights = train_loop(make(config), config, sources, out, described)
         if first:
             write_card(out, method, config, scenes, looked_at)
     return weights
+
+
+def _identity(scene: Scene) -> str:
+    """Return preset, seed and the digest of all flights of a scene; maps may be added to it."""
+    flights = {
+        name: sha256
+        for name, sha256 in scene.manifest.sha256.items()
+        if name.startswith("sessions/")
+    }
+    content = hashlib.sha256(json.dumps(flights, sort_keys=True).encode()).hexdigest()
+    return f"{scene.manifest.preset} {scene.manifest.seed} {content}"

@@ -33,6 +33,8 @@ WEIGHTS: Final = "weights.safetensors"
 _CHECKPOINT = "checkpoint.pt"
 LOG: Final = "log.jsonl"
 _RUN = "run.json"
+# Settings that may differ when a run goes on, as they do not change what it learns.
+_FREE: Final = ("workers", "save_every", "validate_every")
 _CURVES = "curves.png"
 # What is looked at while training, which changes no weights.
 _VALIDATION_BATCHES = 8
@@ -215,7 +217,7 @@ def join() -> Processes:
 def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
     """Claim the folder for this run, or continue where it already belongs to this run.
 
-    The record stays when the run is finished, because a longer run may continue from it.
+    Another length is another run, as the rate falls over all steps.
     """
     folder = _resumable(out, run)
     if folder.resume(
@@ -244,6 +246,7 @@ def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
             before = parse_json(described)
             # Settings that did not exist when the run began have their defaults.
             before["config"] = TrainConfig().model_dump(mode="json") | before["config"]
+            before["config"] |= {name: run["config"][name] for name in _FREE}
         except (ValueError, KeyError, TypeError):
             raise InputError(f"{record} is damaged: name another folder, or remove {out}") from None
         wanted = json.loads(request)

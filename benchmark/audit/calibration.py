@@ -21,6 +21,7 @@ from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.matches import Pair
 from scene.geometry.camera import MODELS, Camera
 from scene.geometry.pose import Pose
+from scene.geometry.robust import CAUCHY, SIGMA_OF_MEDIAN
 from scene.storage.images import Exif
 
 Array = NDArray[np.float64]
@@ -41,9 +42,6 @@ _ITERATIONS = 8
 _STEPS = (1e-4, 1e-2, 1e-2)
 _LARGEST_STEP = (-0.1, -20, -20), (0.1, 20, 20)
 _CONVERGED = (1e-4, 1e-2, 1e-2)
-# Scale of the Cauchy weights in standard deviations of the errors.
-_CAUCHY = 2.385
-_SIGMA_OF_MEDIAN = 1.4826
 _LEAST_SIGMA = 0.02
 # Matches whose error is larger than this many thresholds at the beginning take no part.
 _FAR = 12.0
@@ -149,8 +147,8 @@ def _linearised(
 def _normal(residuals: Sequence[Array], jacobians: Sequence[Array]) -> tuple[Array, Array]:
     """Return the matrix (3, 3) of the normal equations and the gradient (P, 3) of each pair."""
     every = np.abs(np.concatenate(residuals))
-    sigma = max(_SIGMA_OF_MEDIAN * float(np.median(every)), _LEAST_SIGMA)
-    weights = [1 / (1 + (r / (_CAUCHY * sigma)) ** 2) for r in residuals]
+    sigma = max(SIGMA_OF_MEDIAN * float(np.median(every)), _LEAST_SIGMA)
+    weights = [1 / (1 + (r / (CAUCHY * sigma)) ** 2) for r in residuals]
     hessian = _RIDGE * np.eye(3)
     gradients = np.zeros((len(residuals), 3))
     for row, (r, j, w) in enumerate(zip(residuals, jacobians, weights, strict=True)):
@@ -189,9 +187,9 @@ def _focal(
         if 2 * sigma < 2 * _FOCAL_FITS:
             return right(FOCAL, f"within {abs(off):.2%} of the best (±{sigma:.2%})", **figures)
     ratios = [
-        max(camera.focal) / (told.focal_35mm / 36 * max(camera.width, camera.height))
+        max(camera.focal) / (told.focal_in_longest_sides * max(camera.width, camera.height))
         for camera, told in zip(cameras, exif, strict=False)
-        if camera is not None and told is not None and told.focal_35mm is not None
+        if camera is not None and told is not None and told.focal_in_longest_sides is not None
     ]
     if not ratios:
         return unknown(FOCAL, "neither matches nor EXIF tell them")

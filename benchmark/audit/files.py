@@ -138,9 +138,9 @@ def _fitted(
     if size is None:
         return camera
     if camera is None:
-        if exif is None or exif.focal_35mm is None:
+        if exif is None or exif.focal_in_longest_sides is None:
             return None
-        focal = exif.focal_35mm / 36 * max(size)
+        focal = exif.focal_in_longest_sides * max(size)
         return Camera("SIMPLE_PINHOLE", *size, (focal, size[0] / 2, size[1] / 2))
     if size == (camera.width, camera.height):
         return camera

@@ -17,6 +17,7 @@ from benchmark.audit.order import SHIFTS
 from benchmark.audit.stated import Stated
 from ingest.georegister import similarity
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
+from scene.geometry.robust import SIGMA_OF_MEDIAN
 from scene.storage.images import Exif
 
 Array = NDArray[np.float64]
@@ -41,7 +42,6 @@ _OFFSET_M = 6.0
 # Receivers put a photograph this far from where it was at most (m) for a comparison to mean much.
 _SCATTER_M = 8.0
 _FEET = 0.3048
-_SIGMA_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def _fit(stated: Array, measured: Array) -> tuple[Array, float]:
     for _ in range(4):
         fitted = similarity(stated[good], measured[good])
         off = np.linalg.norm(stated @ fitted[:, :3].T + fitted[:, 3] - measured, axis=1)
-        limit = 3 * _SIGMA_OF_MEDIAN * float(np.median(off))
+        limit = 3 * SIGMA_OF_MEDIAN * float(np.median(off))
         good = off <= max(limit, 1e-6)
         if good.sum() < FEWEST:
             break
@@ -268,7 +268,7 @@ def _moved(stated: Array, measured: Array, k: int) -> tuple[Array, Array]:
 def _offsets(compared: _Compared) -> Iterator[Finding]:
     off = compared.stated - compared.measured
     middle = np.median(off, 0)
-    scatter = _SIGMA_OF_MEDIAN * np.median(np.abs(off - middle), 0)
+    scatter = SIGMA_OF_MEDIAN * np.median(np.abs(off - middle), 0)
     away = float(np.linalg.norm(middle[:2]))
     spread = float(np.linalg.norm(scatter[:2]))
     limit = max(_OFFSET_M, 3 * spread / np.sqrt(len(off)))

@@ -93,6 +93,8 @@ def _known(query: BenchmarkQuery) -> str:
             None if attitude is None else attitude.ravel().tolist(),
             None if prior.attitude_sigma_deg is None else [prior.attitude_sigma_deg],
         ]
+        if prior.heading_sigma_deg is not None:
+            told.append([prior.heading_sigma_deg])
     numbers = [None if some is None else [f"{x + 0.0:.9f}" for x in some] for some in told]
     words = [query.name, query.condition, str(query.camera), numbers]
     return hashlib.sha256(json.dumps(words).encode()).hexdigest()

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmark.basin import Basin, load_basin
-from benchmark.clustered import MIN_CLUSTERS, difference_interval
+from benchmark.clustered import MIN_CLUSTERS, difference_interval, permutation_p
 from benchmark.paired import compare, mcnemar
 from benchmark.query_result import TOTAL, QueryResult
 from benchmark.report.album import ALBUM, SIDE, Album, Entry, read_album, webp
@@ -252,19 +252,26 @@ def _pairs(
 def paired(before: Sequence[bool], after: Sequence[bool], flights: Sequence[str]) -> dict[str, Any]:
     """Return the change of recall between two runs on the same queries, as a page shows it.
 
+    With flights enough, the interval and p are those of whole flights. The interval is then at
+    least as wide as that of independent queries: where all flights changed alike, resamples of
+    them do not vary.
+
     Args:
         before: whether each query is correct in the first run.
         after: whether it is in the second.
         flights: flight of each query.
     """
     change = compare(before, after)
+    low, high, p = change.low, change.high, mcnemar(change.lost, change.won)
     clustered = difference_interval(before, after, flights)
-    low, high = clustered or (change.low, change.high)
+    of_flights = permutation_p(before, after, flights)
+    if clustered is not None and of_flights is not None:
+        low, high, p = min(low, clustered[0]), max(high, clustered[1]), of_flights
     return {
         "change": rounded(change.change),
         "low": rounded(low),
         "high": rounded(high),
-        "p": rounded(mcnemar(change.lost, change.won)),
+        "p": rounded(p),
         "lost": change.lost,
         "won": change.won,
         "clustered": clustered is not None,
@@ -276,12 +283,14 @@ def _pairs_note(group: Group) -> str:
     several = "flight" if len(flights) == 1 else "flights"
     if len(flights) >= MIN_CLUSTERS:
         return (
-            f"Intervals are of a bootstrap that draws whole flights, {len(flights)} here; where "
-            f"fewer than {MIN_CLUSTERS} are left they are Bonett and Price's."
+            f"Intervals are of a bootstrap that draws whole flights, {len(flights)} here, and p of "
+            f"a test that exchanges the methods flight by flight; where fewer than {MIN_CLUSTERS} "
+            "flights are left they are Bonett and Price's and McNemar's."
         )
     return (
-        f"Intervals are Bonett and Price's, which take queries for independent: these come from "
-        f"{len(flights)} {several}, too few to draw whole flights, so the true ones are wider."
+        f"Intervals are Bonett and Price's and p is McNemar's, which take queries for independent: "
+        f"these come from {len(flights)} {several}, too few to draw whole flights, so the true "
+        "intervals are wider and the true p larger."
     )
 
 

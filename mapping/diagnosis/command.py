@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.diagnosis.drift import Drift, Truth, read_truth
-from mapping.diagnosis.masked import mask_coverage, points_by_label
+from mapping.diagnosis.masked import check_size, mask_coverage, points_by_label
 from mapping.diagnosis.picture import Panel, draw
 from mapping.diagnosis.uniformity import Uniformity, seen_cells, uniformity
 from objconnect.masks import given_masks
@@ -122,6 +122,8 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
     sparse_map = scene.sparse_map()
     added = scene.added_points(sparse_map)
     given = {} if masks is None else dict(given_masks(masks, sparse_map.names))
+    for name, labels in given.items():
+        check_size(labels, sparse_map.images[name])
     truth = read_truth(scene, sparse_map)
     cells = seen_cells(scene, sparse_map, cell_m)
 

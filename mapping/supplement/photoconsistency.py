@@ -65,7 +65,7 @@ def costs(
 ) -> NDArray[np.float64]:
     """Return the mean colour difference around places, at each of ``HEIGHTS``, (T, H).
 
-    The window in the photograph that looks down most steeply is compared with all other photographs
+    The window in the photograph that is nearest in plan is compared with all other photographs
     that show the place. The result is NaN where no other photograph does.
 
     Args:
@@ -88,7 +88,7 @@ def costs(
     largest = max((image.camera.width * image.camera.height for image in images), default=0)
     photograph = LruCache(read, _CACHED * 3 * np.dtype(np.float32).itemsize * largest)
     above = tracks.xyz[:, 2] - ground.at(tracks.xyz[:, :2])
-    steepest, row = _steepest(images, tracks)
+    steepest, row = _nearest_in_plan(images, tracks)
     result = np.full((len(tracks.xyz), len(HEIGHTS)), np.nan)
     with progress_bar("compared with the ground", len(images)) as advance:
         for view in range(len(images)):
@@ -151,10 +151,10 @@ def _mean_difference(
     return np.where(views > 0, total / views.clip(1), np.nan)
 
 
-def _steepest(
+def _nearest_in_plan(
     images: Sequence[MapImage], tracks: Tracks
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return, for each place, the photograph that looks down most steeply, and its blob there."""
+    """Return, for each place, the photograph that is nearest in plan, and its blob there."""
     centres = np.array([image.centre for image in images])
     beside = np.linalg.norm((tracks.xyz[tracks.track] - centres[tracks.view])[:, :2], axis=1)
     order = np.lexsort((beside, tracks.track))

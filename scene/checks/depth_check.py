@@ -100,10 +100,13 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
     closest, reading = min(candidates, key=lambda item: item[0].mean, default=(ours, OURS))
     if closest.mean < _EXPLAINS * ours.mean:
         return Check(name, False, reading.fault, _figures(ours))
+    close = ours.residuals[ours.residuals < _AGREES_PX]
+    if not len(close):
+        detail = f"of {len(ours.residuals)} pixels none returns to within {_AGREES_PX:g} px"
+        return Check(name, False, f"{detail}: poses or depths are wrong", _figures(ours))
     detail = (
         f"median {ours.median:.4f} px, 95 % of agreeing pixels under "
-        f"{np.percentile(ours.residuals[ours.residuals < _AGREES_PX], 95):.3f} px, "
-        f"{len(ours.residuals)} pixels"
+        f"{np.percentile(close, 95):.3f} px, {len(ours.residuals)} pixels"
     )
     if ours.median >= TOLERANCE_PX:
         detail += f"; expected under {TOLERANCE_PX} px: poses, depths or intrinsics are inexact"
@@ -112,13 +115,16 @@ def check_depth(name: str, frames: DepthFrames) -> Check:
 
 
 def _figures(agreement: Agreement) -> dict[str, float]:
-    if not len(agreement.residuals):
-        return {"pixels": 0.0}
+    pixels = float(len(agreement.residuals))
+    if not pixels:
+        return {"pixels": pixels}
+    if not agreement.agreeing:
+        return {"median_px": agreement.median, "agreeing_share": 0.0, "pixels": pixels}
     return {
         "median_px": agreement.median,
         "mean_px": agreement.mean,
         "agreeing_share": agreement.agreeing,
-        "pixels": float(len(agreement.residuals)),
+        "pixels": pixels,
     }
 
 

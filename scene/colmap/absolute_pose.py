@@ -9,9 +9,10 @@ import pycolmap
 import torch
 from numpy.typing import NDArray
 
-from scene.colmap.native import CAUCHY, LEAST_VARIANCE, native_camera, pose_from_native
+from scene.colmap.native import LEAST_VARIANCE, native_camera, pose_from_native
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, transform_jacobian
+from scene.geometry.robust import CAUCHY
 from scene.localizer import Prior
 
 # Three matches determine a pose exactly, so their residuals say nothing about its accuracy.

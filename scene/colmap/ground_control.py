@@ -12,8 +12,8 @@ import pycolmap
 from numpy.typing import NDArray
 
 from scene.colmap.models import write_model
-from scene.colmap.native import CAUCHY
 from scene.colmap.structure_from_motion import RefinedLenses, bundle_of
+from scene.geometry.robust import CAUCHY
 from scene.maps.colmap_files import read_model
 from scene.maps.photographs import Photograph
 from scene.maps.sparse_map import SparseMap

@@ -31,10 +31,6 @@ SEED = 0
 LEAST_VARIANCE = 0.01
 """The smallest variance of a pixel coordinate (px^2); smaller measured ones are implausible."""
 
-CAUCHY = 2.385
-"""The scale of the Cauchy loss in standard deviations of the noise. Without outliers it is 95 % as
-efficient as least squares."""
-
 ROOM = 64 << 20
 """Free disk space required before a step (bytes), because COLMAP ends the process on a full disk.
 A chunk of pairs with its journal takes less."""

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from scene.colmap.database import MappingJob, match_posed
 from scene.colmap.models import lens_ids, write_model
-from scene.colmap.native import CAUCHY, LEAST_VARIANCE, ROOM, SEED, Progress
+from scene.colmap.native import LEAST_VARIANCE, ROOM, SEED, Progress
 from scene.colmap.options import AdjustmentOptions
 from scene.colmap.triangulation import pipeline_options
 from scene.errors import InputError
 from scene.geometry.pose import Pose
+from scene.geometry.robust import CAUCHY
 from scene.maps.colmap_files import read_model
 from scene.maps.features import Features
 from scene.maps.photographs import Photograph

@@ -7,7 +7,7 @@ import shutil
 import struct
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
@@ -49,7 +49,7 @@ _SEGMENT: Final = 65_500
 _FOCAL_MM: Final = (1.0, 10_000.0)
 _MAX_ALTITUDE_M: Final = 1e6
 # The size of 35 mm film, for which equivalent focal lengths are given (mm).
-_FILM_WIDTH = 36.0
+_FILM_LENGTH = 36.0
 _FILM_DIAGONAL = math.hypot(36, 24)
 # Images with a larger aspect ratio are much wider than 3:2.
 _WIDE = 1.6
@@ -142,7 +142,7 @@ class Exif:
         time: time of the photograph, or None.
         make: maker of the camera.
         model: model of the camera.
-        focal_35mm: focal length in millimetres for film 36 mm wide, or None.
+        focal_35mm: focal length in millimetres for film whose longer side is 36 mm, or None.
         xmp: what the drone wrote into the XMP; it is read only.
     """
 
@@ -160,9 +160,9 @@ class Exif:
         return self.xmp.gimbal
 
     @property
-    def focal_in_widths(self) -> float | None:
+    def focal_in_longest_sides(self) -> float | None:
         """Return the focal length in longest sides of the picture; None if unknown."""
-        return None if self.focal_35mm is None else self.focal_35mm / _FILM_WIDTH
+        return None if self.focal_35mm is None else self.focal_35mm / _FILM_LENGTH
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -189,7 +189,7 @@ def write_jpeg(path: Path, rgb: NDArray[np.uint8], exif: Exif, quality: int = 95
             "JPEG",
             quality=quality,
             subsampling=0,
-            exif=_encode(exif, rgb.shape[1]).tobytes(),
+            exif=_encode(exif, (rgb.shape[1], rgb.shape[0])).tobytes(),
         )
 
 
@@ -218,13 +218,13 @@ def write_resized(source: Path, out: Path, longest: int, *, over: bool = False) 
         if len(kept.get("xmp", b"")) > _SEGMENT:
             del kept["xmp"]
         if len(kept.get("exif", b"")) > _SEGMENT:  # thumbnails or maker notes
-            kept["exif"] = _encode(read_exif(source), size[0]).tobytes()
+            kept["exif"] = _encode(read_exif(source), size).tobytes()
         picture = Image.fromarray(rgb[::-1, ::-1] if over else rgb)
         smaller = picture.resize(size, Image.Resampling.LANCZOS)
         smaller.save(partial, "JPEG", quality=95, subsampling=0, **kept)
 
 
-def _encode(exif: Exif, width: int) -> Image.Exif:
+def _encode(exif: Exif, size: tuple[int, int]) -> Image.Exif:
     tags = Image.Exif()
     tags[ExifTags.Base.Make] = exif.make
     tags[ExifTags.Base.Model] = exif.model
@@ -238,9 +238,9 @@ def _encode(exif: Exif, width: int) -> Image.Exif:
         detail[ExifTags.Base.FocalLength] = _rational(exif.focal_35mm)
         detail[ExifTags.Base.FocalLengthIn35mmFilm] = round(exif.focal_35mm)
         # The tag above holds whole millimetres only; the pixel pitch gives the exact value.
-        detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * width / _FILM_WIDTH)
+        detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * max(size) / _FILM_LENGTH)
         detail[ExifTags.Base.FocalPlaneResolutionUnit] = _CENTIMETRE
-        detail[ExifTags.Base.ExifImageWidth] = width
+        detail[ExifTags.Base.ExifImageWidth] = size[0]
     if exif.position is not None:
         gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
         place = exif.position
@@ -272,7 +272,11 @@ def read_exif(path: Path) -> Exif:
     drone = parse_xmp(packet, _size_taken(detail, size))
     return Exif(
         position=_decode_position(gps, drone.altitude),
-        time=_decode_time(stamp, detail.get(ExifTags.Base.SubsecTimeOriginal)),
+        time=_decode_time(
+            stamp,
+            detail.get(ExifTags.Base.SubsecTimeOriginal),
+            detail.get(ExifTags.Base.OffsetTimeOriginal),
+        ),
         make=_text(tags.get(ExifTags.Base.Make)),
         model=_text(tags.get(ExifTags.Base.Model)),
         focal_35mm=_decode_focal(detail, size),
@@ -286,7 +290,7 @@ def _text(value: object) -> str:
 
 
 def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None:
-    """Return the focal length in millimetres for film 36 mm wide.
+    """Return the focal length in millimetres for film whose longer side is 36 mm.
 
     It is computed from the pixel pitch if the camera gives it, else from the 35 mm equivalent.
     """
@@ -294,7 +298,9 @@ def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None
         unit = _MILLIMETRES[int(detail.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
         pitch = unit / float(detail[ExifTags.Base.FocalPlaneXResolution])
         sensor = pitch * float(detail[ExifTags.Base.ExifImageWidth])
-        focal = _FILM_WIDTH * float(detail[ExifTags.Base.FocalLength]) / sensor
+        # The longer side of the film is that of the picture, upright or not.
+        in_widths = float(detail[ExifTags.Base.FocalLength]) / sensor
+        focal = _FILM_LENGTH * in_widths * size[0] / max(size)
     except _DAMAGE:
         focal = math.nan
     if _FOCAL_MM[0] <= focal <= _FOCAL_MM[1]:
@@ -308,7 +314,7 @@ def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None
     # The equivalent refers to the diagonal (CIPA DCG-001); wide images are crops of 4:3 sensors.
     aspect = max(size) / min(size)
     diagonal = math.hypot(1, 1 / aspect) if aspect < _WIDE else math.hypot(1, 3 / 4)
-    return focal * _FILM_WIDTH / _FILM_DIAGONAL * diagonal
+    return focal * _FILM_LENGTH / _FILM_DIAGONAL * diagonal
 
 
 def _size_taken(detail: dict[int, Any], size: tuple[int, int]) -> tuple[int, int]:
@@ -321,11 +327,17 @@ def _size_taken(detail: dict[int, Any], size: tuple[int, int]) -> tuple[int, int
     return (width, height) if min(width, height) > 0 else size
 
 
-def _decode_time(stamp: object, fraction: object) -> datetime | None:
-    """Return a time stamp with the decimal fraction of a second, if the camera gives one."""
+def _decode_time(stamp: object, fraction: object, offset: object) -> datetime | None:
+    """Return a time stamp in UTC, with the decimal fraction of a second if the camera gives one.
+
+    Without an offset from UTC, as drones often write none, the time counts as UTC.
+    """
     digits = _text(fraction)
     try:
         whole = datetime.strptime(str(stamp), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+        with suppress(ValueError):
+            whole = datetime.strptime(f"{stamp}{_text(offset)}", "%Y:%m:%d %H:%M:%S%z")
+        whole = whole.astimezone(UTC)
         return whole + timedelta(seconds=float(f"0.{digits}") if digits.isdecimal() else 0)
     except (ValueError, OverflowError):  # a datetime ends with the year 9999
         return None

@@ -74,6 +74,9 @@ def test_a_blank_photograph_has_no_features(extract: Binary) -> None:
     features = extract(np.full((120, 160, 3), 90, np.uint8))
     assert features.xy.shape == (0, 2)
     assert len(extract.unit(features.descriptors)) == 0
+    rng = np.random.default_rng(0)
+    textured = extract(rng.integers(0, 256, (120, 160, 3), dtype=np.uint8))
+    assert features.descriptors.shape[1] == textured.descriptors.shape[1]
 
 
 @pytest.mark.parametrize("extract", [Orb(150), Akaze(150, 1e-4)], ids=["orb", "akaze"])

@@ -113,6 +113,8 @@ def test_the_floor_is_the_first_start(sparse_map: SparseMap) -> None:
     np.testing.assert_allclose(named.cam_from_world.centre(), [20, 0, FLOWN], atol=1e-9)
     assert floor.localize(replace(query, prior=None)).status is Status.FAILED
     assert floor.localize(replace(query, references=())).status is Status.FAILED
+    unknown = Prior(POSITION, np.full(3, np.inf), looking_down(77.0, 0.0).rotation.numpy(), 2.0)
+    assert floor.localize(replace(query, prior=unknown)).status is Status.FAILED
     assert "not finite" in floor.localize(replace(query, prior=Prior(POSITION * np.nan))).reason
 
 

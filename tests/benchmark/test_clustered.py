@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmark.clustered import MIN_CLUSTERS, difference_interval
-from benchmark.paired import mcnemar
+from benchmark.clustered import MIN_CLUSTERS, difference_interval, permutation_p
+from benchmark.paired import compare, mcnemar
+from benchmark.report.page import paired
 
 
 def test_queries_that_fail_together_widen_the_interval() -> None:
@@ -41,6 +42,45 @@ def test_the_same_at_every_run() -> None:
     flights = [str(k % 6) for k in range(60)]
     drawn = {difference_interval(queries, queries[::-1], flights) for _ in range(3)}
     assert len(drawn) == 1
+
+
+def test_p_of_whole_flights() -> None:
+    """Of eight flights that all lose five queries, two of 2^8 signs are as extreme."""
+    flights = [f"flight-{k // 10}" for k in range(80)]
+    after = [k % 10 >= 5 for k in range(80)]
+    assert permutation_p([True] * 80, after, flights) == 2 / 2**8
+    assert permutation_p(after, after, flights) == 1
+    assert permutation_p([True] * 40, after[:40], flights[:40]) is None
+
+
+def test_p_of_many_flights_is_that_of_random_signs() -> None:
+    """Flights of one query each: the test is McNemar's but for the draws."""
+    before, after = [True] * 13 + [False] * 4, [False] * 13 + [True] * 4
+    found = permutation_p(before, after, [str(k) for k in range(17)])
+    assert found == pytest.approx(mcnemar(13, 4), abs=0.01)
+
+
+def test_flights_that_differ_by_themselves_raise_no_false_alarm() -> None:
+    """Twenty flights in which either method is better by chance: 5 % of p are below 0.05."""
+    rng = np.random.default_rng(0)
+    flights = [f"flight-{k // 28}" for k in range(560)]
+    alarms, independent = 0, 0
+    for _ in range(200):
+        shares = 0.6 + rng.uniform(-0.3, 0.3, (2, 20)).repeat(28, axis=1)
+        before, after = (rng.random((2, 560)) < shares).tolist()
+        change = paired(before, after, flights)
+        alarms += change["p"] < 0.05
+        independent += mcnemar(change["lost"], change["won"]) < 0.05
+    assert 2 <= alarms <= 20
+    assert independent > 40  # one in five and more
+
+
+def test_interval_of_flights_that_change_alike_is_not_a_point() -> None:
+    flights = [f"flight-{k // 20}" for k in range(200)]
+    before, after = [True] * 200, [k % 20 > 0 for k in range(200)]
+    assert difference_interval(before, after, flights) == (-5, -5)
+    change, apart = paired(before, after, flights), compare(before, after)
+    assert (change["low"], change["high"]) == pytest.approx((apart.low, apart.high), abs=0.01)
 
 
 def test_mcnemar_is_two_sided() -> None:

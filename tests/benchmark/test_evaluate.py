@@ -19,7 +19,7 @@ from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Status
-from tests.benchmark.made_data import FakeLocalizer, moved, pose_at
+from tests.benchmark.made_data import FakeLocalizer, moved, pose_at, scored_query
 
 
 def run(path: Path, localizer: FakeLocalizer, start: Start = PRIOR) -> Results:
@@ -30,6 +30,23 @@ def run(path: Path, localizer: FakeLocalizer, start: Start = PRIOR) -> Results:
 def written(path: Path) -> list[str]:
     out = path.parent / "out"
     return sorted(file.relative_to(out).as_posix() for file in out.rglob("*") if file.is_file())
+
+
+def test_journal_keeps_answers_that_replace_others(tmp_path: Path) -> None:
+    """The second run asks again with other photographs, and is interrupted, too."""
+
+    def asked(names: dict[str, float]) -> dict[str, float | None]:
+        journal = Journal(tmp_path / "j", "key", QueryResult)
+        with pytest.raises(KeyboardInterrupt), journal:
+            before = {name: result.t_err_m for name, result in journal.done.items()}
+            for name, error in names.items():
+                journal.add(scored_query(name, error))
+            raise KeyboardInterrupt
+        return before
+
+    asked({"a": 1.0, "b": 1.0})
+    asked({"a": 2.0, "b": 2.0, "c": 2.0})
+    assert asked({}) == {"a": 2.0, "b": 2.0, "c": 2.0}
 
 
 def test_scores_and_files(made_flight: Path) -> None:

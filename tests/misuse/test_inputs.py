@@ -597,6 +597,16 @@ def test_one_frame_has_nothing_to_be_compared_with() -> None:
     assert "nothing to compare" in check.detail
 
 
+def test_depth_that_agrees_with_no_pose_is_one_line() -> None:
+    camera = Camera("PINHOLE", 64, 48, (50.0, 50.0, 32.0, 24.0))
+    depths = [np.full((48, 64), metres, np.float32) for metres in (50, 100)]
+    poses = np.stack([pose_at(k).matrix().numpy() for k in (0, 1)])
+    objects = [np.ones((48, 64), np.uint16)] * 2
+    check = check_depth("depth and poses agree", DepthFrames([camera] * 2, poses, depths, objects))
+    assert not check.ok
+    assert "wrong" in check.detail
+
+
 def lines_of(
     capsys: pytest.CaptureFixture[str], steps: int, seconds: float, before: int = 0
 ) -> list[str]:

@@ -207,8 +207,8 @@
       el("div", { class: "grid" },
         card("overview", "All cells", `Recall (%) at ${threshold()}; below each heading the queries, and how far the 95 % interval reaches to either side at a recall of 90 %. A figure shows its cell.`, overview()),
         runs.length > 1 ? el("section", { class: "card", id: "pairs" }, el("h3", {}, "Paired comparison"),
-          el("p", { class: "quiet" }, `Change of recall in points at ${threshold()}, ${where()}, query by query; p of McNemar's exact test, two-sided, coloured below 0.05 and not corrected for the number of pairs. `
-            + (c.pairs[state.threshold].every((p) => p.clustered) ? `Intervals are of a bootstrap that draws whole flights, ${c.flights} here.` : "Intervals are Bonett and Price's where fewer than five flights are left: the true ones are wider.")),
+          el("p", { class: "quiet" }, `Change of recall in points at ${threshold()}, ${where()}, query by query; p is two-sided, coloured below 0.05 and not corrected for the number of pairs. `
+            + (c.pairs[state.threshold].every((p) => p.clustered) ? `Intervals are of a bootstrap that draws whole flights, ${c.flights} here, and p of a test that exchanges the methods flight by flight.` : "Where fewer than five flights are left, intervals are Bonett and Price's and p is McNemar's, which take queries for independent: the true intervals are wider and the true p larger.")),
           pairedTable(everyRun().map(labelOf), (a, b) => c.pairs[state.threshold].find((p) => p.a === a && p.b === b))) : null,
         el("section", { class: "card", id: "difficulty" }, el("h3", {}, "Difficulty"),
           el("p", { class: "quiet" }, `Recall (%) at ${threshold()}, ${where()}, with its interval. Overlap, scale and angle are of the map photograph that sees most of the query; n counts queries.`),

@@ -273,7 +273,7 @@
         surest(b), legend(labelOf(b), runs, true),
         el("p", { class: "quiet" }, `Normalised error squared (6 when covariances are honest) and share inside the 95 % ellipsoid: ${b.runs.map(honesty).join("; ")}.`)),
       card("heat", "Conditions", `Recall (%) at ${threshold}; a cell opens its worst query.`, heatMap(b)),
-      ...(b.runs.length > 1 ? [card("pairs", "Paired comparison", `Change of recall in points at ${threshold}, ${where}, query by query; p of McNemar's exact test, two-sided, coloured below 0.05 and not corrected for the number of pairs. ${b.pairs_note}`, pairTable(b))] : []));
+      ...(b.runs.length > 1 ? [card("pairs", "Paired comparison", `Change of recall in points at ${threshold}, ${where}, query by query; p is two-sided, coloured below 0.05 and not corrected for the number of pairs. ${b.pairs_note}`, pairTable(b))] : []));
   };
   const setCondition = (condition) => {
     const b = board();

@@ -132,6 +132,26 @@ def test_the_folder_of_another_run_is_refused(rendered: Scene, tmp_path: Path) -
         train("pixloc", PixlocTraining, [rendered.path], tmp_path, TINY)
 
 
+def test_other_pictures_of_the_same_seed_are_refused(
+    rendered: Scene, rendered_copy: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(Killed):
+        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], tmp_path, TINY)
+    manifest = json.loads((rendered_copy / "scene.json").read_text())
+    name = next(name for name in manifest["sha256"] if name.endswith("frames.h5"))
+    manifest["sha256"][name] = "0" * 64
+    (rendered_copy / "scene.json").write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match="another scenes"):
+        train("pixloc", PixlocTraining, [rendered_copy], tmp_path, TINY)
+
+
+def test_a_run_goes_on_with_other_workers(rendered: Scene, tmp_path: Path) -> None:
+    with pytest.raises(Killed):
+        train("pixloc", lambda config: KilledAt(config, 3), [rendered.path], tmp_path, TINY)
+    other = TINY.model_copy(update={"workers": 1 - min(TINY.workers, 1), "save_every": 3})
+    assert train("pixloc", PixlocTraining, [rendered.path], tmp_path, other).is_file()
+
+
 def test_a_damaged_checkpoint_is_named(rendered: Scene, tmp_path: Path) -> None:
     short = TINY.model_copy(update={"steps": 1})
     train("pixloc", PixlocTraining, [rendered.path], tmp_path, short)

@@ -13,7 +13,7 @@ from PIL.TiffImagePlugin import IFDRational
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
-from scene.storage.images import Exif, read_exif, read_rgb, write_jpeg
+from scene.storage.images import Exif, read_exif, read_rgb, write_jpeg, write_resized
 
 TIME = datetime(2026, 1, 15, 16, 30, 5, tzinfo=UTC)
 
@@ -81,6 +81,27 @@ def test_fractions_of_seconds(digits: str, seconds: float, tmp_path: Path) -> No
         tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.SubsecTimeOriginal] = digits
         image.save(path, exif=tags.tobytes())
     assert read_exif(path).time == TIME + timedelta(seconds=seconds)
+
+
+@pytest.mark.parametrize("size", [(400, 300), (300, 400)])
+def test_focal_length_is_in_longest_sides(size: tuple[int, int], tmp_path: Path) -> None:
+    rgb = np.zeros((size[1], size[0], 3), np.uint8)
+    write_jpeg(tmp_path / "a.jpg", rgb, Exif(None, None, focal_35mm=36 * 500 / 400))
+    focal = read_exif(tmp_path / "a.jpg").focal_in_longest_sides
+    assert focal == pytest.approx(500 / 400, rel=1e-4)
+    write_resized(tmp_path / "a.jpg", tmp_path / "b.jpg", 200)
+    assert read_exif(tmp_path / "b.jpg").focal_in_longest_sides == pytest.approx(focal)
+
+
+@pytest.mark.parametrize(("offset", "hours"), [("+02:00", 2), ("-05:30", -5.5), ("", 0), ("?", 0)])
+def test_offset_from_universal_time(offset: str, hours: float, tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    write_jpeg(path, picture(), Exif(None, TIME))
+    with Image.open(path) as image:
+        tags = image.getexif()
+        tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.OffsetTimeOriginal] = offset
+        image.save(path, exif=tags.tobytes())
+    assert read_exif(path).time == TIME - timedelta(hours=hours)
 
 
 def test_absent_fields_are_none(tmp_path: Path) -> None:
