@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import torch
@@ -14,6 +13,7 @@ from torch import Tensor
 
 from baselines.featuremetric.maps import MapExtractor
 from baselines.featuremetric.references import ReferenceSource
+from baselines.place.headings import possible_headings
 from baselines.place.search import Candidate
 from objconnect.connect import ConnectOptions, Connector
 from objconnect.landmarks import LandmarkOptions
@@ -22,8 +22,6 @@ from objconnect.object_map import MapObjects, ObjectFinder, map_ground
 from scene.config import Config
 from scene.geometry.pose import so3_exp
 from scene.localizer import MapPart, Prior, Query
-
-_DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
 
 class ObjectPlaceOptions(Config):
@@ -143,13 +141,5 @@ def headings_around(
         headings: tried over the full turn.
         parts: heights tried, in parts of the median one.
     """
-    base, step = _DOWN, math.tau / headings
-    turns = [k * step for k in range(headings)]
-    if prior is not None and prior.cam_from_world_rotation is not None:
-        base = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
-        degrees = prior.heading_sigma_deg
-        degrees = prior.attitude_sigma_deg if degrees is None else degrees
-        if degrees is not None and math.isfinite(degrees):
-            most = math.ceil(min(2 * math.radians(degrees) / step, headings // 2))
-            turns = [k * step for k in range(-most, most + 1)]
+    base, turns = possible_headings(prior, headings)
     return base, turns, [part * float(np.median(heights)) for part in parts]

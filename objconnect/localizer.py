@@ -24,7 +24,7 @@ class ObjConnectConfig(SearchingConfig):
     """Options of the objconnect localizer."""
 
     objects: ObjectPlaceOptions | None = Field(
-        ObjectPlaceOptions(connect=ConnectOptions(candidates=3)),
+        ObjectPlaceOptions(connect=ConnectOptions(candidates=12)),
         description="Starts from objects where no prior gives them, before the place search; None "
         "for none.",
     )

@@ -122,16 +122,16 @@ def is_sure(attempt: Attempt, options: SearchOptions) -> bool:
     return float(attempt.spread.curvature[0]) >= options.sure_curvature
 
 
-def is_clear(row: int, attempts: Sequence[Attempt], options: SearchOptions) -> bool:
-    """Return whether another attempt led to the pose of this one, or all others fit worse."""
-    attempt = attempts[row]
-    if attempt.reason or not attempt.fit < options.clear_accept_fit:
+def is_found(attempt: Attempt, options: SearchOptions) -> bool:
+    """Return whether a pose is believed that was looked for all over the map.
+
+    Among many places one fits better than by chance, but the cost does not rise steeply there.
+    """
+    if attempt.reason:
         return False
-    others = [other for other in (*attempts[:row], *attempts[row + 1 :]) if not other.failed]
-    if any(_near(o.pose, attempt.pose, options.agreed_m, options.agreed_deg) for o in others):
-        return True
-    least = attempt.fit + options.clear_margin
-    return bool(others) and all(other.fit > least for other in others)
+    return attempt.fit < options.place_accept_fit or (
+        attempt.fit < options.sure_accept_fit and is_sure(attempt, options)
+    )
 
 
 def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:

@@ -5,13 +5,13 @@ Each way gives starts that are refined. The first pose that is sure ends the sea
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 
 from baselines.align.options import SearchRadius
-from baselines.featuremetric.attempt import Attempt, estimated, is_clear, stayed_near
+from baselines.featuremetric.attempt import Attempt, estimated, is_found, stayed_near
 from baselines.featuremetric.priors import says_where
 from baselines.featuremetric.references import ReferenceSource, Watch
 from baselines.featuremetric.refiner import Refiner
@@ -23,6 +23,7 @@ from scene.localizer import Estimate, MapPart, Query, Stopwatch
 from scene.maps.sparse_map import SparseMap
 
 _UNCLEAR: Final = "no place of the map fits the image clearly"
+_Find = Callable[[Query, Stopwatch], list[Candidate]]
 
 
 class OtherFinder(Protocol):
@@ -74,20 +75,35 @@ class GlobalSearch:
             answer, attempts = self._near_matches(query, matched, matched.cam_from_world, clock)
             if answer is not None:
                 return answer
-        other = None if says_where(query.prior) else self.other
-        if other is not None and other.is_first:
-            answer, tried = self._at_places_of(other, query, clock)
-            if answer is not None:
-                return answer
-            attempts += tried
-        places = self._found_places(query, clock)
-        if places:
-            attempts = self._at_places(query, attempts, places, clock)
-        if other is not None and not other.is_first and all(each.reason for each in attempts):
-            answer, _ = self._at_places_of(other, query, clock)
-            if answer is not None:
-                return answer
-        return self._best(attempts, [place.pose for place in places], clock) if places else None
+        options = self.refine.config.search
+        begin: list[Pose] = []
+        for place in self._places(query, clock):
+            attempt = self.refine.near(query, place.pose, clock)
+            if is_found(attempt, options):
+                # Seen from there, the image is turned and scaled better.
+                again = self.refine.near(query, attempt.pose, clock)
+                return self._best([attempt, again], [place.pose], clock)
+            attempts.append(attempt)
+            begin.append(place.pose)
+        if self.places is None or not begin:
+            return None
+        unclear = [replace(each, reason=each.reason or _UNCLEAR) for each in attempts]
+        return self._best(unclear, begin, clock)
+
+    def _places(self, query: Query, clock: Stopwatch) -> Iterator[Candidate]:
+        """Yield places where the query may be: the best ones of each finder before all others."""
+        further: list[Candidate] = []
+        for find in self._finders(query):
+            places = find(query, clock)
+            yield from places[: self.refine.config.search.first_places]
+            further += places[self.refine.config.search.first_places :]
+        yield from further
+
+    def _finders(self, query: Query) -> Sequence[_Find]:
+        """Return what finds places, the one that is asked first in front."""
+        if self.other is None or says_where(query.prior):
+            return [self._found_places]
+        return [self._of_other, self._found_places][:: 1 if self.other.is_first else -1]
 
     def _best(
         self, attempts: Sequence[Attempt], begin: Sequence[Pose], clock: Stopwatch
@@ -114,24 +130,15 @@ class GlobalSearch:
             if attempt.reason or not stayed_near(attempt.pose, start, options):
                 return replace(matched, seconds=clock.seconds), []
             return self._best([attempt], [start], clock), []
-        if attempt.fit < options.place_accept_fit:
+        if is_found(attempt, options):
             return self._best([attempt], [start], clock), []
         return None, [attempt]
 
-    def _at_places_of(
-        self, finder: OtherFinder, query: Query, clock: Stopwatch
-    ) -> tuple[Estimate | None, list[Attempt]]:
-        """Try the places of another finder until one fits well: the answer, and what was tried."""
-        least = self.refine.config.search.place_accept_fit
+    def _of_other(self, query: Query, clock: Stopwatch) -> list[Candidate]:
+        """Return the places of the other finder."""
+        assert self.other is not None
         with clock.stage("objects"):
-            places = finder.find(query)
-        attempts: list[Attempt] = []
-        for place in places:
-            tried = self.refine.twice(query, place.pose, least, clock)
-            if len(tried) > 1:
-                return self._best(tried, [place.pose], clock), tried
-            attempts += tried
-        return None, attempts
+            return self.other.find(query)
 
     def _found_places(self, query: Query, clock: Stopwatch) -> list[Candidate]:
         """Return the starts of the place search, or of the photographs that look most like it."""
@@ -146,31 +153,3 @@ class GlobalSearch:
             chosen = self.refine.photographs(query)
             begin = starts(query.prior, self.sparse_map, chosen, config.starts)
         return [Candidate(pose, 0.0) for pose in begin[: config.place.candidates]]
-
-    def _at_places(
-        self,
-        query: Query,
-        before: Sequence[Attempt],
-        places: Sequence[Candidate],
-        clock: Stopwatch,
-    ) -> list[Attempt]:
-        """Try the starts of the place search until the fit of one is good enough to stop.
-
-        A fit that says less is accepted only where starts at two places lead to one pose, or where
-        no other place fits nearly as well: among many places one fits better than by chance.
-        """
-        options = self.refine.config.search
-        attempts = list(before)
-        enough = [options.place_accept_fit] * len(places)
-        if not places[1:] or places[0].score - places[1].score > options.first_margin:
-            enough[0] = options.first_accept_fit
-        for place, least in zip(places, enough, strict=True):
-            tried = self.refine.twice(query, place.pose, least, clock)
-            if len(tried) > 1:
-                return tried
-            attempts += tried
-        clear = [is_clear(row, attempts, options) for row in range(len(attempts))]
-        return [
-            attempt if attempt.reason or fine else replace(attempt, reason=_UNCLEAR)
-            for attempt, fine in zip(attempts, clear, strict=True)
-        ]

@@ -37,33 +37,18 @@ class SearchOptions(Config):
         description="A pose from the place search is accepted when its fit is below this: of 800 "
         "poses in maps of other places the best fitted at 0.833.",
     )
-    first_accept_fit: float = Field(
-        0.87,
-        gt=0,
-        description="The same of the first place where it stands out: poses at places that stood "
-        "out in maps of other places fitted at 0.908 at best.",
-    )
-    first_margin: float = Field(
-        0.06,
-        ge=0,
-        description="Score by which the first place of the search stands out above the second.",
-    )
-    clear_accept_fit: float = Field(
+    sure_accept_fit: float = Field(
         0.9,
         gt=0,
-        description="A pose from the place search is also accepted when its fit is below this, "
-        "and starts at two places lead to it or no other place fits nearly as well.",
+        description="A pose from the place search that is sure (sure_curvature) is also accepted "
+        "when its fit is below this.",
     )
-    clear_margin: float = Field(
-        0.06,
-        gt=0,
-        description="Poses whose fit is worse by this do not fit nearly as well; in maps of other "
-        "places the second best was seen to be worse by 0.044 at most.",
+    first_places: int = Field(
+        4,
+        ge=1,
+        description="Places of objects, and of the place search, that are tried before further "
+        "places of either.",
     )
-    agreed_m: float = Field(
-        0.5, gt=0, description="Poses closer than this (and agreed_deg) agree, metres."
-    )
-    agreed_deg: float = Field(1.0, gt=0, description="Poses closer than this agree, degrees.")
     matched_answer_inliers: int = Field(
         100,
         ge=4,

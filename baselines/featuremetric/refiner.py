@@ -95,16 +95,6 @@ class Refiner:
         radius = radius or default_radius(self.config.search)
         return self(near, self.photographs(near), start, clock, radius)
 
-    def twice(self, query: Query, start: Pose, least: float, clock: Stopwatch) -> list[Attempt]:
-        """Refine a start, and where the pose fits better than ``least``, that pose once more.
-
-        Seen from there, the image is turned and scaled better.
-        """
-        attempt = self.near(query, start, clock)
-        if attempt.fit < least:
-            return [attempt, self.near(query, attempt.pose, clock)]
-        return [attempt]
-
     def photographs(self, query: Query) -> NDArray[np.int64]:
         """Return the rows of the photographs to align a query to.
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.map_cache import MapCache
 from baselines.place.grid import ground_grid
+from baselines.place.headings import possible_headings
 from baselines.place.mosaic import Mosaic, empty_mosaic, make_mosaic
 from baselines.place.search import Candidate, Hypotheses, PlaceSearch
 from baselines.resolution import metres_per_pixel, observed, of_map, scale_to
@@ -26,7 +27,6 @@ from scene.runtime.progress import progress_bar
 from scene.storage.images import read_rgb
 
 _FORMAT: Final = 2
-_DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Beyond this tilt (cosine) the middle of the picture says nothing of the ground's resolution.
 _FLATTEST: Final = 0.3
@@ -52,7 +52,7 @@ class PlaceOptions(Config):
             down to it, as nearly all photographs of a map look down.
     """
 
-    candidates: int = Field(5, ge=0)
+    candidates: int = Field(16, ge=0)
     headings: int = Field(12, ge=1)
     turns: int = Field(5, ge=1)
     altitudes: tuple[float, ...] = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
@@ -151,14 +151,7 @@ class PlaceFinder:
         options = self._options
         step = math.tau / options.headings
         turns = [(k - (options.turns - 1) / 2) * step / options.turns for k in range(options.turns)]
-        base, headings = _DOWN, [k * step for k in range(options.headings)]
-        if prior is not None and prior.cam_from_world_rotation is not None:
-            base = torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))
-            degrees = prior.heading_sigma_deg
-            degrees = prior.attitude_sigma_deg if degrees is None else degrees
-            if degrees is not None:
-                spread = 2 * math.radians(degrees)
-                headings = [k * step for k in range(-_most(spread, step), _most(spread, step) + 1)]
+        base, headings = possible_headings(prior, options.headings)
         passes: list[Tensor] = [base @ so3_exp(heading * _UP) for heading in headings]
         altitudes = [part * self._height for part in options.altitudes]
         within = None
@@ -171,8 +164,3 @@ class PlaceFinder:
             if sigma[2] < _KNOWN_ALTITUDE * height:
                 altitudes = [height]
         return Hypotheses(passes, turns, altitudes, within)
-
-
-def _most(spread: float, step: float) -> int:
-    """Return how many headings to either side cover a spread, at most half a turn."""
-    return math.ceil(min(spread / step, math.floor(math.pi / step)))

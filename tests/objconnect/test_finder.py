@@ -38,7 +38,7 @@ def test_nothing_known_is_searched_all_around() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sigma", "count"), [(math.inf, 24), (None, 24), (5.0, 3), (60.0, 17), (400.0, 25)]
+    ("sigma", "count"), [(math.inf, 24), (None, 24), (5.0, 3), (60.0, 17), (176.0, 24), (400.0, 24)]
 )
 def test_a_known_attitude_is_kept(sigma: float | None, count: int) -> None:
     prior = Prior(
@@ -51,6 +51,7 @@ def test_a_known_attitude_is_kept(sigma: float | None, count: int) -> None:
     np.testing.assert_array_equal(base.numpy(), ROTATION)
     assert len(headings) == count
     assert 0 in headings
+    assert len({round(heading % math.tau, 6) for heading in headings}) == count
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmark.cli import app
-from benchmark.paired import mcnemar
+from benchmark.clustered import permutation_p
 from benchmark.report.album import read_album
 from benchmark.report.board.command import BoardReport, board
 from benchmark.report.board.pictures import keep_pictures, main
@@ -180,7 +180,8 @@ def test_paired_comparison(page: Browser, report: BoardReport) -> None:
     # Row objconnect, column sift.
     cell = page.texts("#pairs tbody tr:nth-child(3) td")[0].split("\n")
     assert cell[0] == f"+{100 * (won - lost) / len(changed):.1f}"
-    p = mcnemar(lost, won)
+    p = permutation_p(before.tolist(), after.tolist(), report.boards[0].flights[changed].tolist())
+    assert p is not None
     assert cell[-1] == ("p < 0.001" if p < 0.001 else f"p = {p:.{3 if p < 0.1 else 2}f}")
     title = page.run("document.querySelector('#pairs tbody tr:nth-child(3) td').title")
     assert title == f"right where the other is wrong: {won}; wrong where it is right: {lost}"
