@@ -107,19 +107,8 @@ class Located:
 
     @property
     def covariance(self) -> NDArray[np.float64] | None:
-        """Return the covariance (6, 6) of centre and attitude; None where it is unknown.
-
-        The centre is metres to the east, north and up, the attitude rad about these axes. With
-        ``exp(omega, v) @ (R, t)`` the centre moves by ``-R^T v`` and the camera turns by
-        ``-R^T omega``.
-        """
-        pose, covariance = self.estimate.cam_from_world, self.estimate.covariance
-        if pose is None or covariance is None:
-            return None
-        world_from_cam = pose.rotation.numpy().T
-        moves = np.zeros((6, 6))
-        moves[:3, 3:] = moves[3:, :3] = -world_from_cam
-        return np.asarray(moves @ covariance @ moves.T)
+        """Return the covariance (6, 6) of centre and attitude, as ``Estimate.world_covariance``."""
+        return self.estimate.world_covariance()
 
     @property
     def sigmas(self) -> tuple[float, float] | None:

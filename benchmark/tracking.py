@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from benchmark.answers import Located
 from benchmark.motion import Array, Motion, MotionOptions
 from benchmark.scored_query import localize_safely
 from scene.config import Config
@@ -179,7 +178,7 @@ class Tracker:
 
     def _covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (6, 6) of an answer's centre and attitude in the world."""
-        stated = Located("", estimate, None).covariance
+        stated = estimate.world_covariance()
         if stated is not None and np.isfinite(stated).all():
             return stated
         config = self._config

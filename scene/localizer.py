@@ -138,6 +138,20 @@ class Estimate:
     reason: str = ""
     tracked: bool = False
 
+    def world_covariance(self) -> NDArray[np.float64] | None:
+        """Return the covariance (6, 6) of centre and attitude; None where it is unknown.
+
+        The centre is metres to the east, north and up, the attitude rad about these axes. With
+        ``exp(omega, v) @ (R, t)`` the centre moves by ``-R^T v`` and the camera turns by
+        ``-R^T omega``.
+        """
+        if self.cam_from_world is None or self.covariance is None:
+            return None
+        world_from_cam = self.cam_from_world.rotation.numpy().T
+        moves = np.zeros((6, 6))
+        moves[:3, 3:] = moves[3:, :3] = -world_from_cam
+        return np.asarray(moves @ self.covariance @ moves.T)
+
     def sigma_position(self) -> float | None:
         """Return the predicted standard deviation of the camera centre (m), None if unknown.
 

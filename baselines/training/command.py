@@ -59,7 +59,11 @@ def train(
         described["weights"] = digest(config.weights)
     first = join().rank == 0
     with write_lock(out) if first else nullcontext():
-        weights = train_loop(make(config), config, sources, out, described)
+        trained = make(config)
+        # Weights to begin with have a width of their own.
+        width = getattr(trained.network_config, "width", config.width)
+        config = config.model_copy(update={"width": width})
+        weights = train_loop(trained, config, sources, out, described)
         if first:
             write_card(out, method, config, scenes, looked_at)
     return weights

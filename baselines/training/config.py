@@ -28,7 +28,7 @@ class TrainConfig(Config):
         photograph_share: share of pairs made of these photographs during the warm-up; afterwards it
             is half of this.
         warm_up: share of the steps, at the start, in which features are trained without poses.
-        width: width of the network; 1 is that of the authors.
+        width: width of a network from random weights; 1 is that of the authors.
         network: further options of the network, by the names of the method's configuration.
         weights: weights to start from; None starts from random ones.
         validate_every: number of steps between evaluations of the validation scenes.

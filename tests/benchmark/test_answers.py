@@ -66,7 +66,7 @@ def test_the_covariance_is_that_of_centres_and_attitudes() -> None:
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), covariance, 20_000)
     moved = Pose.exp(torch.from_numpy(drawn)) @ pose
     centres = moved.centre().numpy()
-    said = Located("a.jpg", estimate, None).covariance
+    said = estimate.world_covariance()
     assert said is not None
     np.testing.assert_allclose(np.cov(centres.T), said[:3, :3], rtol=0.1, atol=2e-5)
     # A turn about an axis of the world moves what stands still in the camera.
