@@ -195,7 +195,8 @@ def photographs_in(folder: Path) -> list[Path]:
         InputError: the folder does not exist or holds no photograph.
     """
     if not folder.is_dir():
-        raise InputError(f"folder of photographs {folder} does not exist")
+        wrong = "is not a folder" if folder.exists() else "does not exist"
+        raise InputError(f"folder of photographs {folder} {wrong}")
     paths = list_files(folder, PHOTOGRAPHS)
     if not paths:
         raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)})")
@@ -306,7 +307,7 @@ def geography_of(
     require_origin(place, [*also, *([] if projection is None else [projection.name])])
     if place.origin is None:
         return Geography(undulation_m)
-    if projection is not None and not np.isfinite(projection.from_geodetic(place.origin)).all():
+    if projection is not None and not projection.reaches(place.origin):
         raise InputError(f"the map lies outside {projection.name}: give the system of its zone")
     if undulation_m is None:
         undulation_m = geoid_undulation(place.origin)

@@ -19,6 +19,8 @@ from scene.imports.names import match_files
 from scene.storage.files import read_text
 
 FEWEST = 3
+# Positions nearer to one another than this, metres, are those of a receiver that is stuck.
+_ONE_PLACE_M = 0.01
 _COLUMNS = ("name", "lat", "lon", "alt")
 
 
@@ -68,7 +70,9 @@ def _read(table: Path) -> dict[str, Geodetic]:
 
 
 def _parsed(reader: csv.DictReader[str], table: Path) -> dict[str, Geodetic]:
-    header = list(reader.fieldnames or ())
+    header = reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        raise InputError(f"{table} has other separators than commas: use commas")
     for column in _COLUMNS:
         if header.count(column) != 1:
             wrong = "no column" if column not in header else "two columns"
@@ -105,7 +109,8 @@ def local(
         origin: An origin that is known; then no photograph needs a position.
 
     Raises:
-        InputError: Fewer than three photographs have a position, and the origin is not known.
+        InputError: Fewer than three photographs have a position, or most positions are one, and
+            the origin is not known.
     """
     known: Mapping[str, Geodetic] = {
         image.name: image.exif.position for image in images if image.exif.position is not None
@@ -118,4 +123,12 @@ def local(
                 f"{','.join(_COLUMNS)}"
             )
         origin = median_place(list(known.values()))
+        east_north = np.array([enu_from_geodetic(place, origin)[:2] for place in known.values()])
+        at_one = np.linalg.norm(east_north - np.median(east_north, 0), axis=1) < _ONE_PLACE_M
+        if 2 * at_one.sum() > len(known):
+            raise InputError(
+                f"{at_one.sum()} of {len(known)} GPS positions are one: they do not tell scale and "
+                "direction: leave these photographs out, or give --gps CSV with columns "
+                f"{','.join(_COLUMNS)}"
+            )
     return origin, {name: enu_from_geodetic(place, origin) for name, place in known.items()}

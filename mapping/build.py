@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
@@ -16,6 +17,7 @@ from mapping.report import MapReport, ObjectTruth, report
 from scene.bundle.object_points import objects_of_points
 from scene.bundle.pictures import draw_pictures
 from scene.bundle.scene import FEATURES, MAP_FILES, Scene, finish_scene
+from scene.bundle.supplement import SUPPLEMENT
 from scene.colmap.database import MappingJob
 from scene.colmap.native import VERSION
 from scene.colmap.options import MatchOptions, SiftOptions
@@ -25,15 +27,18 @@ from scene.errors import InputError
 from scene.maps.features import features_key, write_features
 from scene.maps.photographs import PosedImage
 from scene.runtime.progress import progress_bar
-from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder, remove_partial
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_folder
 from scene.storage.digests import digests
 from scene.storage.files import sha256_of
+from scene.storage.leftovers import remove_partial
 from scene.storage.locks import resumable_file, write_lock
 
 _KEPT = f"{TEMPORARY_PREFIX}mapping"
 _SIFT = SiftOptions()
 Method = Literal["triangulate", "sfm"]
 _DEFAULTS: Final = MapOptions()
+
+log = logging.getLogger(__name__)
 
 
 def build_map(
@@ -82,6 +87,8 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
         "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
     }[method]
     remove_partial(path)
+    if (scene.map_path / SUPPLEMENT).exists():
+        log.warning("points that 'supplement' added to the map of %s are not in the new one", path)
     digest = _digest(scene.images_root, images, pairs, options.matching)
     with resumable_file(path / _KEPT, f"{digest}.db") as database:
         with (

@@ -21,9 +21,10 @@ from objconnect.object_map import ObjectFinder
 from scene.bundle.scene import Scene, finish_scene
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.maps.sparse_map import SparseMap
-from scene.storage.atomic import atomic_write, remove_partial, write_text
+from scene.storage.atomic import atomic_write, write_text
 from scene.storage.hdf5 import array
 from scene.storage.images import check_photographs
+from scene.storage.leftovers import remove_partial
 from scene.storage.locks import write_lock
 from scene.storage.names import quote_cell
 from scene.storage.outputs import OutputFile, check_outputs
@@ -81,7 +82,8 @@ def find_landmarks(
             photograph is missing or broken, or ``out`` cannot be written.
     """
     scene = Scene.open(path)
-    outputs = [] if out is None else [OutputFile(out, _HEAD.encode())]
+    outputs: list[OutputFile | Path] = [path / LANDMARKS]
+    outputs += [] if out is None else [OutputFile(out, _HEAD.encode())]
     check_outputs(outputs, [path, *([] if weights is None else [weights])])
     network, _ = read_network(weights or shipped(SHIPPED))
     if network.detector is None:

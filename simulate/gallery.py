@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scene.errors import InputError
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
-from scene.storage.atomic import TEMPORARY_PREFIX, atomic_write, remove_partial, write_text
+from scene.storage.atomic import TEMPORARY_PREFIX, atomic_write, write_text
+from scene.storage.leftovers import remove_partial
 from scene.storage.outputs import OutputFile, check_outputs
 from scene.storage.provenance import JPEG_MARK
 from simulate.command import render_job

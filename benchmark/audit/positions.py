@@ -42,6 +42,8 @@ _OFFSET_M = 6.0
 # Receivers put a photograph this far from where it was at most (m) for a comparison to mean much.
 _SCATTER_M = 8.0
 _FEET = 0.3048
+# Positions so far from the photographs' (m) are of another place; the earth curves between them.
+_ELSEWHERE_M = 20_000.0
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,9 @@ def _check_latlon(places: Array, known: Sequence[Geodetic]) -> tuple[Finding, Ar
         detail = f"{reading.looks}: so read they are {best:.0f} m from GPS, as stated {ours:.4g} m"
         found = wrong(LATLON, reading.fault, detail, metres=ours, explained_metres=best)
         return found, reading.read(places)
+    if ours > _ELSEWHERE_M:
+        why = f"they are {ours / 1000:.4g} km from GPS, however they are read"
+        return unknown(LATLON, why, metres=ours), places
     return right(LATLON, f"median {ours:.1f} m from GPS", metres=ours), places
 
 
@@ -280,6 +285,9 @@ def _offsets(compared: _Compared) -> Iterator[Finding]:
     else:
         yield right(EAST_NORTH, f"{where} (median)", **figures)
     up, rough = float(middle[2]), float(scatter[2])
+    if away > _ELSEWHERE_M:
+        yield unknown(HEIGHTS, f"the photographs' GPS is {away / 1000:.4g} km away")
+        return
     if abs(up) <= max(_OFFSET_M, 3 * rough / np.sqrt(len(off))):
         yield right(HEIGHTS, f"{_height(up)} them (median)", up_m=up, scatter_m=rough)
     elif rough > max(_SCATTER_M, abs(up) / 3):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,12 +73,16 @@ def open_distinct_datasets(paths: Iterable[Path]) -> list[Dataset]:
     """Open the data sets at these paths.
 
     Raises:
-        InputError: a path is no data set, or two data sets share a name and would overwrite each
-            other's results.
+        InputError: a path is no data set or is given twice, or two data sets share a name and
+            would overwrite each other's results.
     """
     from benchmark.datasets.open import open_datasets
 
-    datasets = [dataset for path in paths for dataset in open_datasets(path)]
+    places = list(paths)
+    for place, count in Counter(path.resolve() for path in places).items():
+        if count > 1:
+            raise InputError(f"{place} is given {count} times: give it once")
+    datasets = [dataset for path in places for dataset in open_datasets(path)]
     names = set()
     for dataset in datasets:
         if dataset.name in names:

@@ -18,7 +18,8 @@ from scene.bundle.manifest import read_json
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.localizer import Localizer
-from scene.storage.atomic import remove_partial, write_text
+from scene.storage.atomic import write_text
+from scene.storage.leftovers import remove_partial
 from scene.storage.locks import write_lock
 from scene.storage.outputs import OutputFile, check_outputs
 from scene.storage.provenance import PNG_MARK

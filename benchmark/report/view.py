@@ -128,7 +128,8 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
 def _outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Path, Path]:
     """Return the paths of the page and the picture, after checking that they may be written."""
     if out is None:
-        check_outputs([path / PAGE, path / PICTURE], within=path)
+        made = [OutputFile(path / PAGE, _MARK), OutputFile(path / PICTURE, PNG_MARK)]
+        check_outputs(made, within=path)
         return path / PAGE, path / PICTURE
     if out.suffix.lower() not in _ENDINGS:
         raise InputError(f"{out} is no name for a page: let it end in .html")

@@ -73,6 +73,6 @@ def supplement(
     points, detections = supplement_points(
         before, scene.images_root, config, classifier, network, given
     )
-    add_to_map(path, points, detections)
+    add_to_map(path, points, detections, sparse_map.sha256)
     observations = sum(len(point.rows) for point in points)
     return SupplementReport(len(points), observations, diagnose(path, masks))

@@ -23,13 +23,17 @@ from scene.colmap.models import NewPoint, add_points, remove_points
 from scene.errors import InputError
 from scene.maps.colmap_files import read_model
 from scene.maps.features import Features, write_features
-from scene.storage.atomic import atomic_folder, remove_partial
+from scene.storage.atomic import atomic_folder
 from scene.storage.images import read_rgb
+from scene.storage.leftovers import remove_partial
 from scene.storage.locks import write_lock
 
 
 def add_to_map(
-    path: Path, points: Sequence[Lifted], detections: Mapping[str, Detections]
+    path: Path,
+    points: Sequence[Lifted],
+    detections: Mapping[str, Detections],
+    map_sha256: str | None = None,
 ) -> Supplement:
     """Add points to the map of a scene; they replace those that were added before.
 
@@ -40,15 +44,19 @@ def add_to_map(
         path: finished scene with a map.
         points: results of ``triangulation.lift``; each becomes one object.
         detections: detections from which the points were lifted.
+        map_sha256: digest of the map that they are of; None for the one that is there.
 
     Raises:
-        InputError: the scene is not finished, is being written by another run, or has no map or a
-            damaged one.
+        InputError: the scene is not finished, is being written by another run, has no map or a
+            damaged one, or another map than the points are of.
     """
     scene = Scene.open(path)
     with write_lock(path):
+        scene = Scene.open(path)  # another run may have finished it meanwhile
         remove_partial(path)
-        scene.sparse_map()  # raises if something is missing or damaged
+        now = scene.sparse_map()  # raises if something is missing or damaged
+        if map_sha256 not in (None, now.sha256):
+            raise InputError(f"the map of {path} was changed meanwhile: supplement it again")
         new = [_new_point(scene, point, detections) for point in points]
         with atomic_folder(scene.map_path, MAP_FILES) as folder:
             _copy_before(scene, folder)

@@ -27,6 +27,17 @@ from scene.storage.files import sha256_of
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
 FEATURES = "features.h5"
+# Files and folders of a scene beside its manifest and its pictures.
+_PARTS = (
+    "sessions",
+    "map",
+    "dense",
+    "objects.json",
+    "splits.json",
+    COVISIBILITY,
+    "landmarks.h5",
+    "ingest.json",
+)
 MAP_FILES = (*MODEL_FILES, *RIG_FILES, FEATURES, SUPPLEMENT, ADDED_FEATURES)
 """The files that this program writes into the folder of a map, for ``atomic_folder``."""
 
@@ -196,7 +207,10 @@ def finish_scene(path: Path, manifest: Manifest) -> Scene:
 
 
 def digests(path: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file of a scene but the manifest and the figures for people."""
+    """Return the SHA-256 of every file of a scene but the manifest and the figures for people.
+
+    Other files that lie in its folder, such as results, are not of the scene.
+    """
     return {name: sha256_of(path / name) for name in _data_files(path)}
 
 
@@ -204,5 +218,5 @@ def _data_files(path: Path) -> Iterator[str]:
     for file in sorted(path.rglob("*")):
         name = file.relative_to(path).as_posix()
         hidden = any(part.startswith(".") for part in name.split("/"))
-        if file.is_file() and not hidden and name != MANIFEST and not name.startswith("pictures/"):
+        if file.is_file() and not hidden and name.partition("/")[0] in _PARTS:
             yield name

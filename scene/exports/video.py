@@ -50,7 +50,8 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
             f"{quote_name(frame)} {' '.join(repr(value) for value in numbers)}\n"
             for frame, numbers in zip(names, _numbers(frames.poses), strict=True)
         ]
-        header = "# name qw qx qy qz tx ty tz  (world to camera, metres)\n"
+        # Another header than that of answers, which 'localize' may replace.
+        header = "# true poses: name qw qx qy qz tx ty tz  (world to camera, metres)\n"
         (folder / f"{name}-poses.txt").write_text(header + "".join(lines), "utf-8")
         seconds = (f"{frame},{index / rate_hz:.6f}\n" for index, frame in enumerate(names))
         (folder / f"{name}-times.csv").write_text("name,seconds\n" + "".join(seconds), "utf-8")

@@ -20,6 +20,8 @@ from scene.runtime.extras import import_extra
 _SEA_LEVEL = "EPSG:4326+5773"
 # WGS84 with ellipsoidal heights: what a Geodetic is.
 _WGS84 = "EPSG:4979"
+# How far beyond its area of use a system may be used, degrees.
+_BESIDE_DEG = 3.0
 
 
 class Projection:
@@ -89,6 +91,19 @@ class Projection:
         return bool(self._crs.is_projected) and all(
             axis.unit_name == "metre" for axis in self._crs.axis_info
         )
+
+    def reaches(self, place: Geodetic) -> bool:
+        """Return whether a place has coordinates here: within the area of use, or near its border,
+        as sites that two zones share."""
+        area = self._crs.area_of_use
+        if area is not None:
+            east = (place.longitude - area.west) % 360
+            width = (area.east - area.west) % 360 or 360
+            if min(max(0, east - width), 360 - east) > _BESIDE_DEG:
+                return False
+            if not area.south - _BESIDE_DEG <= place.latitude <= area.north + _BESIDE_DEG:
+                return False
+        return bool(np.isfinite(self.from_geodetic(place)).all())
 
     def from_geodetic(self, place: Geodetic) -> NDArray[np.float64]:
         """Return east, north and height of a place, (3,) in the system's units."""

@@ -7,7 +7,6 @@ the like. No other file is ever removed: a folder that is replaced keeps what ot
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import stat
 import tempfile
@@ -23,10 +22,10 @@ TEMPORARY_PREFIX: Final = ".objconnect-"
 PARTIAL_SUFFIX: Final = ".partial"
 """The end of the name of a file or folder that is being written."""
 
-# The end of the name of a folder that holds the old version of one that is being replaced; after a
-# kill it is the only copy.
-_ASIDE = ".aside"
-_TEMPORARY = re.compile(rf"{re.escape(TEMPORARY_PREFIX)}[a-z0-9_]{{8}}({PARTIAL_SUFFIX}|{_ASIDE})")
+ASIDE_SUFFIX: Final = ".aside"
+"""The end of the name of a folder that holds the old version of one that is being replaced; after a
+kill it is the only copy."""
+
 # A disk with fewer bytes left counts as full.
 _FULL_BYTES = 1 << 20
 
@@ -143,24 +142,6 @@ def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-def remove_partial(folder: Path) -> None:
-    """Remove the temporary files and folders that killed processes left below ``folder``.
-
-    A folder that was being replaced when its process was killed is put back.
-    """
-    for path in [
-        item for item in folder.rglob(f"{TEMPORARY_PREFIX}*") if _TEMPORARY.fullmatch(item.name)
-    ]:
-        if path.name.endswith(_ASIDE):
-            for old in list(path.iterdir()):
-                if not os.path.lexists(path.parent / old.name):
-                    old.replace(path.parent / old.name)
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
-
-
 def replace_folder(path: Path, new: Path, owned: Collection[str]) -> None:
     """Replace the folder ``path`` by ``new``, which also receives the files of others in ``path``.
 
@@ -176,7 +157,9 @@ def replace_folder(path: Path, new: Path, owned: Collection[str]) -> None:
     """
     if path.exists():
         _keep_others(path, new, owned)
-        aside = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=_ASIDE, dir=path.parent))
+        aside = Path(
+            tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=ASIDE_SUFFIX, dir=path.parent)
+        )
         path.replace(aside / path.name)
         new.replace(path)
         shutil.rmtree(aside)

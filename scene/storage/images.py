@@ -361,8 +361,8 @@ def _decode_position(gps: dict[int, object], altitude_m: float | None) -> Geodet
         return None
     if latitude is None or longitude is None:
         return None
-    # A receiver without a fix writes 0/0, which reads as NaN.
-    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+    # A receiver without a fix writes 0/0, which reads as NaN, or latitude and longitude of zero.
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
         return None
     if gps.get(ExifTags.GPS.GPSAltitudeRef) in (b"\x01", 1):
         altitude = -altitude

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scene.errors import InputError, WriteError
-from scene.storage.atomic import is_temporary, remove_partial, write_text
+from scene.storage.atomic import is_temporary, write_text
+from scene.storage.leftovers import remove_partial
 
 
 @dataclass(frozen=True)

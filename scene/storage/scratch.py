@@ -11,6 +11,7 @@ from pathlib import Path
 from scene.errors import WriteError
 from scene.storage.atomic import PARTIAL_SUFFIX, TEMPORARY_PREFIX
 from scene.storage.files import require_disk_space
+from scene.storage.leftovers import in_use, remove_abandoned
 
 
 @contextmanager
@@ -18,8 +19,7 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
     """Make a temporary folder and remove it when the block ends, however that ends.
 
     It lies beside the results, where there is space for them: the system's folder for temporary
-    files may be small. A folder left by a killed process is removed by the next
-    ``remove_partial`` of the folder above.
+    files may be small. Folders there that killed processes left are removed.
 
     Args:
         beside: folder of the cache or output; it is made if necessary, and removed again if it
@@ -39,12 +39,14 @@ def scratch(beside: Path | None = None, needed: int = 0) -> Iterator[Path]:
     made = [path for path in (root, *root.parents) if not path.exists()]
     try:
         root.mkdir(parents=True, exist_ok=True)
+        remove_abandoned(root)
         folder = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, suffix=PARTIAL_SUFFIX, dir=root))
     except OSError as error:
         raise WriteError(f"cannot write {root}: {error.strerror or error}") from None
     try:
         require_disk_space(folder / "any", needed)
-        yield folder
+        with in_use(folder):
+            yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         for path in made:

@@ -33,6 +33,8 @@ def read_table(
     try:
         header = [name.strip() for name in next(rows, [])]
         missing = [column for column in columns if column not in header]
+        if missing and len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+            raise InputError(f"{path}:1: {what} has other separators than commas: use commas")
         if missing:
             raise InputError(f"{path}:1: {what} lacks the column {', '.join(missing)}")
         twice = [name for name, count in Counter(header).items() if name and count > 1]

@@ -277,6 +277,9 @@ def test_two_data_sets_of_one_name(tmp_path: Path, fake: FakeLocalizer) -> None:
     result = invoke("evaluate", one, two, "--method", "fake", "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert "two data sets are called 'meadow'" in error_line(result.stderr)
+    result = invoke("evaluate", one, one / ".", "--method", "fake", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "is given 2 times" in error_line(result.stderr)
 
 
 def test_evaluate_and_leaderboard(made_flight: Path, tmp_path: Path, fake: FakeLocalizer) -> None:

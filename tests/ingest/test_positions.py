@@ -34,6 +34,7 @@ def test_a_table_takes_the_place_of_exif(flight: Flight, beach: Path, tmp_path: 
     ("text", "said"),
     [
         ("", "has no column name"),
+        ("name;lat;lon;alt\nDJI_0020.jpg;1;2;3\n", "other separators than commas"),
         ("name,lat,lon\nDJI_0020.jpg,1,2\n", "has no column alt: its first line must name"),
         ("name,lat,lon,alt\nDJI_0020.jpg,1,2,\n", "line 2: lat, lon and alt must be"),
         ("name,lat,lon,alt\nDJI_0020.jpg,91,2,3\n", "line 2: lat, lon and alt must be"),
@@ -49,3 +50,12 @@ def test_tables_that_are_wrong(flight: Flight, tmp_path: Path, text: str, said: 
         with_positions(flight, tmp_path / "gps.csv")
     with pytest.raises(InputError, match="cannot read table of positions"):
         with_positions(flight, tmp_path / "missing.csv")
+
+
+def test_a_receiver_that_is_stuck(flight: Flight, tmp_path: Path) -> None:
+    names = [image.file for image in flight.images]
+    stuck = len(names) // 2 + 1
+    rows = [f"{name},46.5,{-92 + max(0, k - stuck + 1) / 1000},200" for k, name in enumerate(names)]
+    (tmp_path / "gps.csv").write_text("\n".join(["name, lat, lon, alt", *rows]))
+    with pytest.raises(InputError, match=f"{stuck} of {len(names)} GPS positions are one"):
+        local(with_positions(flight, tmp_path / "gps.csv").images)

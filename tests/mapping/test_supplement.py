@@ -102,7 +102,9 @@ def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path
     before, files = scene.sparse_map(), digests(scene.map_path)
     found = detections(scene, noise_px=0.3, blur=0.2)
     points = lift(before, found, CONFIG)
-    add_to_map(rendered_copy, points, found)
+    with pytest.raises(InputError, match="was changed meanwhile"):
+        add_to_map(rendered_copy, points, found, "0" * 64)
+    add_to_map(rendered_copy, points, found, before.sha256)
     supplement = add_to_map(rendered_copy, points, found)  # in place of the first
     scene = Scene.open(rendered_copy)
     assert scene.changed_files() == []

@@ -81,6 +81,12 @@ def test_a_table_is_written_and_replaced(found: Path, tmp_path: Path) -> None:
     assert table.read_text() == "mine\n"
 
 
+def test_the_table_does_not_replace_the_objects(rendered_copy: Path) -> None:
+    with pytest.raises(InputError, match="would be written twice"):
+        find_landmarks(rendered_copy, out=rendered_copy / LANDMARKS)
+    assert not (rendered_copy / LANDMARKS).exists()
+
+
 def test_objects_are_drawn(found: Path, tmp_path: Path) -> None:
     drawn = view(found, out=tmp_path / "page.html")
     scene = Scene.open(found)

@@ -33,6 +33,22 @@ def test_east_comes_first() -> None:
     assert np.allclose(at, [8.0, 47.0, 5.0])
 
 
+@pytest.mark.parametrize(
+    ("crs", "longitude", "reached"),
+    [
+        ("EPSG:32632", 9, True),
+        ("EPSG:32632", 13, True),  # just beyond its border
+        ("EPSG:32632", 20, False),
+        ("EPSG:32601", 8, False),
+        ("EPSG:32601", 179.5, True),  # its zone begins at -180
+        ("EPSG:4326", 8, True),
+    ],
+)
+def test_systems_reach_their_zone(crs: str, longitude: float, reached: bool) -> None:
+    assert Projection(crs).reaches(Geodetic(47.0, longitude, 0.0)) == reached
+    assert not Projection("EPSG:32632").reaches(Geodetic(-40.0, 9.0, 0.0))
+
+
 def test_what_is_no_system() -> None:
     with pytest.raises(InputError, match=r"EPSG:1 is no coordinate reference system"):
         Projection("EPSG:1")
