@@ -385,13 +385,12 @@ def _pack(
     """Write every rendered frame's photograph and yield its annotations."""
     (folder / "images").mkdir(exist_ok=True)
     camera = frames.cameras[0]
-    focal_35mm = 36 * camera.focal[0] / max(camera.width, camera.height)
     for k, name in enumerate(frames.names):
         with np.load(frame_path(folder / _RENDERED, k)) as layers:
             exif = Exif(
                 position=geodetic_from_enu(frames.gps_prior[k], config.origin),
                 time=datetime.fromtimestamp(float(frames.time[k]), UTC),
-                focal_35mm=focal_35mm,
+                focal_35mm=36 * camera.focal[0] / max(camera.width, camera.height),
             )
             # Each photograph has its own generator, so its noise does not depend on the order of
             # rendering.
