@@ -103,7 +103,8 @@ class GlobalSearch:
         """Return what finds places, the one that is asked first in front."""
         if self.other is None or says_where(query.prior):
             return [self._found_places]
-        return [self._of_other, self._found_places][:: 1 if self.other.is_first else -1]
+        finders = [self._of_other, self._found_places]
+        return finders if self.other.is_first else finders[::-1]
 
     def _best(
         self, attempts: Sequence[Attempt], begin: Sequence[Pose], clock: Stopwatch
