@@ -87,8 +87,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
         "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
     }[method]
     remove_partial(path)
-    if (scene.map_path / SUPPLEMENT).exists():
-        log.warning("points that 'supplement' added to the map of %s are not in the new one", path)
+    supplemented = (scene.map_path / SUPPLEMENT).exists()
     digest = _digest(scene.images_root, images, pairs, options.matching)
     with resumable_file(path / _KEPT, f"{digest}.db") as database:
         with (
@@ -110,6 +109,8 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
             named = list(zip(sparse_map.names, photographs, strict=True))
             write_features(folder / FEATURES, features, features_key(named, str(_SIFT)))
         scene = finish_scene(path, scene.manifest)
+        if supplemented:
+            log.warning("the new map of %s lacks the points that 'supplement' had added", path)
         rendered = scene.manifest.preset is not None
         if rendered:
             draw_pictures(scene)

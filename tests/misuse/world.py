@@ -15,6 +15,7 @@ from PIL import Image
 from rasterio.transform import from_origin
 
 from baselines.checkpoint import write_weights
+from baselines.training.command import _identity
 from baselines.training.config import TrainConfig
 from benchmark.datasets.textfiles import pose_line
 from benchmark.tracks.description import Place, Track, write_track
@@ -288,8 +289,8 @@ def _board(root: Path) -> None:
 def _run(root: Path) -> None:
     """A training that was begun."""
     config = load_config(TrainConfig, root / "configs" / "train.yaml", {})
-    seed = Scene.open(root / "grove").manifest.seed
-    run = {"config": config.model_dump(mode="json"), "method": "objconnect", "scenes": [seed]}
+    scenes = [_identity(Scene.open(root / "grove"))]
+    run = {"config": config.model_dump(mode="json"), "method": "objconnect", "scenes": scenes}
     (_made(root / "run") / "run.json").write_text(json.dumps(run))
 
 

@@ -80,7 +80,7 @@ def test_finds_the_pose(localizer: PixlocLocalizer) -> None:
 def test_attitude_of_the_nearest_photograph(localizer: PixlocLocalizer) -> None:
     pose = looking_down(9.0, -0.2)  # the photographs look straight down
     metres, degrees = errors(localizer.localize(replace(QUERY, prior=prior(pose, attitude=False))))
-    assert metres < 0.12 and degrees < 0.25
+    assert metres < 0.15 and degrees < 0.375
 
 
 def test_without_prior(localizer: PixlocLocalizer) -> None:
