@@ -152,8 +152,8 @@ class IngestOptions(Config):
     guessed_focal: float = Field(
         1.2,
         gt=0,
-        description="First guess of a focal length that EXIF lacks, in widths of the picture; "
-        "COLMAP guesses the same.",
+        description="First guess of a focal length that EXIF lacks, in longest sides of the "
+        "picture; COLMAP guesses the same.",
     )
     line_turn_deg: float = Field(
         40.0, gt=0, le=180, description="A flight line ends where the course turns by more."

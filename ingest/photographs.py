@@ -175,7 +175,7 @@ def photographs_of(
         images: The photographs of a flight.
         longest: Longest side of the photographs in the scene, pixels.
         calibration: Camera of all photographs; None takes focal lengths from EXIF, or guesses.
-        guessed_focal: First guess of a focal length that EXIF lacks, in widths of the image.
+        guessed_focal: First guess of a focal length that EXIF lacks, in longest sides of the image.
 
     Raises:
         InputError: ``calibration`` is for images of another shape.

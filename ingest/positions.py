@@ -17,6 +17,7 @@ from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, median_place
 from scene.imports.names import match_files
 from scene.storage.files import read_text
+from scene.storage.tables import require_commas
 
 FEWEST = 3
 # Positions nearer to one another than this, metres, are those of a receiver that is stuck.
@@ -71,8 +72,7 @@ def _read(table: Path) -> dict[str, Geodetic]:
 
 def _parsed(reader: csv.DictReader[str], table: Path) -> dict[str, Geodetic]:
     header = reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
-    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-        raise InputError(f"{table} has other separators than commas: use commas")
+    require_commas(header, str(table))
     for column in _COLUMNS:
         if header.count(column) != 1:
             wrong = "no column" if column not in header else "two columns"

@@ -33,9 +33,8 @@ def read_table(
     try:
         header = [name.strip() for name in next(rows, [])]
         missing = [column for column in columns if column not in header]
-        if missing and len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-            raise InputError(f"{path}:1: {what} has other separators than commas: use commas")
         if missing:
+            require_commas(header, f"{path}:1: {what}")
             raise InputError(f"{path}:1: {what} lacks the column {', '.join(missing)}")
         twice = [name for name, count in Counter(header).items() if name and count > 1]
         if twice:
@@ -53,3 +52,13 @@ def read_table(
             yield where, dict(zip(header, (value.strip() for value in values), strict=True))
     except csv.Error as error:
         raise InputError(f"{path}:{line}: {error}: is a quote never closed?") from None
+
+
+def require_commas(header: Sequence[str], what: str) -> None:
+    """Refuse a header that other separators than commas keep in one piece.
+
+    Raises:
+        InputError: it has semicolons or tabs; the message begins with ``what``.
+    """
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        raise InputError(f"{what} has other separators than commas: use commas")

@@ -70,17 +70,23 @@ def test_time_is_written_as_universal_time(tmp_path: Path) -> None:
     assert read_exif(tmp_path / "a.jpg").time == TIME
 
 
+def taken_with(tag: ExifTags.Base, value: str, folder: Path) -> Path:
+    """A photograph taken at ``TIME``, with one more tag or another value of it."""
+    path = folder / "a.jpg"
+    write_jpeg(path, picture(), Exif(None, TIME))
+    with Image.open(path) as image:
+        tags = image.getexif()
+        tags.get_ifd(ExifTags.IFD.Exif)[tag] = value
+        image.save(path, exif=tags.tobytes())
+    return path
+
+
 @pytest.mark.parametrize(
     ("digits", "seconds"),
     [("25", 0.25), ("025", 0.025), ("5\0", 0.5), (" 123456 ", 0.123456), ("", 0), ("-5", 0)],
 )
 def test_fractions_of_seconds(digits: str, seconds: float, tmp_path: Path) -> None:
-    path = tmp_path / "a.jpg"
-    write_jpeg(path, picture(), Exif(None, TIME))
-    with Image.open(path) as image:
-        tags = image.getexif()
-        tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.SubsecTimeOriginal] = digits
-        image.save(path, exif=tags.tobytes())
+    path = taken_with(ExifTags.Base.SubsecTimeOriginal, digits, tmp_path)
     assert read_exif(path).time == TIME + timedelta(seconds=seconds)
 
 
@@ -96,12 +102,7 @@ def test_focal_length_is_in_longest_sides(size: tuple[int, int], tmp_path: Path)
 
 @pytest.mark.parametrize(("offset", "hours"), [("+02:00", 2), ("-05:30", -5.5), ("", 0), ("?", 0)])
 def test_offset_from_universal_time(offset: str, hours: float, tmp_path: Path) -> None:
-    path = tmp_path / "a.jpg"
-    write_jpeg(path, picture(), Exif(None, TIME))
-    with Image.open(path) as image:
-        tags = image.getexif()
-        tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.OffsetTimeOriginal] = offset
-        image.save(path, exif=tags.tobytes())
+    path = taken_with(ExifTags.Base.OffsetTimeOriginal, offset, tmp_path)
     assert read_exif(path).time == TIME - timedelta(hours=hours)
 
 
