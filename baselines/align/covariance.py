@@ -75,12 +75,15 @@ class Spread:
             of Gauss and Newton's, at most 1; 0 where the points do not determine a pose.
         depth: (B,) median depth of the points in view, metres; zero without any.
         patches: (B,) number of patches of the picture with points in view.
+        view_cosine: (B,) mean cosine of the angle between the directions in which the pose sees the
+            points in view and those in which their features were; 1 where these are not known.
     """
 
     covariance: Tensor
     curvature: Tensor
     depth: Tensor
     patches: Tensor
+    view_cosine: Tensor
 
 
 def spread(problem: Problem, aligned: Pose) -> Spread:
@@ -121,7 +124,18 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
         torch.where(known[:, 0, 0], values.log().mean(-1).exp(), 0),
         depth.nanmedian(-1).values.nan_to_num(),
         patches,
+        _view_cosine(problem, aligned, around.seen),
     )
+
+
+def _view_cosine(problem: Problem, aligned: Pose, seen: Tensor) -> Tensor:
+    """Return mean cosines (B,) as in ``Spread``, over the points in view, (B, N)."""
+    if problem.seen_from is None:
+        return torch.ones(len(seen), dtype=torch.float64, device=seen.device)
+    points = problem.points.double()
+    here = points - aligned.centre()[:, None].to(points)
+    cosine = torch.cosine_similarity(here, points - problem.seen_from.to(points), dim=-1)
+    return torch.where(seen, cosine, torch.nan).nanmean(-1).nan_to_num(1.0)
 
 
 def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:

@@ -26,6 +26,8 @@ class Problem:
         damping: factors (6,) of each level, rotation then translation: see ``damping.Damping``.
         options: options of the minimisation.
         mask: (B, N) bool, points to use, or None for all.
+        seen_from: (B, N, 3) whence the points looked as their features say, world metres, or None
+            where that is not known. It changes no pose: see ``covariance.Spread``.
     """
 
     levels: Sequence[Level]
@@ -35,6 +37,7 @@ class Problem:
     damping: Sequence[Tensor]
     options: Options
     mask: Tensor | None = None
+    seen_from: Tensor | None = None
 
     def starting_at(self, start: Pose) -> Problem:
         """Return the same problem from other starts, ``cam_from_world`` (B) or (B, K)."""
@@ -60,6 +63,8 @@ class Problem:
         """Return the problem of the first so many points of every query."""
         if count >= self.points.shape[1]:
             return self
-        mask = self.mask if self.mask is None else self.mask[:, :count]
+        mask = None if self.mask is None else self.mask[:, :count]
+        seen_from = None if self.seen_from is None else self.seen_from[:, :count]
         levels = [level.first_points(count) for level in self.levels]
-        return replace(self, levels=levels, points=self.points[:, :count], mask=mask)
+        points = self.points[:, :count]
+        return replace(self, levels=levels, points=points, mask=mask, seen_from=seen_from)

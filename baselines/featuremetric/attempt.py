@@ -137,23 +137,27 @@ def is_found(attempt: Attempt, options: SearchOptions) -> bool:
 def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
     """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
 
-    What the alignment measures grows by ``covariance_factor`` and, where light and season are not
-    the map's, by ``(fit / covariance_unchanged_fit)**covariance_fit_power``: the query's slopes are
-    then not those of the map. It grows, too, by ``(100 / patches)**covariance_patches_power``:
-    clustered estimates from few clusters are too small (Cameron and Miller, Journal of Human
-    Resources 2015). What moves all points alike, such as shadows when the sun moves, cannot be seen
-    in their residuals. A variance is added for it, in proportion to what the fit is above
-    ``covariance_unchanged_fit``.
+    The fit is compared with that of a query in the light and season of the map, which is worse the
+    more the query's view differs from those of the map's photographs. What the alignment measures
+    grows by ``covariance_factor`` and by that ratio to the power ``covariance_fit_power``: the
+    slopes of a changed query are not those of the map. It grows, too, by
+    ``(100 / patches)**covariance_patches_power``: clustered estimates from few clusters are too
+    small (Cameron and Miller, Journal of Human Resources 2015). What moves all points alike, such
+    as shadows when the sun moves, cannot be seen in their residuals. A variance is added for it,
+    which rises from none where the fit is that of the map's season to ``covariance_floor`` where it
+    is worse by a share of ``covariance_changed_fit``.
     """
     if attempt.spread is None:
         return None
     measured = attempt.spread.covariance[0].numpy()
     if not np.isfinite(measured).all():
         return None
-    unchanged, depth = options.covariance_unchanged_fit, float(attempt.spread.depth[0])
-    factor = options.covariance_factor * (attempt.fit / unchanged) ** options.covariance_fit_power
+    other_view = 1 - float(attempt.spread.view_cosine[0])
+    unchanged = options.covariance_unchanged_fit + options.covariance_view_fit * other_view
+    ratio, depth = attempt.fit / unchanged, float(attempt.spread.depth[0])
+    factor = options.covariance_factor * ratio**options.covariance_fit_power
     factor *= (float(attempt.spread.patches[0]) / 100) ** -options.covariance_patches_power
-    change = max(0.0, attempt.fit - unchanged)
+    change = min(1.0, max(0.0, (ratio - 1) / options.covariance_changed_fit))
     variance = change * (options.covariance_floor * np.repeat([1.0, depth], 3)) ** 2
     return attempt.view.photograph_covariance(factor * measured + np.diag(variance))
 

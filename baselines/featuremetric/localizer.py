@@ -100,6 +100,7 @@ class FeaturemetricLocalizer:
         problems = ProblemBuilder(
             extract,
             observations,
+            sparse_map.centres,
             self._damping,
             solver,
             config.reference,

@@ -68,6 +68,7 @@ class ProblemBuilder:
     Attributes:
         extract: computes feature maps.
         observations: of the map's photographs, which are chosen by their rows.
+        centres: (M, 3) of the photographs, world metres.
         damping: of every level.
         options: of the alignment.
         reference: how points are spread, and which resolutions count as the same.
@@ -76,6 +77,7 @@ class ProblemBuilder:
 
     extract: MapExtractor
     observations: ReferenceFeatures
+    centres: NDArray[np.float64]
     damping: list[torch.Tensor]
     options: Options
     reference: ReferenceOptions = field(default_factory=ReferenceOptions)
@@ -219,6 +221,7 @@ class ProblemBuilder:
         order = spaced_order(projected.xy.numpy()[seen] / size, -turn[seen], self.reference.grid)
         kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
         confidence = np.concatenate([each.confidence for each in observed])[kept]
+        seen_from = np.repeat(self.centres[chosen], [len(each.xyz) for each in observed], 0)[kept]
         levels = []
         for number, level in enumerate(maps):
             reference = np.concatenate([each.features[number] for each in observed])[kept]
@@ -238,6 +241,7 @@ class ProblemBuilder:
             Pose(from_world.rotation[None], from_world.translation[None]),
             self.damping,
             self.options,
+            seen_from=torch.from_numpy(seen_from)[None],
         )
 
 

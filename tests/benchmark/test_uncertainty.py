@@ -105,7 +105,8 @@ def made_answers(numbers: Numbers, seed: int, count: int = 2000, freedom: int = 
     names = np.full(count, "snow")
     patches = rng.uniform(50, 500, count)
     fit = rng.uniform(0.5, 0.9, count)
-    known = Answers(names, names, blank, covariances, patches, depth, fit, false)
+    view_cosine = rng.uniform(0.8, 1.0, count)
+    known = Answers(names, names, blank, covariances, patches, depth, fit, view_cosine, false)
     lower = np.linalg.cholesky(known.calibrated(numbers))
     tails = np.sqrt((freedom - 2) / rng.chisquare(freedom, count))
     errors = (lower @ rng.normal(size=(count, 6, 1)))[..., 0] * tails[:, None]
@@ -113,21 +114,26 @@ def made_answers(numbers: Numbers, seed: int, count: int = 2000, freedom: int = 
 
 
 @pytest.mark.parametrize(
-    "planted", [Numbers(2.0, 0.2, 1.0, 3e-4, 0.6), Numbers(3.0, 0.5, 0.3, 6e-4, 0.7)]
+    "planted",
+    [Numbers(2.0, 0.2, 1.0, 3e-4, 0.6, 0.4, 0.1), Numbers(3.0, 0.5, 0.3, 6e-4, 0.65, 0.8, 0.2)],
 )
 def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
-    found = calibrate(made_answers(planted, seed=1, count=8000))
+    found = calibrate(made_answers(planted, seed=1, count=5000))
     assert found.patches_power == pytest.approx(planted.patches_power, abs=0.1)
     assert found.fit_power == pytest.approx(planted.fit_power, abs=0.1)
     assert found.factor == pytest.approx(planted.factor, rel=0.1)
     assert found.floor == pytest.approx(planted.floor, rel=0.1)
     assert found.unchanged_fit == pytest.approx(planted.unchanged_fit, abs=0.05)
+    assert found.view_fit == pytest.approx(planted.view_fit, abs=0.15)
+    assert found.changed_fit == pytest.approx(planted.changed_fit, abs=0.05)
 
 
-@pytest.mark.parametrize(("wrong", "holds"), [(1.0, True), (2.0, False), (0.5, False)])
-def test_calibrated_covariances_hold_where_they_were_not_chosen(wrong: float, holds: bool) -> None:
-    planted = Numbers(2.0, 0.2, 1.0, 3e-4, 0.6)
+def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
+    planted = Numbers(2.0, 0.2, 1.0, 3e-4, 0.6, 0.4, 0.1)
     found = calibrate(made_answers(planted, seed=1, freedom=20))
-    off = found._replace(factor=found.factor * wrong, floor=found.floor * wrong**0.5)
-    unseen = made_answers(planted, seed=2, freedom=20).nees(off)
-    assert (4.5 < unseen.mean() < 8 and 0.93 <= np.mean(unseen <= _CHI2_95) <= 0.97) == holds
+    unseen = made_answers(planted, seed=2, freedom=20)
+    for wrong, holds in [(1.0, True), (2.0, False), (0.5, False)]:
+        off = found._replace(factor=found.factor * wrong, floor=found.floor * wrong**0.5)
+        nees = unseen.nees(off)
+        held = 4.5 < nees.mean() < 8 and 0.93 <= np.mean(nees <= _CHI2_95) <= 0.97
+        assert held == holds, wrong

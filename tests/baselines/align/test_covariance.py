@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -14,6 +15,7 @@ from baselines.align.covariance import spread
 from baselines.align.options import Options
 from baselines.align.problem import Problem
 from scene.geometry.pose import Pose
+from tests.baselines.align.problems import DAMPING, small
 from tests.baselines.align.world import PINHOLE, World, looking_down
 
 TRIALS = 150
@@ -154,3 +156,40 @@ def test_nothing_is_known_where_points_are_too_few() -> None:
     around = spread(problem, start)
     assert around.covariance.diagonal(dim1=-2, dim2=-1).isinf().all()
     assert float(around.curvature) == 0
+
+
+@pytest.mark.parametrize("degrees", [0, 40])
+def test_view_cosine_tells_from_what_other_direction_points_were_seen(degrees: float) -> None:
+    made = small()
+    pose = Pose(made.truth.rotation[None], made.truth.translation[None])
+    problem = Problem(made.levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
+    assert float(spread(problem, pose).view_cosine) == 1  # not known
+    centre = pose.centre()[:, None]
+    turn = torch.as_tensor(cv2.Rodrigues(np.array([np.radians(degrees), 0, 0]))[0])
+    # Twice as far away: only the direction counts.
+    seen_from = made.points + 2 * (centre - made.points) @ turn.T
+    # Points out of view do not count.
+    points = torch.cat([made.points, centre + torch.tensor([0.0, 0.0, 50.0])], 1)
+    seen_from = torch.cat([seen_from, points[:, -1:] + 1.0], 1)
+    levels = [
+        replace(level, reference=torch.cat([level.reference, level.reference[:, :1]], 1))
+        for level in made.levels
+    ]
+    seen = replace(problem, levels=levels, points=points, seen_from=seen_from)
+    cosine = float(spread(seen, pose).view_cosine)
+    # The turn is about the x axis: a direction along it stays.
+    ray = torch.nn.functional.normalize(made.points - centre, dim=-1)
+    turned = ray[..., 1:].square().sum(-1)
+    expected = 1 - turned * (1 - np.cos(np.radians(degrees)))
+    assert cosine == pytest.approx(float(expected.mean()), abs=1e-6)
+
+
+def test_first_points_keep_whence_they_were_seen() -> None:
+    made = small()
+    pose = Pose(made.truth.rotation[None], made.truth.translation[None])
+    problem = Problem(made.levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
+    seen_from = torch.rand(made.points.shape, dtype=torch.float64)
+    fewer = replace(problem, seen_from=seen_from).first_points(20)
+    assert fewer.seen_from is not None
+    assert torch.equal(fewer.seen_from, seen_from[:, :20])
+    assert problem.first_points(20).seen_from is None

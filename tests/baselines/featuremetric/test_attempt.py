@@ -23,19 +23,21 @@ OPTIONS = SearchOptions(
     covariance_fit_power=1.0,
     covariance_floor=1e-3,
     covariance_unchanged_fit=0.6,
+    covariance_view_fit=0.5,
+    covariance_changed_fit=0.2,
 )
 CAMERA = Camera.parse(["PINHOLE", "64", "64", "60", "60", "32", "32"])
 DEPTH = 50.0
 
 
-def attempt(measured: float, fit: float, patches: float = 100) -> Attempt:
+def attempt(measured: float, fit: float, patches: float = 100, view_cosine: float = 1.0) -> Attempt:
     """An attempt of which the alignment measured the same variance along each axis."""
     one = torch.ones(1, dtype=torch.float64)
     pose = Pose(torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64))
     covariance = measured * torch.eye(6, dtype=torch.float64)[None]
     view = warp_image(np.zeros((64, 64, 3), np.uint8), CAMERA)
     alignment = Alignment(pose, (pose,), covariance, one, one, one, torch.zeros(1))
-    spread = Spread(covariance, one, DEPTH * one, patches * one)
+    spread = Spread(covariance, one, DEPTH * one, patches * one, view_cosine * one)
     return Attempt(view, alignment, spread, fit, "")
 
 
@@ -55,13 +57,23 @@ def test_a_pose_is_less_sure_from_fewer_patches() -> None:
     np.testing.assert_allclose(variances(attempt(1e-4, 0.6, patches=25)), 2.0 * 2 * 1e-4)
 
 
-@pytest.mark.parametrize(("fit", "change"), [(0.4, 0.0), (0.6, 0.0), (0.7, 0.1), (0.9, 0.3)])
-def test_what_moves_all_points_alike_is_more_where_the_fit_is_worse(
+@pytest.mark.parametrize(
+    ("fit", "change"), [(0.4, 0.0), (0.6, 0.0), (0.66, 0.5), (0.72, 1.0), (0.9, 1.0)]
+)
+def test_what_moves_all_points_alike_is_added_where_the_fit_is_worse(
     fit: float, change: float
 ) -> None:
     added = variances(attempt(0.0, fit))
     np.testing.assert_allclose(added[:3], change * 1e-3**2, atol=1e-15)
     np.testing.assert_allclose(added[3:], change * (DEPTH * 1e-3) ** 2, atol=1e-12)
+
+
+def test_a_worse_fit_of_another_view_is_no_change_of_season() -> None:
+    """With a mean cosine of 0.8 the fit of the map's season is 0.6 + 0.5 * 0.2."""
+    same, other = attempt(1e-4, 0.6), attempt(1e-4, 0.7, view_cosine=0.8)
+    np.testing.assert_allclose(variances(other), variances(same))
+    np.testing.assert_allclose(variances(other), 2.0 * 1e-4)
+    assert (variances(attempt(1e-4, 0.7)) > variances(other)).all()
 
 
 def test_points_that_do_not_tell_the_pose_give_no_covariance() -> None:

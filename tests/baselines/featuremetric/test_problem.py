@@ -35,11 +35,12 @@ def problems(tmp_path: Path) -> ProblemBuilder:
     network = read_network(write_network(tmp_path / "pixloc.safetensors"))[0]
     extract = MapExtractor(network, 1024, "float32")
     images = tmp_path / "images"
+    sparse_map = write_map(images)
     observations = references(
-        ReferenceSource(write_map(images), images, extract, "key", "pixloc", 2000), tmp_path, 2**20
+        ReferenceSource(sparse_map, images, extract, "key", "pixloc", 2000), tmp_path, 2**20
     )
     damping = [factors().detach() for factors in network.damping]
-    return ProblemBuilder(extract, observations, damping, Options())
+    return ProblemBuilder(extract, observations, sparse_map.centres, damping, Options())
 
 
 @pytest.mark.parametrize(("degrees", "tilts", "left"), [(55, 0, 30), (25, 0, 25), (55, 40, 55)])
@@ -91,6 +92,28 @@ def test_points_cover_the_image_although_references_overlap_in_its_middle(
     counts = column.bincount(minlength=4)
     assert counts.sum() == 200
     assert counts.max() < 1.3 * counts.min()
+
+
+def test_a_point_is_seen_from_where_the_photograph_of_its_features_was(
+    problems: ProblemBuilder,
+) -> None:
+    start = looking_down(12.0, 0.0)
+    chosen = np.array([3, 1, 2])
+    with torch.inference_mode():
+        looked = problems.view(Query("q", photograph(start), CAMERA), chosen, start)
+        problem = problems.build(*looked, chosen, start, 200)
+    assert problem.seen_from is not None
+    seen_from = problem.seen_from[0].numpy()
+    features = problem.levels[0].reference[0].numpy()
+    found = 0
+    for row in chosen:
+        observed = problems.observations[int(row)]
+        here = np.flatnonzero((seen_from == problems.centres[row]).all(1))
+        for point in here:
+            same = (observed.xyz == problem.points[0, point].numpy()).all(1)
+            assert (observed.features[0][same] == features[point]).all(1).any()
+        found += len(here)
+    assert found == problem.points.shape[1]
 
 
 def test_features_that_are_all_the_same_fit_no_better_than_by_chance() -> None:
