@@ -75,8 +75,8 @@ class Spread:
             of Gauss and Newton's, at most 1; 0 where the points do not determine a pose.
         depth: (B,) median depth of the points in view, metres; zero without any.
         patches: (B,) number of patches of the picture with points in view.
-        view_cosine: (B,) mean cosine of the angle between the directions in which the pose sees the
-            points in view and those in which their features were; 1 where these are not known.
+        view_cosine: (B,) mean cosine of the angle between the directions in which the pose and the
+            photographs of the features see the points in view; 1 if the latter are not known.
     """
 
     covariance: Tensor

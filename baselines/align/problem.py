@@ -26,8 +26,8 @@ class Problem:
         damping: factors (6,) of each level, rotation then translation: see ``damping.Damping``.
         options: options of the minimisation.
         mask: (B, N) bool, points to use, or None for all.
-        seen_from: (B, N, 3) whence the points looked as their features say, world metres, or None
-            where that is not known. It changes no pose: see ``covariance.Spread``.
+        seen_from: (B, N, 3) centres of the photographs that the points' features are from, world
+            metres, or None if they are not known. Only ``covariance.spread`` uses them.
     """
 
     levels: Sequence[Level]

@@ -184,7 +184,7 @@ def test_view_cosine_tells_from_what_other_direction_points_were_seen(degrees: f
     assert cosine == pytest.approx(float(expected.mean()), abs=1e-6)
 
 
-def test_first_points_keep_whence_they_were_seen() -> None:
+def test_first_points_keep_what_they_were_seen_from() -> None:
     made = small()
     pose = Pose(made.truth.rotation[None], made.truth.translation[None])
     problem = Problem(made.levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
