@@ -73,11 +73,14 @@ def evaluate(
     method = Method.of(localizer)
     target = results_path(out, dataset, localizer)
     claim_evaluation(dataset, localizer, out)
+    earlier = _earlier(target)
+    if earlier is not None and earlier.dataset == DatasetId.of(dataset):
+        _warn_of_replacing(target, earlier, method, start)
     # The nodes of a cluster need not see ``out``, so they make scratch folders of their own.
     run = Run(dataset, localizer, start, cache, None if cluster else out)
     key = _key(method, dataset, start)
     with Journal(journal_path(target), key, QueryResult, dataset.parts) as journal:
-        _warn_of_changes(dataset, target, journal)
+        _warn_of_changes(dataset, target, earlier, journal)
         with (
             prepared(run, jobs, cluster) as (seconds, localize),
             closing(
@@ -104,18 +107,38 @@ def evaluate(
     return results
 
 
-def _warn_of_changes(dataset: Dataset, target: Path, journal: Journal[QueryResult]) -> None:
+def _earlier(target: Path) -> Results | None:
+    """Return the results that a run will replace, or None."""
+    if not target.is_file():
+        return None
+    try:
+        return load(target)
+    except InputError:
+        return None  # the file holds no results
+
+
+def _warn_of_replacing(target: Path, earlier: Results, method: Method, start: Start) -> None:
+    """Log whether the results that a run will replace are of other options or another start."""
+    other = [f"start {earlier.start}"] if earlier.start != start.name else []
+    other += ["other options or weights"] if earlier.method != method else []
+    if other:
+        log.warning(
+            "%s will be replaced, which holds results of %s: choose another --out to keep both",
+            target,
+            " and ".join(other),
+        )
+
+
+def _warn_of_changes(
+    dataset: Dataset, target: Path, earlier: Results | None, journal: Journal[QueryResult]
+) -> None:
     """Log which parts of the data set changed since an earlier run on it.
 
     The earlier run is the one of the journal, or else the one whose results are replaced.
     """
     path, before = journal.path, journal.dropped
-    if before is None and target.is_file():
-        path = target
-        try:
-            written = load(target).dataset.sha256
-        except InputError:
-            return  # the file holds no results
+    if before is None and earlier is not None:
+        path, written = target, earlier.dataset.sha256
         if written != dataset.sha256:
             before = album_parts(target.with_name(ALBUM), written) or {}
     if before is None or before == dataset.parts:

@@ -152,6 +152,20 @@ def test_start_is_declared_and_kept(made_flight: Path) -> None:
     assert all(query.prior is None for query in without.seen)
 
 
+def test_results_of_another_start_are_not_replaced_in_silence(
+    made_flight: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run(made_flight, FakeLocalizer({}), NONE)
+    run(made_flight, FakeLocalizer({}), NONE)
+    assert not caplog.records
+    run(made_flight, FakeLocalizer({}))
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said.endswith(
+        "meadow/fake.json will be replaced, which holds results of start none: "
+        "choose another --out to keep both"
+    )
+
+
 def test_start_is_none_where_the_data_set_has_no_prior(made_flight: Path) -> None:
     (made_flight / "gps.csv").unlink()
     assert run(made_flight, FakeLocalizer({})).start == "none"
