@@ -148,5 +148,6 @@ def _pairs(
         both = cell.rows[first.has[cell.rows] & second.has[cell.rows]]
         if len(both):
             before, after = first.correct[number, both], second.correct[number, both]
-            change = paired(before.tolist(), after.tolist(), board.flights[both].tolist())
-            yield {"a": a, "b": b} | change
+            flights = board.flights[both].tolist()
+            change = paired(before.tolist(), after.tolist(), flights)
+            yield {"a": a, "b": b, "flights": len(set(flights))} | change

@@ -193,8 +193,13 @@
 
   // ---- the page
 
+  // Two methods may share fewer flights than the cell has.
+  const pairedFlights = (pairs) => {
+    const counts = pairs.map((p) => p.flights), least = Math.min(...counts), most = Math.max(...counts);
+    return least === most ? `${least}` : `${least} to ${most}`;
+  };
   const paintCell = () => {
-    const main = document.getElementById("cell"), c = cell(), runs = withFigures();
+    const main = document.getElementById("cell"), c = cell(), runs = withFigures(), pairs = c.pairs[state.threshold];
     const sure = runs.filter((run) => c.runs[run].bounded[state.threshold]);
     forgetCharts(main);
     remember();
@@ -208,8 +213,8 @@
         card("overview", "All cells", `Recall (%) at ${threshold()}; below each heading the queries, and how far the 95 % interval reaches to either side at a recall of 90 %. A figure shows its cell.`, overview()),
         runs.length > 1 ? el("section", { class: "card", id: "pairs" }, el("h3", {}, "Paired comparison"),
           el("p", { class: "quiet" }, `Change of recall in points at ${threshold()}, ${where()}, query by query; p is two-sided, coloured below 0.05 and not corrected for the number of pairs. `
-            + (c.pairs[state.threshold].every((p) => p.clustered) ? `Intervals are of a bootstrap that draws whole flights, ${c.flights} here, and p of a test that exchanges the methods flight by flight.` : "Where fewer than five flights are left, intervals are Bonett and Price's and p is McNemar's, which take queries for independent: the true intervals are wider and the true p larger.")),
-          pairedTable(everyRun().map(labelOf), (a, b) => c.pairs[state.threshold].find((p) => p.a === a && p.b === b))) : null,
+            + (pairs.length && pairs.every((p) => p.clustered) ? `Intervals are of a bootstrap that draws whole flights, ${pairedFlights(pairs)} here, and p of a test that exchanges the methods flight by flight.` : "Where fewer than five flights are left, intervals are Bonett and Price's and p is McNemar's, which take queries for independent: the true intervals are wider and the true p larger.")),
+          pairedTable(everyRun().map(labelOf), (a, b) => pairs.find((p) => p.a === a && p.b === b))) : null,
         el("section", { class: "card", id: "difficulty" }, el("h3", {}, "Difficulty"),
           el("p", { class: "quiet" }, `Recall (%) at ${threshold()}, ${where()}, with its interval. Overlap, scale and angle are of the map photograph that sees most of the query; n counts queries.`),
           el("div", { class: "grid" }, data.axes.map((axis, k) => el("div", {}, el("h4", {}, axis.short), el("p", { class: "quiet" }, axis.title), difficulty(k)))), legendOf(true),
