@@ -73,9 +73,7 @@ def evaluate(
     method = Method.of(localizer)
     target = results_path(out, dataset, localizer)
     claim_evaluation(dataset, localizer, out)
-    earlier = _earlier(target)
-    if earlier is not None and earlier.dataset == DatasetId.of(dataset):
-        _warn_of_replacing(target, earlier, method, start)
+    earlier = _earlier(target, DatasetId.of(dataset), method, start)
     # The nodes of a cluster need not see ``out``, so they make scratch folders of their own.
     run = Run(dataset, localizer, start, cache, None if cluster else out)
     key = _key(method, dataset, start)
@@ -107,26 +105,26 @@ def evaluate(
     return results
 
 
-def _earlier(target: Path) -> Results | None:
-    """Return the results that a run will replace, or None."""
+def _earlier(target: Path, dataset: DatasetId, method: Method, start: Start) -> Results | None:
+    """Return the results that a run will replace, or None.
+
+    Log whether they are of the same data set, but of other options or another start.
+    """
     if not target.is_file():
         return None
     try:
-        return load(target)
+        earlier = load(target)
     except InputError:
         return None  # the file holds no results
-
-
-def _warn_of_replacing(target: Path, earlier: Results, method: Method, start: Start) -> None:
-    """Log whether the results that a run will replace are of other options or another start."""
     other = [f"start {earlier.start}"] if earlier.start != start.name else []
     other += ["other options or weights"] if earlier.method != method else []
-    if other:
+    if other and earlier.dataset == dataset:
         log.warning(
             "%s will be replaced, which holds results of %s: choose another --out to keep both",
             target,
             " and ".join(other),
         )
+    return earlier
 
 
 def _warn_of_changes(
