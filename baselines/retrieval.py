@@ -22,7 +22,7 @@ from baselines.views import upright
 from scene.config import Config
 from scene.errors import InputError
 from scene.geometry.nearest import Nearest
-from scene.localizer import Query
+from scene.localizer import Prior, Query
 from scene.maps.sparse_map import SparseMap
 
 Vector = NDArray[np.float64]
@@ -41,6 +41,13 @@ class RetrievalOptions(Config):
         512,
         ge=1,
         description="Photographs whose VLADs span the space in which larger maps are described.",
+    )
+    reach_sigmas: float = Field(
+        2.0,
+        gt=0,
+        description="Standard deviations around a query's position: where more photographs than "
+        "are asked for lie within, those that look most like the query are taken, else the "
+        "nearest.",
     )
     min_height_m: float = Field(
         2.0, gt=0, description="Least height above the ground that a camera is assumed to have."
@@ -121,10 +128,17 @@ class VladIndex:
         vectors = [_vlad(descriptors[row], words) @ basis for row in range(count)]
         return VladIndex(words, basis, np.stack(vectors))
 
-    def rank(self, descriptors: NDArray[np.float32], k: int) -> NDArray[np.int64]:
-        """Return the rows of the ``k`` most similar photographs, best first."""
-        similarity = self.vectors @ (_vlad(descriptors, self.words) @ self.basis)
-        return _least(-similarity, k)
+    def rank(self, descriptors: NDArray[np.float32], k: int, among: Rows | None = None) -> Rows:
+        """Return the rows of the ``k`` most similar photographs, best first.
+
+        Args:
+            descriptors: (n, D) of the query, of unit length.
+            k: number of photographs.
+            among: rows of the photographs to choose from; None for all.
+        """
+        vectors = self.vectors if among is None else self.vectors[among]
+        best = _least(-(vectors @ (_vlad(descriptors, self.words) @ self.basis)), k)
+        return best if among is None else among[best]
 
 
 def _training_sample(descriptors: Described, most: int) -> NDArray[np.float32]:
@@ -188,6 +202,10 @@ class Viewpoints:
         """
         return self._nearest(position[:2], k)
 
+    def within(self, position: Vector, metres: float) -> Rows:
+        """Return the rows of the cameras at most so far from a position (3,), horizontally."""
+        return self._nearest.within(position[:2], metres)
+
     def alike(self, position: Vector, rotation: Matrix, k: int) -> Rows:
         """Return rows of the ``k`` cameras whose picture, north up, is most like that of a pose.
 
@@ -241,11 +259,13 @@ class References:
         names: names of the photographs.
         viewpoints: where they were taken from.
         index: their global descriptors.
+        options: how they are chosen.
     """
 
     names: tuple[str, ...]
     viewpoints: Viewpoints
     index: VladIndex
+    options: RetrievalOptions = _DEFAULTS
 
     @staticmethod
     def build(
@@ -255,7 +275,7 @@ class References:
     ) -> References:
         """Index the photographs by their descriptors, in the order of ``sparse_map.names``."""
         index = VladIndex.build(descriptors, options)
-        return References(sparse_map.names, Viewpoints(sparse_map, options), index)
+        return References(sparse_map.names, Viewpoints(sparse_map, options), index, options)
 
     def choose(
         self,
@@ -267,7 +287,9 @@ class References:
         """Return rows of ``names``, best first.
 
         They are those the query names; else the ``k`` nearest to its prior; else the ``k`` that
-        look most like it.
+        look most like it. Of more photographs than ``k`` where an unsure prior may be
+        (``reach_sigmas``), they are those that look most like it, too: the nearest are no better
+        than the others.
 
         Args:
             query: the query to choose for.
@@ -288,8 +310,18 @@ class References:
             rotation = query.prior.cam_from_world_rotation
             if rotation is not None and query.prior.has_heading and not tilted:
                 return self.viewpoints.alike(query.prior.position, rotation, k)
+            within = self._within_reach(query.prior)
+            if len(within) > k and len(described := describe()):
+                return self.index.rank(described, k, within)
             return self.viewpoints.near(query.prior.position, k)
         return self.index.rank(describe(), k)
+
+    def _within_reach(self, prior: Prior) -> Rows:
+        """Return the rows of the photographs taken where a prior may be, as far as it says."""
+        if prior.position_sigma is None:
+            return np.zeros(0, np.int64)
+        metres = self.options.reach_sigmas * float(prior.position_sigma[:2].max())
+        return self.viewpoints.within(prior.position, metres)
 
     @cached_property
     def _row(self) -> dict[str, int]:

@@ -12,7 +12,7 @@ from typing import Final, Protocol
 
 from baselines.align.options import SearchRadius
 from baselines.featuremetric.attempt import Attempt, estimated, is_found, stayed_near
-from baselines.featuremetric.priors import says_where
+from baselines.featuremetric.priors import may_be_at, says_where
 from baselines.featuremetric.references import ReferenceSource, Watch
 from baselines.featuremetric.refiner import Refiner
 from baselines.place.finder import PlaceFinder
@@ -101,7 +101,7 @@ class GlobalSearch:
 
     def _finders(self, query: Query) -> Sequence[_Find]:
         """Return what finds places, the one that is asked first in front."""
-        if self.other is None or says_where(query.prior):
+        if self.other is None:
             return [self._found_places]
         finders = [self._of_other, self._found_places]
         return finders if self.other.is_first else finders[::-1]
@@ -136,10 +136,12 @@ class GlobalSearch:
         return None, [attempt]
 
     def _of_other(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the places of the other finder."""
+        """Return the places of the other finder that the prior allows."""
         assert self.other is not None
         with clock.stage("objects"):
-            return self.other.find(query)
+            places = self.other.find(query)
+        options = self.refine.config.search
+        return [place for place in places if may_be_at(query.prior, place.pose, options)]
 
     def _found_places(self, query: Query, clock: Stopwatch) -> list[Candidate]:
         """Return the starts of the place search, or of the photographs that look most like it."""

@@ -144,6 +144,12 @@ class SearchOptions(Config):
     prior_sigmas: float = Field(
         2.0, gt=0, description="Standard deviations of the prior that the search reaches."
     )
+    place_sigmas: float = Field(
+        3.0,
+        gt=0,
+        description="Standard deviations of the prior's position within which a place of objects "
+        "may be.",
+    )
     hypotheses: HypothesisOptions = Field(
         HypothesisOptions(), description="How poses around a start are placed and refined."
     )

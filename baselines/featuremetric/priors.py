@@ -34,6 +34,15 @@ def says_all(prior: Prior | None) -> bool:
     return prior is not None and prior.has_position and prior.has_heading
 
 
+def may_be_at(prior: Prior | None, pose: Pose, options: SearchOptions) -> bool:
+    """Return whether a prior's position, as far as it is sure, allows a pose."""
+    if prior is None or not prior.has_position or prior.position_sigma is None:
+        return True
+    away = np.linalg.norm(pose.centre().numpy()[:2] - prior.position[:2])
+    sigma = float(prior.position_sigma[:2].max())
+    return bool(away <= options.radius_m + options.place_sigmas * sigma)
+
+
 def default_radius(options: SearchOptions) -> SearchRadius:
     """Return how far to look around a start of which no uncertainty is known."""
     return SearchRadius(options.radius_m, options.radius_deg)

@@ -54,3 +54,11 @@ class Nearest:
             within = within[squares[within] <= least]
         rows = self._rows[begin:end][within]
         return np.asarray(rows[np.lexsort((rows, squares[within]))][:k], np.int64)
+
+    def within(self, place: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
+        """Return the rows of the points at most ``radius`` from ``place`` (2,), in order."""
+        first = self._xy[:, 0]
+        begin = int(first.searchsorted(place[0] - radius))
+        end = int(first.searchsorted(place[0] + radius, "right"))
+        away = np.linalg.norm(self._xy[begin:end] - place, axis=1)
+        return np.sort(self._rows[begin:end][away <= radius])

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.retrieval import RetrievalOptions, Viewpoints, VladIndex
+from baselines.retrieval import References, RetrievalOptions, Viewpoints, VladIndex
 from scene.geometry.camera import Camera
+from scene.localizer import Prior, Query
 from scene.maps.sparse_map import MapImage, SparseMap
 
 
@@ -81,10 +82,12 @@ def test_a_map_of_more_photographs_than_landmarks(photographs: list[NDArray[np.f
     assert np.mean(np.array(found) == np.arange(12)) > 0.7
 
 
+CAMERA = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
+
+
 def map_of(poses: dict[str, NDArray[np.float64]], ground: NDArray[np.float64]) -> SparseMap:
-    camera = Camera("SIMPLE_PINHOLE", 100, 100, (80.0, 50.0, 50.0))
     nothing, none = np.zeros((0, 2)), np.zeros(0, np.int64)
-    images = {n: MapImage(n, camera, pose, nothing, none) for n, pose in poses.items()}
+    images = {n: MapImage(n, CAMERA, pose, nothing, none) for n, pose in poses.items()}
     count = len(ground)
     return SparseMap(
         images, ground, np.zeros((count, 3), np.uint8), np.zeros(count), np.full(count, 3)
@@ -103,6 +106,26 @@ def test_near_ignores_altitude() -> None:
     assert viewpoints.near(position, 3).tolist() == [1, 2, 0]
     for up in (-1e4, 1e4):
         assert viewpoints.near(position + np.array([0, 0, up]), 3).tolist() == [1, 2, 0]
+
+
+@pytest.mark.parametrize(
+    ("sigma", "expected"), [(None, [0, 1]), (5.0, [0, 1]), (30.0, [3, 4]), (1e6, [9, 3])]
+)
+def test_an_unsure_position_leaves_what_looks_alike(
+    photographs: list[NDArray[np.float32]], sigma: float | None, expected: list[int]
+) -> None:
+    """Twelve photographs in a row, 10 m apart; the query looks like the tenth, and a little like
+    the fourth and fifth."""
+    sparse_map = cameras_at(np.arange(12)[:, None] * np.array([10.0, 0, 0]))
+    described = [photographs[k] for k in range(12)]
+    described[4] = np.concatenate([photographs[9][:20], photographs[4][:50]])
+    described[3] = np.concatenate([photographs[9][:60], photographs[3][:50]])
+    references = References.build(sparse_map, described)
+    prior = Prior(np.zeros(3), None if sigma is None else np.full(3, sigma))
+    query = Query("q", np.zeros((100, 100, 3), np.uint8), CAMERA, prior)
+    assert references.choose(query, 2, lambda: photographs[9]).tolist() == expected
+    blank = np.zeros((0, 32), np.float32)
+    assert references.choose(query, 2, lambda: blank).tolist() == [0, 1]
 
 
 def test_near_in_a_small_map() -> None:

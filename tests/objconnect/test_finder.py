@@ -209,9 +209,18 @@ def test_in_large_maps_the_search_is_asked_first(
     assert calls == ([query.name] if asked else [])
 
 
+@pytest.mark.parametrize(
+    ("away", "sigma", "allowed"), [(None, 0.0, True), (50.0, 29.0, True), (50.0, 5.0, False)]
+)
 def test_objects_are_asked_where_the_search_fails(
-    rendered: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    rendered: Scene,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    away: float | None,
+    sigma: float,
+    allowed: bool,
 ) -> None:
+    """Their places count as far as the position that is told, if any, allows them."""
     options = ObjectPlaceOptions(most_landmarks=0)
     localizer = ObjConnectLocalizer(ObjConnectConfig(objects=options, matches=None))
     (dataset,) = open_datasets(rendered.path)
@@ -223,6 +232,12 @@ def test_objects_are_asked_where_the_search_fails(
     assert isinstance(other, ObjectPlaceFinder)
     there = Candidate(query.reference, 1.0)
     monkeypatch.setattr(other, "find", lambda query: calls.append(query.name) or [there])
-    estimate = localizer.localize(query.load())
+    told = None
+    if away is not None:
+        told = Prior(query.reference.centre().numpy() + np.array([away, 0, 0]), np.full(3, sigma))
+    estimate = localizer.localize(query.load(told))
     assert calls == [query.name]
-    assert estimate.status is Status.OK
+    near = estimate.cam_from_world is not None and float(
+        estimate.cam_from_world.error_to(query.reference)[0]
+    )
+    assert (estimate.status is Status.OK and near < 1) is allowed

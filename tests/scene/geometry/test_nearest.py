@@ -30,6 +30,9 @@ def test_as_all_looked_at(count: int, k: int, kind: str) -> None:
     nearest = Nearest(xy)
     for place in (*rng.uniform(-600, 600, (4, 2)), *xy[:2], np.array([1e9, -1e9])):
         np.testing.assert_array_equal(nearest(place, k), all_looked_at(xy, place, k))
+        away = np.linalg.norm(xy - place, axis=1)
+        for radius in (0.0, 100.0, 700.0):
+            assert nearest.within(place, radius).tolist() == np.flatnonzero(away <= radius).tolist()
 
 
 def test_nowhere() -> None:
