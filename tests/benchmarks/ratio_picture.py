@@ -59,7 +59,7 @@ def _draw_group(
     panel.set_yscale("log", base=2)
     panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     panel.yaxis.set_minor_formatter(NullFormatter())
-    panel.set_xticks(range(len(names)), names)
+    panel.set_xticks(range(len(names)), names, rotation=20, ha="right")
     panel.set_xlim(-0.3, len(names) - 0.7)
     panel.set_title(group, fontsize=9)
     panel.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
