@@ -318,10 +318,10 @@ class References:
 
     def _within_reach(self, prior: Prior) -> Rows:
         """Return the rows of the photographs taken where a prior may be, as far as it says."""
-        if prior.position_sigma is None:
+        sigma = prior.horizontal_sigma
+        if sigma is None:
             return np.zeros(0, np.int64)
-        metres = self.options.reach_sigmas * float(prior.position_sigma[:2].max())
-        return self.viewpoints.within(prior.position, metres)
+        return self.viewpoints.within(prior.position, self.options.reach_sigmas * sigma)
 
     @cached_property
     def _row(self) -> dict[str, int]:

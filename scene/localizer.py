@@ -49,6 +49,13 @@ class Prior:
         return self.position_sigma is None or bool(np.isfinite(self.position_sigma[:2]).all())
 
     @property
+    def horizontal_sigma(self) -> float | None:
+        """The larger horizontal standard deviation, metres; None if unknown or not measured."""
+        if self.position_sigma is None or not self.has_position:
+            return None
+        return float(self.position_sigma[:2].max())
+
+    @property
     def has_heading(self) -> bool:
         """Whether the attitude is given, and its heading with it."""
         sigma = self.heading_sigma_deg

@@ -36,11 +36,10 @@ def says_all(prior: Prior | None) -> bool:
 
 def may_be_at(prior: Prior | None, pose: Pose, options: SearchOptions) -> bool:
     """Return whether a prior's position, as far as it is sure, allows a pose."""
-    if prior is None or not prior.has_position or prior.position_sigma is None:
+    if prior is None or prior.horizontal_sigma is None:
         return True
     away = np.linalg.norm(pose.centre().numpy()[:2] - prior.position[:2])
-    sigma = float(prior.position_sigma[:2].max())
-    return bool(away <= options.radius_m + options.place_sigmas * sigma)
+    return bool(away <= options.radius_m + options.place_sigmas * prior.horizontal_sigma)
 
 
 def default_radius(options: SearchOptions) -> SearchRadius:

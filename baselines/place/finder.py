@@ -157,10 +157,9 @@ class PlaceFinder:
         within = None
         if prior is not None and prior.position_sigma is not None:
             east, north_, up = (float(each) for each in prior.position)
-            sigma = prior.position_sigma
-            if np.isfinite(sigma[:2]).all():
-                within = (east, north_, 3 * float(sigma[:2].max()) + 2 * self._mosaic.grid.cell)
+            if (sigma := prior.horizontal_sigma) is not None:
+                within = (east, north_, 3 * sigma + 2 * self._mosaic.grid.cell)
             height = up - self._mosaic.grid.height_at(east, north_)
-            if sigma[2] < _KNOWN_ALTITUDE * height:
+            if prior.position_sigma[2] < _KNOWN_ALTITUDE * height:
                 altitudes = [height]
         return Hypotheses(passes, turns, altitudes, within)
