@@ -11,6 +11,7 @@ from torch import Tensor
 from baselines.align.covariance import covariance
 from baselines.align.descent import descend, is_finite
 from baselines.align.local import Local
+from baselines.align.options import SolverOptions
 from baselines.align.problem import Problem
 from baselines.align.residuals import Linearisation
 from baselines.align.trees import tree_map
@@ -128,7 +129,7 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     return Alignment(
         pose=by_level[-1],
         by_level=tuple(by_level),
-        covariance=unflattened(_covariance(last, unknown, options.covariance_patch_cells)),
+        covariance=unflattened(_covariance(last, unknown, options)),
         cost=unflattened(torch.where(failed, torch.inf, last.mean_cost())),
         iterations=unflattened(iterations),
         seen=unflattened(seen),
@@ -136,9 +137,9 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     )
 
 
-def _covariance(around: Linearisation, unknown: Tensor, patch_cells: float) -> Tensor:
+def _covariance(around: Linearisation, unknown: Tensor, options: SolverOptions) -> Tensor:
     """Return the covariances (M, 6, 6) of poses, infinite on the diagonal where unknown (M,)."""
     nothing = torch.full((6,), torch.inf, dtype=torch.float64, device=unknown.device).diag_embed()
     if bool(unknown.all()):
         return nothing.expand(len(unknown), 6, 6)
-    return torch.where(unknown[:, None, None], nothing, covariance(around, patch_cells))
+    return torch.where(unknown[:, None, None], nothing, covariance(around, options))

@@ -11,6 +11,7 @@ from torch import Tensor
 from baselines.align.damping import moved
 from baselines.align.linearise import linearise
 from baselines.align.local import Local
+from baselines.align.options import SolverOptions
 from baselines.align.problem import Problem
 from baselines.align.residuals import LevelCost, Linearisation
 from baselines.align.trees import rows
@@ -22,42 +23,52 @@ _POSE_IN_PATCHES = 3
 _ANY_TURN = math.pi**2
 
 
-def covariance(around: Linearisation, patch_cells: float) -> Tensor:
+def covariance(around: Linearisation, options: SolverOptions) -> Tensor:
     """Covariance (M, 6, 6) of poses at the minimum of their cost, in double precision.
 
-    Huber's sandwich H^-1 (sum of p p^T) H^-1, with p the pull of each patch of the picture on the
-    pose. It assumes nothing about how the channels of a feature depend on one another, nor the
-    points of one patch (Liang and Zeger, Biometrika 1986, on clusters): neighbours see the same,
-    and a point may occur several times, as several photographs show it. It is scaled up for the
-    degrees of freedom that the pose itself uses. Infinite on the diagonal where the points do not
-    determine a pose.
+    Huber's sandwich H^-1 S H^-1, with S the sum of p p^T and p the pull of each patch of the
+    picture on the pose. It assumes nothing about how the channels of a feature depend on one
+    another, nor the points of one patch (Liang and Zeger, Biometrika 1986, on clusters): neighbours
+    see the same, and a point may occur several times, as several photographs show it. S is scaled
+    up for the degrees of freedom that the pose itself uses. Infinite on the diagonal where the
+    points do not determine a pose.
 
     Args:
         around: the cost at the M poses.
-        patch_cells: side of the square patches, cells of the level.
+        options: how large patches are (``covariance_patch_cells``), and how far S is drawn to
+            what independent residuals would give (``covariance_shrinkage``).
     """
-    return _sandwich(around.hessian.detach().double(), *_by_patch(around, patch_cells))
+    scatter, count = _scatter(around, options.covariance_patch_cells)
+    hessian = around.hessian.detach().double()
+    return _sandwich(hessian, scatter, count, options.covariance_shrinkage)
 
 
-def _sandwich(H: Tensor, pull: Tensor, count: Tensor) -> Tensor:
+def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float) -> Tensor:
     """Return covariances (M, 6, 6) as ``covariance`` does.
+
+    Few patches tell six directions apart badly: of their scatter the largest axes are too large and
+    the smallest too small. It is drawn to the multiple of H with the same trace where H is the
+    identity (Ledoit and Wolf, Journal of Multivariate Analysis 2004).
 
     Args:
         H: (M, 6, 6) second derivatives of half the summed cost. Those of Gauss and Newton are right
             where residuals are small.
-        pull: (M, P, 6) of each patch.
+        scatter: (M, 6, 6) as ``_scatter`` returns it.
         count: (M,) patches with points.
+        shrinkage: share of that multiple of H.
     """
     enough = count > _POSE_IN_PATCHES
     factor, info = torch.linalg.cholesky_ex(H)
     determined = enough & (info == 0)
     eye = torch.eye(6, dtype=H.dtype, device=H.device)
     factor = torch.where(determined[:, None, None], factor, eye)
-    scatter = pull.transpose(-1, -2) @ pull
-    inner = torch.cholesky_solve(scatter, factor)
-    sandwich = torch.cholesky_solve(inner.transpose(-1, -2), factor)
-    used = count / (count - _POSE_IN_PATCHES).clamp_min(1)
-    result = sandwich * used[:, None, None]
+    half = torch.linalg.solve_triangular(factor, scatter, upper=False)
+    white = torch.linalg.solve_triangular(factor, half.transpose(-1, -2), upper=False)
+    level = white.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None]
+    white = (1 - shrinkage) * white + shrinkage * level * eye
+    upper = factor.transpose(-1, -2)
+    half = torch.linalg.solve_triangular(upper, white, upper=True)
+    result = torch.linalg.solve_triangular(upper, half.transpose(-1, -2), upper=True)
     turn = result.diagonal(dim1=-2, dim2=-1)[:, :3].amax(-1)
     good = determined & result.isfinite().flatten(1).all(-1) & (turn < _ANY_TURN)
     unknown = torch.full_like(H[0, 0], torch.inf).diag_embed().expand_as(H)
@@ -103,9 +114,9 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     around = linearise(cost, local.start)
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2].double()
     depth = torch.where(around.seen, depth, torch.nan)
-    pull, patches = _by_patch(around, options.covariance_patch_cells)
-    hessian = around.hessian.detach().double()
-    first = _sandwich(hessian, pull, patches)
+    scatter, patches = _scatter(around, options.covariance_patch_cells)
+    hessian, shrinkage = around.hessian.detach().double(), options.covariance_shrinkage
+    first = _sandwich(hessian, scatter, patches, shrinkage)
     known = (local.finite & first.isfinite().flatten(1).all(-1))[:, None, None]
     eye = torch.eye(6).to(first)
     lower = torch.linalg.cholesky(torch.where(known, hessian, eye))
@@ -118,7 +129,7 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     values, vectors = torch.linalg.eigh(0.5 * (share + share.transpose(-1, -2)).nan_to_num())
     values = values.clamp(options.least_curvature, 1)
     root = lower @ vectors * values.sqrt()[:, None]
-    measured = _sandwich(root @ root.transpose(-1, -2), pull, patches)
+    measured = _sandwich(root @ root.transpose(-1, -2), scatter, patches, shrinkage)
     return Spread(
         torch.where(known, measured, first),
         torch.where(known[:, 0, 0], values.log().mean(-1).exp(), 0),
@@ -145,10 +156,38 @@ def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:
     return linearise(cost.rows(owner), shifted).gradient.double().view_as(steps)
 
 
-def _by_patch(around: Linearisation, side: float) -> tuple[Tensor, Tensor]:
-    """Sum pulls over square patches, (M, P, 6), and count the patches with points, (M,)."""
+def _scatter(around: Linearisation, side: float) -> tuple[Tensor, Tensor]:
+    """Sum p p^T over square patches, (M, 6, 6), and count the patches with points, (M,).
+
+    Where the borders of patches lie is arbitrary, so both are means over four grids half a side
+    apart. Points thus count as the less dependent the farther apart they are, as in Bartlett's
+    window (Conley, Journal of Econometrics 1999).
+    """
+    grids = [_by_patch(around, side, (x, y)) for x in (0.0, 0.5) for y in (0.0, 0.5)]
+    scatter = torch.stack([_unbiased(pull, count) for pull, count in grids]).mean(0)
+    return scatter, torch.stack([count for _, count in grids]).double().mean(0)
+
+
+def _unbiased(pull: Tensor, count: Tensor) -> Tensor:
+    """Return the scatter (M, 6, 6) of the pulls (M, P, 6) that a pose was fitted to."""
+    used = count / (count - _POSE_IN_PATCHES).clamp_min(1)
+    return pull.transpose(-1, -2) @ pull * used[:, None, None]
+
+
+def _by_patch(
+    around: Linearisation, side: float, first: tuple[float, float]
+) -> tuple[Tensor, Tensor]:
+    """Sum pulls over square patches, (M, P, 6), and count the patches with points, (M,).
+
+    Args:
+        around: the cost at M poses.
+        side: of a patch, cells.
+        first: where the picture begins in the first patch, as shares of its side, x and y.
+    """
     pull = around.pull.detach().double()
-    patch = torch.where(around.seen[..., None], around.cells, 0).div(side).floor().long()
+    shift = torch.tensor(first, dtype=around.cells.dtype, device=around.cells.device)
+    cells = torch.where(around.seen[..., None], around.cells, 0)
+    patch = (cells / side + shift).floor().long()
     wide = int(patch[..., 0].max()) + 1 if patch.numel() else 1
     high = int(patch[..., 1].max()) + 1 if patch.numel() else 1
     index = patch[..., 1] * wide + patch[..., 0]

@@ -35,13 +35,20 @@ class SolverOptions(Config):
         description="A rejected step multiplies the damping by this; an accepted one divides it.",
     )
     covariance_patch_cells: float = Field(
-        12.0,
+        24.0,
         gt=0,
         description="Side of the square patches of a level (cells) whose points count as "
         "dependent in the covariance.",
     )
+    covariance_shrinkage: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="How far the scatter of the patches' pulls is drawn to that of independent "
+        "residuals in the covariance: 0 is not at all.",
+    )
     curvature_sigmas: float = Field(
-        4.0,
+        3.6,
         gt=0,
         description="Standard deviations from a pose at which the curvature of its cost is "
         "measured, for the covariance.",

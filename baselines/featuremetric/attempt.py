@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from baselines.featuremetric.problem import fit
 from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Status, Stopwatch
+
+_UNCLEAR: Final = "no place of the map fits the image clearly"
 
 
 @dataclass(frozen=True)
@@ -134,18 +137,22 @@ def is_found(attempt: Attempt, options: SearchOptions) -> bool:
     )
 
 
+def unclear(attempt: Attempt) -> Attempt:
+    """Return an attempt that is not accepted, as other places of the map may fit as well."""
+    return replace(attempt, reason=attempt.reason or _UNCLEAR)
+
+
 def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
     """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
 
     The fit is compared with that of a query in the light and season of the map, which is worse the
     more the query's view differs from those of the map's photographs. What the alignment measures
-    grows by ``covariance_factor`` and by that ratio to the power ``covariance_fit_power``: the
-    slopes of a changed query are not those of the map. It grows, too, by
-    ``(100 / patches)**covariance_patches_power``: clustered estimates from few clusters are too
-    small (Cameron and Miller, Journal of Human Resources 2015). What moves all points alike, such
-    as shadows when the sun moves, cannot be seen in their residuals. A variance is added for it,
-    which rises from none where the fit is that of the map's season to ``covariance_floor`` where it
-    is worse by a share of ``covariance_changed_fit``.
+    grows by ``covariance_factor`` and by that ratio: the slopes of a changed query are not those of
+    the map. It grows, too, by ``(100 / patches)**covariance_patches_power``: clustered estimates
+    from few clusters are too small (Cameron and Miller, Journal of Human Resources 2015). What
+    moves all points alike, such as shadows when the sun moves, cannot be seen in their residuals. A
+    variance is added for it, which rises from none where the fit is that of the map's season to
+    ``covariance_floor`` where it is worse by a share of ``covariance_changed_fit``.
     """
     if attempt.spread is None:
         return None
@@ -155,7 +162,7 @@ def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] 
     other_view = 1 - float(attempt.spread.view_cosine[0])
     unchanged = options.covariance_unchanged_fit + options.covariance_view_fit * other_view
     ratio, depth = attempt.fit / unchanged, float(attempt.spread.depth[0])
-    factor = options.covariance_factor * ratio**options.covariance_fit_power
+    factor = options.covariance_factor * ratio
     factor *= (float(attempt.spread.patches[0]) / 100) ** -options.covariance_patches_power
     change = min(1.0, max(0.0, (ratio - 1) / options.covariance_changed_fit))
     variance = change * (options.covariance_floor * np.repeat([1.0, depth], 3)) ** 2

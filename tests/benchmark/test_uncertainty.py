@@ -115,12 +115,11 @@ def made_answers(numbers: Numbers, seed: int, count: int = 2000, freedom: int = 
 
 @pytest.mark.parametrize(
     "planted",
-    [Numbers(2.0, 0.2, 1.0, 3e-4, 0.6, 0.4, 0.1), Numbers(3.0, 0.5, 0.3, 6e-4, 0.65, 0.8, 0.2)],
+    [Numbers(2.0, 0.2, 3e-4, 0.6, 0.4, 0.1), Numbers(3.0, 0.5, 6e-4, 0.65, 0.8, 0.2)],
 )
 def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
     found = calibrate(made_answers(planted, seed=1, count=5000))
     assert found.patches_power == pytest.approx(planted.patches_power, abs=0.1)
-    assert found.fit_power == pytest.approx(planted.fit_power, abs=0.1)
     assert found.factor == pytest.approx(planted.factor, rel=0.1)
     assert found.floor == pytest.approx(planted.floor, rel=0.1)
     assert found.unchanged_fit == pytest.approx(planted.unchanged_fit, abs=0.05)
@@ -129,7 +128,7 @@ def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
 
 
 def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
-    planted = Numbers(2.0, 0.2, 1.0, 3e-4, 0.6, 0.4, 0.1)
+    planted = Numbers(2.0, 0.2, 3e-4, 0.6, 0.4, 0.1)
     found = calibrate(made_answers(planted, seed=1, freedom=20))
     unseen = made_answers(planted, seed=2, freedom=20)
     for wrong, holds in [(1.0, True), (2.0, False), (0.5, False)]:

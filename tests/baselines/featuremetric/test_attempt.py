@@ -20,7 +20,6 @@ from scene.geometry.pose import Pose
 OPTIONS = SearchOptions(
     covariance_factor=2.0,
     covariance_patches_power=0.5,
-    covariance_fit_power=1.0,
     covariance_floor=1e-3,
     covariance_unchanged_fit=0.6,
     covariance_view_fit=0.5,
