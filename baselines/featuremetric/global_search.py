@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Protocol
 
 from baselines.align.options import SearchRadius
-from baselines.featuremetric.attempt import Attempt, estimated, is_found, stayed_near
+from baselines.featuremetric.attempt import Attempt, estimated, is_found, stayed_near, unclear
 from baselines.featuremetric.priors import may_be_at, says_where
 from baselines.featuremetric.references import ReferenceSource, Watch
 from baselines.featuremetric.refiner import Refiner
@@ -22,7 +22,6 @@ from scene.geometry.pose import Pose
 from scene.localizer import Estimate, MapPart, Query, Stopwatch
 from scene.maps.sparse_map import SparseMap
 
-_UNCLEAR: Final = "no place of the map fits the image clearly"
 _Find = Callable[[Query, Stopwatch], list[Candidate]]
 
 
@@ -87,8 +86,7 @@ class GlobalSearch:
             begin.append(place.pose)
         if self.places is None or not begin:
             return None
-        unclear = [replace(each, reason=each.reason or _UNCLEAR) for each in attempts]
-        return self._best(unclear, begin, clock)
+        return self._best([unclear(each) for each in attempts], begin, clock)
 
     def _places(self, query: Query, clock: Stopwatch) -> Iterator[Candidate]:
         """Yield places where the query may be: the best ones of each finder before all others."""

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from torch import nn
 
 from baselines.align.options import Options
-from baselines.featuremetric.attempt import Attempt, estimated, is_sure
+from baselines.featuremetric.attempt import Attempt, estimated, is_found, is_sure, unclear
 from baselines.featuremetric.global_search import GlobalSearch, OtherFinder
 from baselines.featuremetric.maps import MapExtractor, Network
 from baselines.featuremetric.matcher import matcher
 from baselines.featuremetric.options import FeaturemetricConfig
-from baselines.featuremetric.priors import says_all, search_radius
+from baselines.featuremetric.priors import says_all, says_where, search_radius
 from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
 from baselines.featuremetric.quantized import quantized_extractor
 from baselines.featuremetric.references import ReferenceSource, references, write_part
@@ -174,7 +174,11 @@ class FeaturemetricLocalizer:
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             begin = starts(query.prior, self._map, chosen, self.config.starts)
-        return self._estimate(self._attempts(query, chosen, begin, clock), begin, clock)
+        attempts = self._attempts(query, chosen, begin, clock)
+        if self.config.multistart and not says_where(query.prior):
+            options = self.config.search
+            attempts = [each if is_found(each, options) else unclear(each) for each in attempts]
+        return self._estimate(attempts, begin, clock)
 
     def _estimate(
         self, attempts: Sequence[Attempt], begin: Sequence[Pose], clock: Stopwatch
@@ -198,13 +202,22 @@ class FeaturemetricLocalizer:
         begin: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts; around a known pose, where no answer is sure, once more and thoroughly."""
+        """Try starts; where no answer is sure, search once more and thoroughly.
+
+        That search begins at the same starts around a known pose, else at the pose that fits best,
+        if it fits well enough to stop there.
+        """
         options = self.config.search
         attempts = self._tried(self._refine, query, chosen, begin, clock)
-        more = self.config.multistart and options.again > 1 and says_all(query.prior)
-        if more and not any(is_sure(each, options) for each in attempts):
-            thorough = self._refine.searching(options.times(options.again))
-            attempts += self._tried(thorough, query, chosen, begin, clock)
+        enough = not self.config.multistart or options.again == 1
+        if enough or any(is_sure(each, options) for each in attempts):
+            return attempts
+        thorough = self._refine.searching(options.times(options.again))
+        if says_all(query.prior):
+            return attempts + self._tried(thorough, query, chosen, begin, clock)
+        best = min(attempts, key=lambda attempt: attempt.fit)
+        if best.fit < options.stop_fit:
+            attempts.append(thorough.near(replace(query, references=None), best.pose, clock))
         return attempts
 
     def _tried(
@@ -218,7 +231,8 @@ class FeaturemetricLocalizer:
         """Try starts place by place, until the fit of one is good enough to stop.
 
         Where there were several starts, the image is then aligned once more from the best pose:
-        seen from there it is turned and scaled better.
+        seen from there it is turned and scaled better. Photographs that the query names gave the
+        starts; now those nearest to the pose are taken.
         """
         options = self.config.search
         radius = search_radius(query.prior, options)
@@ -229,7 +243,8 @@ class FeaturemetricLocalizer:
             best = min(attempts, key=lambda attempt: attempt.fit)
             if best.fit < options.stop_fit:
                 if len(begin) > 1:
-                    attempts.append(refine.near(query, best.pose, clock))
+                    near = replace(query, references=None)
+                    attempts.append(refine.near(near, best.pose, clock))
                 break
         return attempts
 
