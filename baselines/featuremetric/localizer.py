@@ -166,8 +166,8 @@ class FeaturemetricLocalizer:
         if (followed := self._followed(query, clock)) is not None:
             return followed
         return_freed_above(self._refine.kept_bytes)
-        lost = query.references is None and not says_all(query.prior)
-        if self.config.multistart and lost and (found := self._search(query, clock)) is not None:
+        unsaid = query.references is None and not says_all(query.prior)
+        if self.config.multistart and unsaid and (found := self._search(query, clock)) is not None:
             return found
         with clock.stage("retrieval"):
             chosen = self._refine.photographs(query)
@@ -175,7 +175,7 @@ class FeaturemetricLocalizer:
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             begin = starts(query.prior, self._map, chosen, self.config.starts)
         attempts = self._attempts(query, chosen, begin, clock)
-        if self.config.multistart and not says_where(query.prior):
+        if self._has_no_position(query):
             options = self.config.search
             attempts = [each if is_found(each, options) else unclear(each) for each in attempts]
         return self._estimate(attempts, begin, clock)
@@ -217,8 +217,16 @@ class FeaturemetricLocalizer:
             return attempts + self._tried(thorough, query, chosen, begin, clock)
         best = min(attempts, key=lambda attempt: attempt.fit)
         if best.fit < options.stop_fit:
-            attempts.append(thorough.near(replace(query, references=None), best.pose, clock))
+            attempts.append(thorough.near(self._near_query(query), best.pose, clock))
         return attempts
+
+    def _has_no_position(self, query: Query) -> bool:
+        """Return whether a pose is searched for of which no position is known."""
+        return self.config.multistart and not says_where(query.prior)
+
+    def _near_query(self, query: Query) -> Query:
+        """Return a query near a pose that was found: photographs it names gave but the start."""
+        return replace(query, references=None) if self._has_no_position(query) else query
 
     def _tried(
         self,
@@ -230,9 +238,8 @@ class FeaturemetricLocalizer:
     ) -> list[Attempt]:
         """Try starts place by place, until the fit of one is good enough to stop.
 
-        Where there were several starts, the image is then aligned once more from the best pose:
-        seen from there it is turned and scaled better. Photographs that the query names gave the
-        starts; now those nearest to the pose are taken.
+        Where there were several starts, or no position is known, the image is then aligned once
+        more from the best pose: seen from there it is turned and scaled better.
         """
         options = self.config.search
         radius = search_radius(query.prior, options)
@@ -242,9 +249,8 @@ class FeaturemetricLocalizer:
             attempts += [refine(query, chosen, start, clock, radius) for start in at_place]
             best = min(attempts, key=lambda attempt: attempt.fit)
             if best.fit < options.stop_fit:
-                if len(begin) > 1:
-                    near = replace(query, references=None)
-                    attempts.append(refine.near(near, best.pose, clock))
+                if len(begin) > 1 or self._has_no_position(query):
+                    attempts.append(refine.near(self._near_query(query), best.pose, clock))
                 break
         return attempts
 

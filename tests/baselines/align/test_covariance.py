@@ -11,9 +11,12 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from baselines.align.aligner import Alignment, align
-from baselines.align.covariance import spread
+from baselines.align.covariance import covariance, spread
+from baselines.align.linearise import linearise
+from baselines.align.local import Local
 from baselines.align.options import Options
 from baselines.align.problem import Problem
+from baselines.align.residuals import Linearisation
 from scene.geometry.pose import Pose
 from tests.baselines.align.problems import DAMPING, small
 from tests.baselines.align.world import PINHOLE, World, looking_down
@@ -143,6 +146,42 @@ def test_equals_that_of_gauss_and_newton_where_nothing_is_new() -> None:
         dim1=-2, dim2=-1
     )
     assert (ratio > 0.95).all() and (ratio < 1.5).all()
+
+
+def linearised(problem: Problem, options: Options) -> Linearisation:
+    local = Local.of(problem)
+    return linearise(local.cost(problem.levels[-1], options), local.start)
+
+
+def test_shrunk_covariances_lie_between_the_sandwich_and_independent_residuals(
+    cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
+) -> None:
+    problem, _, found, _ = cluttered
+    around = linearised(problem.starting_at(found.pose), problem.options)
+    by = {
+        share: covariance(around, Options(covariance_shrinkage=share)) for share in (0.0, 0.25, 1.0)
+    }
+    torch.testing.assert_close(by[0.25], 0.75 * by[0.0] + 0.25 * by[1.0])
+    # Independent residuals give a multiple of the inverse of the second derivatives.
+    hessian = around.hessian.double()
+    level = {share: (by[share] @ hessian).diagonal(dim1=-2, dim2=-1).mean(-1) for share in by}
+    torch.testing.assert_close(level[0.0], level[1.0], rtol=1e-4, atol=0)
+    lower = torch.linalg.cholesky(hessian)
+    white = lower.transpose(-1, -2) @ by[1.0] @ lower / level[1.0][:, None, None]
+    torch.testing.assert_close(white, torch.eye(6).double().expand_as(white), rtol=0, atol=1e-4)
+
+
+def test_where_the_grid_of_patches_begins_does_not_matter(
+    cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
+) -> None:
+    problem, _, found, _ = cluttered
+    options = Options(covariance_patch_cells=10.0)
+    around = linearised(problem.starting_at(found.pose), options)
+    here = covariance(around, options)
+    moved = covariance(replace(around, cells=around.cells + torch.tensor([5.0, 15.0])), options)
+    torch.testing.assert_close(moved, here)
+    other = covariance(replace(around, cells=around.cells + torch.tensor([2.0, 3.0])), options)
+    assert not torch.allclose(other, here, rtol=1e-3)
 
 
 def test_nothing_is_known_where_points_are_too_few() -> None:

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from baselines.featuremetric.options import SearchOptions
+from baselines.featuremetric.refiner import Refiner
 from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
 from baselines.place.finder import PlaceOptions
 from baselines.views import with_heading
@@ -136,6 +138,37 @@ def test_an_answer_that_is_not_sure_is_searched_again(
     assert found["refused"].status is Status.FALLBACK
     # The better of both searches is answered.
     assert errors(found["unsure"])[0] < 0.1 and found["unsure"].status is Status.OK
+
+
+def test_a_search_that_references_begin_ends_with_the_nearest_ones(
+    weights: Path, made: tuple[SparseMap, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Photographs 0 and 3 are named; the query was taken between 1 and 2."""
+    chosen = []
+
+    def photographs(refine: Refiner, query: Query) -> NDArray[np.int64]:
+        chosen.append(choose(refine, query).tolist())
+        return np.array(chosen[-1])
+
+    choose = Refiner.photographs
+    monkeypatch.setattr(Refiner, "photographs", photographs)
+    named = replace(QUERY, prior=None, references=("0.png", "3.png"))
+    localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True, references=2))
+    localizer.prepare(*made)
+    estimate = localizer.localize(named)
+    assert errors(estimate)[0] < 0.2
+    assert chosen[0] == [0, 3] and set(chosen[-1]) == {1, 2}
+
+
+def test_without_a_position_only_a_clear_fit_is_believed(
+    weights: Path, made: tuple[SparseMap, Path]
+) -> None:
+    nowhere = SearchOptions(place_accept_fit=1e-9, sure_accept_fit=1e-9)
+    localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True, search=nowhere))
+    localizer.prepare(*made)
+    assert localizer.localize(QUERY).status is Status.OK
+    named = localizer.localize(replace(QUERY, prior=None, references=("1.png", "2.png")))
+    assert named.status is Status.FALLBACK and "no place of the map" in named.reason
 
 
 @pytest.mark.thorough
