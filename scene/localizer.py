@@ -72,7 +72,7 @@ class Query:
         camera: calibrated camera.
         prior: approximate pose, or None.
         references: photographs of the map to match with, most similar first, where retrieval is not
-            left to the method; else None.
+            left to the method; else None. A method that searches begins there.
         tracked: whether the prior is what the images just before predict, so that a method may
             look there alone, and search only where that is not confirmed.
     """
