@@ -34,14 +34,14 @@ class SearchOptions(Config):
     place_accept_fit: float = Field(
         0.82,
         gt=0,
-        description="A pose from the place search is accepted when its fit is below this: of 800 "
-        "poses in maps of other places the best fitted at 0.833.",
+        description="A pose of which no position was known is accepted when its fit is below this: "
+        "of 800 poses in maps of other places the best fitted at 0.833.",
     )
     sure_accept_fit: float = Field(
         0.9,
         gt=0,
-        description="A pose from the place search that is sure (sure_curvature) is also accepted "
-        "when its fit is below this.",
+        description="A pose of which no position was known, and that is sure (sure_curvature), is "
+        "also accepted when its fit is below this.",
     )
     first_places: int = Field(
         4,
@@ -149,9 +149,9 @@ class SearchOptions(Config):
     again: int = Field(
         2,
         ge=1,
-        description="Where no pose around a prior is accepted, or none is sure, the search begins "
-        "again with so many times the hypotheses and compared points, and the best pose is "
-        "answered; 1 for not.",
+        description="Where no pose around a prior, or from photographs that a query names, is "
+        "accepted, or none is sure, the search begins again with so many times the hypotheses and "
+        "compared points, and the best pose is answered; 1 for not.",
     )
     sure_curvature: float = Field(
         0.5,
