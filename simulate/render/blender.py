@@ -48,6 +48,8 @@ _SENSOR_MM = 36.0
 _FIRST_RAY_PX = 0.000526
 _NEAR_M = 0.1  # near clipping distance
 _NO_SURFACE_M = 1e9  # Cycles writes a depth of 1e10 where a ray hits nothing
+_MANY_OBJECTS = 5000  # of a place of which so many change that moving them would cost more
+_FAR_BELOW_M = 1e7  # a ray that misses the ground does not meet what is this far below it
 
 
 def main(chunk_path: str) -> None:
@@ -244,21 +246,29 @@ def _add_light(light: Condition) -> None:
 
 
 class _Stage:
-    """Keeps those objects in the scene that a frame needs: each costs time in every frame."""
+    """Keeps those objects in place that a frame needs, and takes the others away.
+
+    They move far below the ground, which costs 0.2 ms each. In a place of many objects they leave
+    the scene instead: Cycles then takes all of it in anew, for 0.4 s. The pixels are the same.
+    """
 
     def __init__(self, world: World, light: Condition) -> None:
         self._reach = Reach(world.objects, light.sun.elevation)
         self._objects = [bpy.data.objects[f"{item.id:05d}"] for item in world.objects]
         self._there = np.ones(len(self._objects), bool)
+        self._leave = len(self._objects) > _MANY_OBJECTS
 
     def set_up(
         self, camera: PinholeCamera, cam_from_world: NDArray[np.float64], travel_m: float
     ) -> None:
-        """Add the objects that a frame needs, and take the others out."""
+        """Bring back the objects that a frame needs, and take the others away."""
         needed = self._reach(camera, cam_from_world, travel_m)
         held = bpy.context.scene.collection.objects
         for row in np.flatnonzero(needed != self._there):
-            (held.link if needed[row] else held.unlink)(self._objects[row])
+            if self._leave:
+                (held.link if needed[row] else held.unlink)(self._objects[row])
+            else:
+                self._objects[row].delta_location.z = 0.0 if needed[row] else -_FAR_BELOW_M
         self._there = needed
 
 
@@ -350,10 +360,13 @@ def _roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
 
     The camera's current position is that of the middle row.
     """
-    camera = scene.camera
-    camera.animation_data_clear()
-    scene.render.use_motion_blur = bool(travel.any())
-    if not travel.any():
+    camera, moves = scene.camera, bool(travel.any())
+    # Cycles takes in the whole scene anew, for 0.3 s, also where these two change nothing.
+    if camera.animation_data is not None:
+        camera.animation_data_clear()
+    if scene.render.use_motion_blur != moves:
+        scene.render.use_motion_blur = moves
+    if not moves:
         return
     scene.render.motion_blur_shutter = 1.0  # from half a frame before to half a frame after
     scene.render.motion_blur_position = "CENTER"

@@ -24,18 +24,17 @@ class Caster:
 
     def __init__(self, objects: Iterable[Any], near_m: float) -> None:
         self._near_m = near_m
-        self._objects: dict[int, list[Any]] = {}
+        # Objects that a frame does not need may be elsewhere later, so matrices are kept.
+        self._objects: dict[int, list[tuple[Any, NDArray[np.float64]]]] = {}
         for item in objects:
             if item.type == "MESH":
-                self._objects.setdefault(item.pass_index, []).append(item)
-        items = [(number, items[0]) for number, items in self._objects.items() if number > 0]
+                placed = item, np.array(item.matrix_world)
+                self._objects.setdefault(item.pass_index, []).append(placed)
+        items = [(number, found[0]) for number, found in self._objects.items() if number > 0]
         self._numbers = [number for number, _ in items]
-        boxes = [np.insert(np.array(item.bound_box), 3, 1, axis=1) for _, item in items]
+        boxes = [np.insert(np.array(item.bound_box), 3, 1, axis=1) for _, (item, _) in items]
         self._corners = np.array(
-            [
-                box @ np.array(item.matrix_world).T
-                for box, (_, item) in zip(boxes, items, strict=True)
-            ]
+            [box @ matrix.T for box, (_, (_, matrix)) in zip(boxes, items, strict=True)]
         ).reshape(-1, 8, 4)
 
     def small(
@@ -57,8 +56,8 @@ class Caster:
         def cast(number: int, rays: NDArray[np.float64]) -> NDArray[np.float64]:
             nearest = np.full(len(rays), np.inf)
             ahead = np.concatenate([rays, np.ones_like(rays[:, :1])], -1)
-            for item in self._objects[number]:
-                local_from_cam = np.linalg.inv(np.array(item.matrix_world)) @ world_from_cam
+            for item, world_from_local in self._objects[number]:
+                local_from_cam = np.linalg.inv(world_from_local) @ world_from_cam
                 origin = local_from_cam[:3, 3]
                 directions = ahead @ local_from_cam[:3, :3].T
                 start = origin.tolist()

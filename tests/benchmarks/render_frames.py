@@ -33,6 +33,7 @@ from simulate.render.blender import (
     _claim_stdout,
     _render,
     _set_up_render,
+    _Stage,
 )
 from simulate.render.frame import pinhole_rays, save_layers, semantic_labels
 from simulate.render.job import RenderJob, frame_path
@@ -42,22 +43,27 @@ def main(job_path: str, out: str) -> None:
     answers = _claim_stdout()
     job = RenderJob.model_validate_json(Path(job_path).read_text())
     world = preset(job.preset)(job.seed, job.area_m)
-    _build_scene(world, condition(job.condition))
+    light = condition(job.condition)
+    _build_scene(world, light)
     _set_up_render(job.camera, job.samples, 0)
+    stage = _Stage(world, light)
     scene = bpy.context.scene
     layer, rays, glow = scene.view_layers[0], pinhole_rays(job.camera), _glow()
     with tempfile.TemporaryDirectory() as scratch:
         for line in sys.stdin:
             kind, number, *settings = line.split()
             ours = kind == "ours"
-            layer.use_pass_z = layer.use_pass_normal = layer.use_pass_object_index = ours
-            scene.cycles.use_denoising = kind in ("ours", "bare")
-            layer.material_override = glow if kind in ("flat", "still") else None
-            scene.render.resolution_percentage = 1 if kind == "still" else 100
+            for each in ("use_pass_z", "use_pass_normal", "use_pass_object_index"):
+                _put(layer, each, ours)
+            _put(scene.cycles, "use_denoising", kind in ("ours", "bare"))
+            _put(layer, "material_override", glow if kind in ("flat", "still") else None)
+            _put(scene.render, "resolution_percentage", 1 if kind == "still" else 100)
             pose = np.array(job.poses[int(number)])
             with _changed(scene, settings):
                 start = time.process_time()
                 if ours:
+                    scene.cycles.seed = int(number)
+                    stage.set_up(job.camera, pose, 0.0)
                     arrays = _render(pose, np.zeros(3), Path(scratch))
                     arrays["semantic"] = semantic_labels(
                         world, rays, pose, np.zeros((len(rays), 3)), arrays
@@ -67,6 +73,12 @@ def main(job_path: str, out: str) -> None:
                     _render_picture(pose, Path(out))
                 took = time.process_time() - start
             print(took, resident_bytes(), file=answers, flush=True)
+
+
+def _put(owner: Any, name: str, value: Any) -> None:
+    """Set a property that has another value: to set it makes Cycles take the scene in anew."""
+    if getattr(owner, name) != value:
+        setattr(owner, name, value)
 
 
 @contextmanager

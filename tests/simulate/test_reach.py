@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from simulate.camera.pinhole import PinholeCamera
 from simulate.place.town import build_town
@@ -44,11 +45,12 @@ def test_shadows_of_a_low_sun_reach_farther() -> None:
     assert low[high].all() and low.sum() > high.sum()
 
 
-def test_a_picture_is_the_same_whatever_was_rendered_before_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("area", [AREA, 900.0], ids=["they-move", "they-leave"])
+def test_a_picture_is_the_same_whatever_was_rendered_before_it(tmp_path: Path, area: float) -> None:
     pictures = {}
     for name, frames in (("both", (0, 1)), ("alone", (1,))):
         job = RenderJob(
-            seed=3, area_m=AREA, condition="summer-noon", camera=CAMERA, samples=1,
+            seed=3, area_m=area, condition="summer-noon", camera=CAMERA, samples=1,
             poses={i: CORNERS[i].tolist() for i in frames},
         )  # fmt: skip
         render(job, tmp_path / name)
