@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -88,6 +88,8 @@ class Spread:
         patches: (B,) number of patches of the picture with points in view.
         view_cosine: (B,) mean cosine of the angle between the directions in which the pose and the
             photographs of the features see the points in view; 1 if the latter are not known.
+        informative_cost: (B,) mean cost of the points by how much each tells of the pose, as a
+            share of their mean cost; 1 where they do not determine a pose.
     """
 
     covariance: Tensor
@@ -95,6 +97,7 @@ class Spread:
     depth: Tensor
     patches: Tensor
     view_cosine: Tensor
+    informative_cost: Tensor
 
 
 def spread(problem: Problem, aligned: Pose) -> Spread:
@@ -136,7 +139,24 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
         depth.nanmedian(-1).values.nan_to_num(),
         patches,
         _view_cosine(problem, aligned, around.seen),
+        torch.where(known[:, 0, 0], _informative_cost(cost, local.start, around, axes), 1),
     )
+
+
+def _informative_cost(cost: LevelCost, pose: Pose, around: Linearisation, axes: Tensor) -> Tensor:
+    """Return mean costs (B,) as in ``Spread``: a point counts by its part of the Hessian.
+
+    Args:
+        cost: of the poses.
+        pose: the poses (B).
+        around: the cost there.
+        axes: (B, 6, 6) rows along which the Hessian is the identity.
+    """
+    trust = around.cost if cost.target_trust is None else around.cost * cost.target_trust
+    heavy = linearise(replace(cost, target_trust=trust.to(cost.target)), pose).hessian.double()
+    shares = axes @ heavy @ axes.transpose(-1, -2)
+    mean = around.mean_cost().double()
+    return torch.where(mean > 0, shares.diagonal(dim1=-2, dim2=-1).mean(-1) / mean, 1)
 
 
 def _view_cosine(problem: Problem, aligned: Pose, seen: Tensor) -> Tensor:

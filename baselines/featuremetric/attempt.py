@@ -61,6 +61,11 @@ class Attempt:
         return bool(self.alignment.failed[0])
 
     @property
+    def informative_fit(self) -> float:
+        """``fit`` of the points by how much each of them tells of the pose."""
+        return self.fit * (1.0 if self.spread is None else float(self.spread.informative_cost[0]))
+
+    @property
     def pose(self) -> Pose:
         """``cam_from_world`` of the photograph."""
         return photograph_pose(self.view, self.alignment)
@@ -145,8 +150,9 @@ def unclear(attempt: Attempt) -> Attempt:
 def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
     """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
 
-    The fit is compared with that of a query in the light and season of the map, which is worse the
-    more the query's view differs from those of the map's photographs. What the alignment measures
+    The fit of the points by how much they tell of the pose is compared with that of a query in the
+    light and season of the map, which is worse the more the query's view differs from those of the
+    map's photographs. What the alignment measures
     grows by ``covariance_factor`` and by that ratio: the slopes of a changed query are not those of
     the map. It grows, too, by ``(100 / patches)**covariance_patches_power``: clustered estimates
     from few clusters are too small (Cameron and Miller, Journal of Human Resources 2015). What
@@ -161,7 +167,7 @@ def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] 
         return None
     other_view = 1 - float(attempt.spread.view_cosine[0])
     unchanged = options.covariance_unchanged_fit + options.covariance_view_fit * other_view
-    ratio, depth = attempt.fit / unchanged, float(attempt.spread.depth[0])
+    ratio, depth = attempt.informative_fit / unchanged, float(attempt.spread.depth[0])
     factor = options.covariance_factor * ratio
     factor *= (float(attempt.spread.patches[0]) / 100) ** -options.covariance_patches_power
     change = min(1.0, max(0.0, (ratio - 1) / options.covariance_changed_fit))

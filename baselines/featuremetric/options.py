@@ -74,38 +74,39 @@ class SearchOptions(Config):
         3.0, gt=0, description="How far the alignment may turn a pose from matches."
     )
     covariance_factor: float = Field(
-        1.27,
+        1.29,
         gt=0,
         description="Factor on the covariance that the alignment measures where the fit is that of "
         "the map's season, from 100 patches of the query. python -m tests.benchmarks.covariance "
         "finds this and the next five.",
     )
     covariance_patches_power: float = Field(
-        0.112,
+        0.134,
         ge=0,
         description="Power of the number of patches, as a share of 100, by which the covariance is "
         "divided: it is measured too small from few of them.",
     )
     covariance_floor: float = Field(
-        4.83e-5,
+        9.1e-5,
         ge=0,
         description="Standard deviation, per axis, of what moves all points alike, as shadows do "
         "when the sun moves: radians, and metres per metre to the points.",
     )
     covariance_unchanged_fit: float = Field(
-        0.596,
+        0.549,
         gt=0,
-        description="Fit below which light and season are the map's and nothing is added to the "
-        "covariance, for a query that sees the points from where the map's photographs do.",
+        description="Fit, of points by how much they tell of the pose, below which light and season "
+        "are the map's and nothing is added to the covariance, for a query that sees the points "
+        "from where the map's photographs do.",
     )
     covariance_view_fit: float = Field(
-        0.406,
+        0.396,
         ge=0,
         description="How much that fit grows with 1 less the mean cosine of the angle between the "
         "directions in which the query and the map's photographs see the points.",
     )
     covariance_changed_fit: float = Field(
-        0.116,
+        0.392,
         gt=0,
         description="Share by which the fit is worse than in the map's season where the whole of "
         "covariance_floor is added; below, the variance that is added grows in proportion.",

@@ -5,11 +5,11 @@
 
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
 queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_floor``,
-``_unchanged_fit``, ``_view_fit`` and ``_changed_fit`` make most likely both the errors, if these
-follow a Student distribution of eight degrees of freedom, and the mean of their normalised squares
-(NEES) under each condition. Printed are the six, and for each condition the NEES with them, with
-those that the method has now, and with the covariance as it is measured; of several scenes, also
-the NEES of each with the numbers that the others give.
+``_unchanged_fit``, ``_view_fit`` and ``_changed_fit`` make most likely the errors, if these follow
+a Student distribution of eight degrees of freedom, and under each condition the mean of their
+normalised squares (NEES) and the share of them in the 95 % ellipsoid. Printed are the six, and for
+each condition the NEES with them, with those that the method has now, and with the covariance as it
+is measured; of several scenes, also the NEES of each with the numbers that the others give.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import expit
 
 import baselines.featuremetric.attempt as attempts
 from baselines.featuremetric.attempt import Attempt
@@ -46,6 +47,10 @@ _VARIANCE: Final = 2 * _MEAN * (_TAIL + 4) / (_TAIL - 4)
 # A pose with a larger NEES counts as this in the mean of its condition: no covariance of poses that
 # are right makes up for one that is wrong by far and sure of itself.
 _SURE_AND_WRONG: Final = 100.0
+_INSIDE: Final = 0.95
+# A pose counts as inside by the logistic function of the logarithm of its NEES, with this width, as
+# a count has no slope to follow.
+_SOFT: Final = 0.05
 _RESTARTS: Final = 2
 _SIMPLEX: Final = {"maxfev": 4000, "adaptive": True}
 
@@ -76,7 +81,7 @@ class Answers:
         covariances: (N, 6, 6) as the alignments measure them.
         patches: (N,) of the picture with points in view.
         depth: (N,) metres to the points.
-        fit: (N,) cost as a share of the cost by chance.
+        fit: (N,) ``Attempt.informative_fit``.
         view_cosine: (N,) as ``Spread`` has it.
         false: (N,) whether they are wrong by more than 5 m or 10 degrees.
     """
@@ -123,9 +128,12 @@ def calibrate(answers: Answers) -> Numbers:
         volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
         nees = answers.nees(numbers)
         tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
-        bounded = np.minimum(nees, _SURE_AND_WRONG)
-        means = [bounded[answers.conditions == each] for each in np.unique(answers.conditions)]
-        off = sum(len(each) * (each.mean() - _MEAN) ** 2 for each in means) / (2 * _VARIANCE)
+        bounded, inside = np.minimum(nees, _SURE_AND_WRONG), expit(np.log(_CHI2_95 / nees) / _SOFT)
+        off = 0.0
+        for condition in np.unique(answers.conditions):
+            own = answers.conditions == condition
+            off += own.sum() * (bounded[own].mean() - _MEAN) ** 2 / (2 * _VARIANCE)
+            off += own.sum() * (inside[own].mean() - _INSIDE) ** 2 / (2 * _INSIDE * (1 - _INSIDE))
         return float(volume + tail + off)
 
     tried = []
@@ -217,7 +225,7 @@ def _together(answers: Iterable[_Answer]) -> Answers:
                 estimate.covariance,
                 float(attempt.spread.patches[0]),
                 float(attempt.spread.depth[0]),
-                attempt.fit,
+                attempt.informative_fit,
                 float(attempt.spread.view_cosine[0]),
                 metres > 5 or degrees > 10,
             )

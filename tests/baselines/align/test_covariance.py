@@ -223,6 +223,29 @@ def test_view_cosine_tells_from_what_other_direction_points_were_seen(degrees: f
     assert cosine == pytest.approx(float(expected.mean()), abs=1e-6)
 
 
+def test_informative_cost_is_that_of_the_points_that_tell_the_pose() -> None:
+    made = small()
+    pose = Pose(made.truth.rotation[None], made.truth.translation[None])
+    levels = [replace(each, reference=each.reference + 0.03) for each in made.levels]
+    levels[-1].reference[:, ::3] += 0.1  # these fit worse than others
+    for trust in (None, torch.rand(made.points.shape[:2]) + 0.1):
+        levels[-1] = replace(levels[-1], reference_confidence=trust)
+        problem = Problem(levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
+        cost = Local.of(problem).cost(levels[-1], Options())
+        around = cost.linearise(Local.of(problem).start)
+        parts = []
+        for point in range(made.points.shape[1]):  # the part of the Hessian that is its own
+            only = torch.zeros_like(cost.mask)
+            only[:, point] = True
+            own = replace(cost, mask=cost.mask & only).linearise(Local.of(problem).start).hessian
+            parts.append(torch.linalg.solve(around.hessian, own).diagonal(dim1=-2, dim2=-1).sum(-1))
+        shares = torch.stack(parts, -1) / 6
+        assert float(shares.sum()) == pytest.approx(1, abs=1e-4)
+        expected = (shares * around.cost).sum() / around.mean_cost()
+        assert abs(float(expected) - 1) > 0.01
+        assert float(spread(problem, pose).informative_cost) == pytest.approx(float(expected), 1e-4)
+
+
 def test_first_points_keep_what_they_were_seen_from() -> None:
     made = small()
     pose = Pose(made.truth.rotation[None], made.truth.translation[None])

@@ -29,14 +29,27 @@ CAMERA = Camera.parse(["PINHOLE", "64", "64", "60", "60", "32", "32"])
 DEPTH = 50.0
 
 
-def attempt(measured: float, fit: float, patches: float = 100, view_cosine: float = 1.0) -> Attempt:
+def attempt(
+    measured: float,
+    fit: float,
+    patches: float = 100,
+    view_cosine: float = 1.0,
+    informative_cost: float = 1.0,
+) -> Attempt:
     """An attempt of which the alignment measured the same variance along each axis."""
     one = torch.ones(1, dtype=torch.float64)
     pose = Pose(torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64))
     covariance = measured * torch.eye(6, dtype=torch.float64)[None]
     view = warp_image(np.zeros((64, 64, 3), np.uint8), CAMERA)
     alignment = Alignment(pose, (pose,), covariance, one, one, one, torch.zeros(1))
-    spread = Spread(covariance, one, DEPTH * one, patches * one, view_cosine * one)
+    spread = Spread(
+        covariance,
+        one,
+        DEPTH * one,
+        patches * one,
+        view_cosine * one,
+        informative_cost * one,
+    )
     return Attempt(view, alignment, spread, fit, "")
 
 
@@ -73,6 +86,13 @@ def test_a_worse_fit_of_another_view_is_no_change_of_season() -> None:
     np.testing.assert_allclose(variances(other), variances(same))
     np.testing.assert_allclose(variances(other), 2.0 * 1e-4)
     assert (variances(attempt(1e-4, 0.7)) > variances(other)).all()
+
+
+def test_the_fit_that_counts_is_that_of_the_points_that_tell_the_pose() -> None:
+    tried = attempt(1e-4, 0.9, informative_cost=0.5)
+    np.testing.assert_allclose(variances(tried), variances(attempt(1e-4, 0.45)))
+    assert tried.informative_fit == pytest.approx(0.45)
+    assert replace(tried, spread=None).informative_fit == 0.9
 
 
 def test_points_that_do_not_tell_the_pose_give_no_covariance() -> None:
