@@ -95,9 +95,9 @@ class SearchOptions(Config):
     covariance_unchanged_fit: float = Field(
         0.549,
         gt=0,
-        description="Fit, of points by how much they tell of the pose, below which light and season "
-        "are the map's and nothing is added to the covariance, for a query that sees the points "
-        "from where the map's photographs do.",
+        description="Fit of the points by how much they tell of the pose, below which light and "
+        "season are the map's and nothing is added to the covariance, for a query that sees the "
+        "points from where the map's photographs do.",
     )
     covariance_view_fit: float = Field(
         0.396,
