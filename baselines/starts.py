@@ -77,10 +77,10 @@ def starts(
         return [Pose(rotations[0], -rotations[0] @ pose.centre()) for pose in posed]
     position = np.array(prior.position, np.float64)
     beside = [pose.centre().numpy() for pose in posed]
-    heights = [sparse_map.height_above(centre) for centre in beside]
     altitudes = [position[2]]
-    unknown = options.unknown_altitude_share * heights[0]
+    unknown = options.unknown_altitude_share * sparse_map.height_above(beside[0])
     if prior.position_sigma is not None and prior.position_sigma[2] > unknown:
+        heights = [sparse_map.height_above(centre) for centre in beside]
         rows = _distinct_heights(heights, options.same_height_ratio)
         altitudes = [beside[row][2] for row in rows]
     centres = [

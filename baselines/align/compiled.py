@@ -5,7 +5,10 @@ Results differ by rounding alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
 from math import radians
 from typing import Any, Final
 
@@ -33,8 +36,10 @@ _AROUND: Final = "Tuple((b1[:,::1], f4[:,::1], f4[:,::1], f4[:,:,::1], f4[:,:,::
 _DESCEND: Final = (
     f"void({_LEVEL}, Tuple((f4[:,:,::1], b1[:,::1], {_CAMERA})), "
     "Tuple((f8[:,:,::1], f8[:,::1], b1[::1], i8[::1], f8[::1])), "
-    f"Tuple((f8[::1], UniTuple(f8, 6), UniTuple(i8, 2))), {_AROUND})"
+    f"Tuple((f8[::1], UniTuple(f8, 6), UniTuple(i8, 4))), {_AROUND})"
 )
+# Poses of fewer points than this in all are not worth a second thread.
+_WORTH_THREADS: Final = 1024
 
 
 def descended(
@@ -47,16 +52,35 @@ def descended(
     out = _empty(*used.shape)
     rules = (options.damping_change, LEAST_FACTOR, MOST_FACTOR, FLOOR)
     small = (radians(options.converged_deg), options.converged_m)
-    compiled(kernels.descend, _DESCEND)(
-        _level(cost),
+    loops, level = compiled(kernels.descend, _DESCEND), _level(cost)
+    points, state = (
         (positions, used, _camera(cost.intrinsics)),
         (turns, shifts, moving, tried, factors),
-        (*_arrays(damping.double()), (*rules, *small), (options.iterations, options.min_points)),
-        out,
     )
+    (axes,), limits = _arrays(damping.double()), (options.iterations, options.min_points)
+
+    def descend(first: int, end: int) -> None:
+        loops(level, points, state, (axes, (*rules, *small), (*limits, first, end)), out)
+
+    _in_parts(descend, *used.shape)
     to = Pose(torch.from_numpy(turns), torch.from_numpy(shifts))
     there = Linearisation(*map(torch.from_numpy, out))
     return State(to, there, torch.from_numpy(tried), torch.from_numpy(factors)[:, None])
+
+
+def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None:
+    """Do work on the first poses here, and on others in as many threads as torch may use."""
+    threads = min(torch.get_num_threads(), poses) if poses * points >= _WORTH_THREADS else 1
+    own, *others = pairwise(poses * k // threads for k in range(threads + 1))
+    busy = [_pool().submit(work, *part) for part in others]
+    work(*own)
+    for each in busy:
+        each.result()
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor()
 
 
 def around(cost: LevelCost, pose: Pose) -> Linearisation:

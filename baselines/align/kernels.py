@@ -1,7 +1,7 @@
 """Loops over points that Numba compiles for ``baselines.align.compiled``.
 
-A point is finished before the next begins, so that its twelve cells are read once, and nothing but
-its products is written. All loops are in this file, by which Numba knows what it kept of them.
+A point is finished before the next begins: its twelve cells are read once, and only its products
+are written. All loops are in this file, by which Numba knows what it kept of them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def descend(
     level: Level,
     points: tuple[Singles, Flags, Camera],
     state: tuple[Doubles, Doubles, Flags, Integers, Doubles],
-    options: tuple[Doubles, tuple[float, float, float, float, float, float], tuple[int, int]],
+    options: tuple[Doubles, tuple[float, float, float, float, float, float], tuple[int, ...]],
     out: Around,
 ) -> None:
     """Move each pose to where its cost is least.
@@ -49,16 +49,16 @@ def descend(
     Args:
         level: what the cost is of.
         points: (M, N, 3), which of them to use, and the cameras.
-        state: rotations and translations, which are changed; which of these to move; steps tried
-            and factors on the damping, which are written.
+        state: rotations, translations (changed); which to move; steps tried, damping (written).
         options: damping (6,); what a rejected step multiplies it by, the least and the most of that
             factor, the least that is added to the diagonal, the turn (rad) and the shift (m) that
-            end a level; the most steps and the fewest points.
+            end a level; the most steps, the fewest points, the first pose and the end of them.
         out: the cost around the last poses.
     """
     positions, used, camera = points
     turns, shifts, alive, tried, factors = state
-    damping, (change, least, most, floor, small_turn, small_shift), (steps, min_points) = options
+    damping, (change, least, most, floor, small_turn, small_shift), whole = options
+    steps, min_points, first, end = whole
     seen, weight, cost, pull, hessian, cells = out
     number = positions.shape[1]
     view = (
@@ -77,7 +77,7 @@ def descend(
     )
     gradient, step = np.empty(6), np.empty(6)
     turn, shift = np.empty((3, 3)), np.empty(3)
-    for pose in range(len(alive)):
+    for pose in range(first, end):
         own = (positions[pose], used[pose])
         here = (seen[pose], weight[pose], cost[pose], pull[pose], hessian[pose], cells[pose])
         step[:] = 0

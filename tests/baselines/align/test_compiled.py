@@ -10,6 +10,7 @@ import torch
 
 import baselines.align.linearise as linearising
 from baselines.align import kernels
+from baselines.align.compiled import _WORTH_THREADS
 from baselines.align.damping import FLOOR, damped_step
 from baselines.align.descent import descend
 from baselines.align.linearise import can_be_compiled, linearise
@@ -18,6 +19,7 @@ from baselines.align.residuals import Level, LevelCost, Linearisation
 from baselines.align.state import State
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
+from scene.runtime.threads import torch_threads
 from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
 
 POINTS, CHANNELS = 300, 24
@@ -66,6 +68,25 @@ def linearised(cost: LevelCost, pose: Pose, *, by_torch: bool) -> Linearisation:
     with torch.inference_mode():
         assert can_be_compiled(cost)
         return linearise(cost, pose)
+
+
+@pytest.mark.parametrize("poses", [1, 5, 8])
+def test_threads_change_no_bit(poses: int) -> None:
+    cost, start = level_cost(PINHOLE, poses, smooth=True)
+    alive, damping = torch.arange(poses) != 3, torch.full((6,), 1e-3)
+    found = []
+    for threads in (1, 2, 3):
+        with torch_threads(threads), torch.inference_mode():
+            found.append(descend(cost, start, alive, damping, Options(iterations=7)))
+    alone = found[0]
+    assert poses * POINTS > _WORTH_THREADS or poses == 1
+    assert (alone.iterations[alive] > 0).all() and (alone.iterations[~alive] == 0).all()
+    for shared in found[1:]:
+        assert torch.equal(shared.pose.matrix(), alone.pose.matrix())
+        assert torch.equal(shared.iterations, alone.iterations)
+        assert torch.equal(shared.damping, alone.damping)
+        for each in fields(Linearisation):
+            assert torch.equal(getattr(shared.around, each.name), getattr(alone.around, each.name))
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, DISTORTED])
