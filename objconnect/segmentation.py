@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -18,6 +15,7 @@ from torch.nn import functional
 
 from objconnect.config import ObjConnectNetConfig, SegmentOptions
 from scene.errors import InputError
+from scene.runtime.threads import thread_pool
 
 NOTHING: Final = -1
 """The label of pixels that belong to no object."""
@@ -59,7 +57,7 @@ def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
         return keep_largest(find(picture, count, config.segmenter), count)
 
     # A segmentation runs in one thread and releases the interpreter's lock most of the time.
-    labels = list(_pool().map(one, pictures))
+    labels = list(thread_pool().map(one, pictures))
     return torch.from_numpy(np.stack(labels)).to(images.device)
 
 
@@ -116,11 +114,6 @@ def at_pixels(labels: Tensor, image: Tensor, xy: Tensor) -> Tensor:
     column = (xy[..., 0] * (width / image.shape[-1])).long().clamp(0, width - 1)
     row = (xy[..., 1] * (height / image.shape[-2])).long().clamp(0, height - 1)
     return labels.flatten(1).gather(1, row * width + column)
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max_workers=os.cpu_count() or 1)
 
 
 def _slic(picture: Picture, count: int, options: SegmentOptions) -> Labels:

@@ -6,8 +6,6 @@ Results differ by rounding alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from itertools import pairwise
 from math import radians
 from typing import Any, Final
@@ -25,6 +23,7 @@ from baselines.align.state import State
 from scene.geometry.pose import Pose
 from scene.geometry.projection import MAX_SLOPE, MIN_DEPTH, Intrinsics
 from scene.runtime.loops import compiled
+from scene.runtime.threads import thread_pool
 
 # Types of the arguments of ``kernels.descend``.
 _CAMERA: Final = "Tuple((UniTuple(f4[:,::1], 4), UniTuple(f4, 2), b1))"
@@ -72,15 +71,10 @@ def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None
     """Do work on the first poses here, and on others in as many threads as torch may use."""
     threads = min(torch.get_num_threads(), poses) if poses * points >= _WORTH_THREADS else 1
     own, *others = pairwise(poses * k // threads for k in range(threads + 1))
-    busy = [_pool().submit(work, *part) for part in others]
+    busy = [thread_pool().submit(work, *part) for part in others]
     work(*own)
     for each in busy:
         each.result()
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor()
 
 
 def around(cost: LevelCost, pose: Pose) -> Linearisation:

@@ -38,7 +38,7 @@ def covariance(around: Linearisation, options: SolverOptions) -> Tensor:
         options: how large patches are (``covariance_patch_cells``), and how far S is drawn to
             what independent residuals would give (``covariance_shrinkage``).
     """
-    scatter, count = _scatter(around, options.covariance_patch_cells)
+    scatter, count = _scatter(_grids(around, options.covariance_patch_cells))
     hessian = around.hessian.detach().double()
     return _sandwich(hessian, scatter, count, options.covariance_shrinkage)
 
@@ -90,6 +90,9 @@ class Spread:
             photographs of the features see the points in view; 1 if the latter are not known.
         informative_cost: (B,) mean cost of the points by how much each tells of the pose, as a
             share of their mean cost; 1 where they do not determine a pose.
+        level: (B,) mean over six directions of the scatter of the patches' pulls, as a share of the
+            Hessian of Gauss and Newton; 0 where the points do not determine a pose.
+        equal_patches: (B,) number of equal patches whose level would be known as well.
     """
 
     covariance: Tensor
@@ -98,6 +101,8 @@ class Spread:
     patches: Tensor
     view_cosine: Tensor
     informative_cost: Tensor
+    level: Tensor
+    equal_patches: Tensor
 
 
 def spread(problem: Problem, aligned: Pose) -> Spread:
@@ -117,7 +122,8 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     around = linearise(cost, local.start)
     depth = local.start.to(dtype=local.points.dtype).transform(local.points)[..., 2].double()
     depth = torch.where(around.seen, depth, torch.nan)
-    scatter, patches = _scatter(around, options.covariance_patch_cells)
+    grids = _grids(around, options.covariance_patch_cells)
+    scatter, patches = _scatter(grids)
     hessian, shrinkage = around.hessian.detach().double(), options.covariance_shrinkage
     first = _sandwich(hessian, scatter, patches, shrinkage)
     known = (local.finite & first.isfinite().flatten(1).all(-1))[:, None, None]
@@ -133,13 +139,17 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     values = values.clamp(options.least_curvature, 1)
     root = lower @ vectors * values.sqrt()[:, None]
     measured = _sandwich(root @ root.transpose(-1, -2), scatter, patches, shrinkage)
+    level, equal = _level(grids, axes)
+    determined = known[:, 0, 0]
     return Spread(
         torch.where(known, measured, first),
-        torch.where(known[:, 0, 0], values.log().mean(-1).exp(), 0),
+        torch.where(determined, values.log().mean(-1).exp(), 0),
         depth.nanmedian(-1).values.nan_to_num(),
         patches,
         _view_cosine(problem, aligned, around.seen),
-        torch.where(known[:, 0, 0], _informative_cost(cost, local.start, around, axes), 1),
+        torch.where(determined, _informative_cost(cost, local.start, around, axes), 1),
+        torch.where(determined, level, 0),
+        torch.where(determined, equal, 0),
     )
 
 
@@ -176,27 +186,55 @@ def _gradients(cost: LevelCost, pose: Pose, steps: Tensor) -> Tensor:
     return linearise(cost.rows(owner), shifted).gradient.double().view_as(steps)
 
 
-def _scatter(around: Linearisation, side: float) -> tuple[Tensor, Tensor]:
+_Grid = tuple[Tensor, Tensor]
+"""Pulls (M, P, 6) of the patches of a grid, and the number (M,) of those with points."""
+
+
+def _grids(around: Linearisation, side: float) -> list[_Grid]:
+    """Return the patches of four grids half a side apart, as where borders lie is arbitrary."""
+    return [_by_patch(around, side, (x, y)) for x in (0.0, 0.5) for y in (0.0, 0.5)]
+
+
+def _scatter(grids: list[_Grid]) -> tuple[Tensor, Tensor]:
     """Sum p p^T over square patches, (M, 6, 6), and count the patches with points, (M,).
 
-    Where the borders of patches lie is arbitrary, so both are means over four grids half a side
-    apart. Points thus count as the less dependent the farther apart they are, as in Bartlett's
-    window (Conley, Journal of Econometrics 1999).
+    Both are means over the grids. Points thus count as the less dependent the farther apart they
+    are, as in Bartlett's window (Conley, Journal of Econometrics 1999).
     """
-    grids = [_by_patch(around, side, (x, y)) for x in (0.0, 0.5) for y in (0.0, 0.5)]
     scatter = torch.stack([_unbiased(pull, count) for pull, count in grids]).mean(0)
     return scatter, torch.stack([count for _, count in grids]).double().mean(0)
 
 
+def _level(grids: list[_Grid], axes: Tensor) -> tuple[Tensor, Tensor]:
+    """Return levels (M,) and numbers of equal patches (M,) as in ``Spread``, means over the grids.
+
+    Where some patches pull more than others, their mean is known as well as that of fewer equal
+    ones (Kish, "Survey Sampling", 1965).
+
+    Args:
+        grids: the patches.
+        axes: (M, 6, 6) rows along which the Hessian is the identity.
+    """
+    levels, equal = [], []
+    for pull, count in grids:
+        squares = (pull @ axes.transpose(-1, -2)).square().sum(-1)
+        total = squares.sum(-1)
+        levels.append(total * _used(count) / 6)
+        equal.append(total.square() / squares.square().sum(-1))
+    return torch.stack(levels).mean(0), torch.stack(equal).mean(0)
+
+
 def _unbiased(pull: Tensor, count: Tensor) -> Tensor:
     """Return the scatter (M, 6, 6) of the pulls (M, P, 6) that a pose was fitted to."""
-    used = count / (count - _POSE_IN_PATCHES).clamp_min(1)
-    return pull.transpose(-1, -2) @ pull * used[:, None, None]
+    return pull.transpose(-1, -2) @ pull * _used(count)[:, None, None]
 
 
-def _by_patch(
-    around: Linearisation, side: float, first: tuple[float, float]
-) -> tuple[Tensor, Tensor]:
+def _used(count: Tensor) -> Tensor:
+    """Return by how much the scatter of patches that a pose was fitted to is too small."""
+    return count / (count - _POSE_IN_PATCHES).clamp_min(1)
+
+
+def _by_patch(around: Linearisation, side: float, first: tuple[float, float]) -> _Grid:
     """Sum pulls over square patches, (M, P, 6), and count the patches with points, (M,).
 
     Args:

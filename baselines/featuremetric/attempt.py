@@ -155,7 +155,10 @@ def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] 
     map's photographs. What the alignment measures
     grows by ``covariance_factor`` and by that ratio: the slopes of a changed query are not those of
     the map. It grows, too, by ``(100 / patches)**covariance_patches_power``: clustered estimates
-    from few clusters are too small (Cameron and Miller, Journal of Human Resources 2015). What
+    from few clusters are too small (Cameron and Miller, Journal of Human Resources 2015). The level
+    of the patches' scatter is drawn to ``covariance_level`` as the posterior mean of a variance is,
+    which counts as that of ``covariance_level_patches`` equal patches (Smyth, Statistical
+    Applications in Genetics and Molecular Biology 2004). What
     moves all points alike, such as shadows when the sun moves, cannot be seen in their residuals. A
     variance is added for it, which rises from none where the fit is that of the map's season to
     ``covariance_floor`` where it is worse by a share of ``covariance_changed_fit``.
@@ -170,9 +173,19 @@ def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] 
     ratio, depth = attempt.informative_fit / unchanged, float(attempt.spread.depth[0])
     factor = options.covariance_factor * ratio
     factor *= (float(attempt.spread.patches[0]) / 100) ** -options.covariance_patches_power
+    factor *= _moderation(attempt.spread, options)
     change = min(1.0, max(0.0, (ratio - 1) / options.covariance_changed_fit))
     variance = change * (options.covariance_floor * np.repeat([1.0, depth], 3)) ** 2
     return attempt.view.photograph_covariance(factor * measured + np.diag(variance))
+
+
+def _moderation(spread: Spread, options: SearchOptions) -> float:
+    """Return by what the general level of scatter changes a covariance."""
+    own, level = float(spread.equal_patches[0]), float(spread.level[0])
+    if level <= 0:
+        return 1.0
+    weight = options.covariance_level_patches
+    return (own + weight * options.covariance_level / level) / (own + weight)
 
 
 def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:

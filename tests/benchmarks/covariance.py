@@ -1,15 +1,16 @@
-"""The six numbers of the covariance of poses by alignment, from scenes, and what it is worth.
+"""The eight numbers of the covariance of poses by alignment, from scenes, and what it is worth.
 
     python -m tests.benchmarks.covariance SCENE [SCENE ...] [--method objconnect]
         [--start error=3m,5deg] [--cache CACHE]
 
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
-queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_floor``,
-``_unchanged_fit``, ``_view_fit`` and ``_changed_fit`` make most likely the errors, if these follow
-a Student distribution of eight degrees of freedom, and under each condition the mean of their
-normalised squares (NEES) and the share of them in the 95 % ellipsoid. Printed are the six, and for
-each condition the NEES with them, with those that the method has now, and with the covariance as it
-is measured; of several scenes, also the NEES of each with the numbers that the others give.
+queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_level``,
+``_level_patches``, ``_floor``, ``_unchanged_fit``, ``_view_fit`` and ``_changed_fit`` make most
+likely the errors, if these follow a Student distribution of eight degrees of freedom, and under
+each condition the mean of their normalised squares (NEES) and the share of them in the 95 %
+ellipsoid. Printed are the eight, and for each condition the NEES with them, with those that the
+method has now, and with the covariance as it is measured; of several scenes, also the NEES of each
+with the numbers that the others give.
 """
 
 from __future__ import annotations
@@ -60,6 +61,8 @@ class Numbers(NamedTuple):
 
     factor: float
     patches_power: float
+    level: float
+    level_patches: float
     floor: float
     unchanged_fit: float
     view_fit: float
@@ -67,7 +70,10 @@ class Numbers(NamedTuple):
 
 
 # Where the search for the numbers begins, as there are several minima.
-_BEGIN: Final = (Numbers(1.3, 0.1, 5e-5, 0.6, 0.5, 0.1), Numbers(2.0, 0.3, 5e-5, 0.6, 0.5, 0.1))
+_BEGIN: Final = (
+    Numbers(1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+    Numbers(2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+)
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,8 @@ class Answers:
         errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
         covariances: (N, 6, 6) as the alignments measure them.
         patches: (N,) of the picture with points in view.
+        level: (N,) of the patches' scatter.
+        equal_patches: (N,) from which that is known.
         depth: (N,) metres to the points.
         fit: (N,) ``Attempt.informative_fit``.
         view_cosine: (N,) as ``Spread`` has it.
@@ -91,6 +99,8 @@ class Answers:
     errors: NDArray[np.float64]
     covariances: NDArray[np.float64]
     patches: NDArray[np.float64]
+    level: NDArray[np.float64]
+    equal_patches: NDArray[np.float64]
     depth: NDArray[np.float64]
     fit: NDArray[np.float64]
     view_cosine: NDArray[np.float64]
@@ -104,7 +114,8 @@ class Answers:
         """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
         factor = numbers.factor * (self.patches / 100) ** -numbers.patches_power
         ratio = self.fit / (numbers.unchanged_fit + numbers.view_fit * (1 - self.view_cosine))
-        factor *= ratio
+        own, weight = self.equal_patches, numbers.level_patches
+        factor *= ratio * (own + weight * numbers.level / self.level) / (own + weight)
         change = np.clip((ratio - 1) / numbers.changed_fit, 0, 1)
         alike = numbers.floor**2 * np.repeat([change, change * self.depth**2], 3, axis=0).T
         return factor[:, None, None] * self.covariances + alike[..., None] * np.eye(6)
@@ -139,7 +150,7 @@ def calibrate(answers: Answers) -> Numbers:
     tried = []
     for begin in _BEGIN:
         at = np.log(begin)
-        for _ in range(_RESTARTS):  # the simplex of six numbers shrinks before it is at the least
+        for _ in range(_RESTARTS):  # the simplex of eight numbers shrinks before it is at the least
             found = minimize(unlikeliness, at, method="Nelder-Mead", options=_SIMPLEX)
             at = found.x
         tried.append(found)
@@ -224,6 +235,8 @@ def _together(answers: Iterable[_Answer]) -> Answers:
                 (truth @ estimate.cam_from_world.inverse()).log().numpy(),
                 estimate.covariance,
                 float(attempt.spread.patches[0]),
+                float(attempt.spread.level[0]),
+                float(attempt.spread.equal_patches[0]),
                 float(attempt.spread.depth[0]),
                 attempt.informative_fit,
                 float(attempt.spread.view_cosine[0]),

@@ -171,6 +171,29 @@ def test_shrunk_covariances_lie_between_the_sandwich_and_independent_residuals(
     torch.testing.assert_close(white, torch.eye(6).double().expand_as(white), rtol=0, atol=1e-4)
 
 
+def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
+    cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
+) -> None:
+    problem, _, found, _ = cluttered
+    here = spread(problem, found.pose)
+    around = linearised(problem.starting_at(found.pose), problem.options)
+    sandwich = covariance(around, problem.options) @ around.hessian.double()
+    torch.testing.assert_close(
+        here.level, sandwich.diagonal(dim1=-2, dim2=-1).mean(-1), rtol=1e-4, atol=0
+    )
+    assert (here.equal_patches > 1).all() and (here.equal_patches < here.patches).all()
+    # Another scale of the features is one of the level alone.
+    levels = [
+        replace(each, features=3 * each.features, reference=3 * each.reference)
+        for each in problem.levels
+    ]
+    scale = 3 * problem.options.robust_scale
+    options = problem.options.model_copy(update={"robust_scale": scale})
+    scaled = spread(replace(problem, levels=levels, options=options), found.pose)
+    torch.testing.assert_close(scaled.level, 9 * here.level, rtol=1e-2, atol=0)
+    torch.testing.assert_close(scaled.equal_patches, here.equal_patches, rtol=1e-2, atol=0)
+
+
 def test_where_the_grid_of_patches_begins_does_not_matter(
     cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
 ) -> None:
@@ -195,6 +218,7 @@ def test_nothing_is_known_where_points_are_too_few() -> None:
     around = spread(problem, start)
     assert around.covariance.diagonal(dim1=-2, dim2=-1).isinf().all()
     assert float(around.curvature) == 0
+    assert float(around.level) == float(around.equal_patches) == 0
 
 
 @pytest.mark.parametrize("degrees", [0, 40])

@@ -20,6 +20,8 @@ from scene.geometry.pose import Pose
 OPTIONS = SearchOptions(
     covariance_factor=2.0,
     covariance_patches_power=0.5,
+    covariance_level=4e-4,
+    covariance_level_patches=5.0,
     covariance_floor=1e-3,
     covariance_unchanged_fit=0.6,
     covariance_view_fit=0.5,
@@ -27,6 +29,7 @@ OPTIONS = SearchOptions(
 )
 CAMERA = Camera.parse(["PINHOLE", "64", "64", "60", "60", "32", "32"])
 DEPTH = 50.0
+EQUAL = 15.0
 
 
 def attempt(
@@ -35,6 +38,7 @@ def attempt(
     patches: float = 100,
     view_cosine: float = 1.0,
     informative_cost: float = 1.0,
+    level: float = 4e-4,
 ) -> Attempt:
     """An attempt of which the alignment measured the same variance along each axis."""
     one = torch.ones(1, dtype=torch.float64)
@@ -49,6 +53,8 @@ def attempt(
         patches * one,
         view_cosine * one,
         informative_cost * one,
+        level * one,
+        EQUAL * one,
     )
     return Attempt(view, alignment, spread, fit, "")
 
@@ -67,6 +73,13 @@ def test_a_pose_is_less_sure_where_the_fit_is_worse(fit: float) -> None:
 
 def test_a_pose_is_less_sure_from_fewer_patches() -> None:
     np.testing.assert_allclose(variances(attempt(1e-4, 0.6, patches=25)), 2.0 * 2 * 1e-4)
+
+
+@pytest.mark.parametrize(("level", "factor"), [(4e-4, 1), (8e-4, 7 / 8), (1e-4, 7 / 4), (0, 1)])
+def test_a_level_of_few_patches_is_drawn_to_that_of_others(level: float, factor: float) -> None:
+    """Of 15 patches of its own and 5 in general, a quarter is the level in general."""
+    drawn = variances(attempt(1e-4, 0.6, level=level))
+    np.testing.assert_allclose(drawn, 2.0 * factor * 1e-4)
 
 
 @pytest.mark.parametrize(
