@@ -16,7 +16,7 @@ from baselines.align.sampling import sample
 from baselines.folding import resolved
 from baselines.views import WarpedImage, level_image, warp_image
 from scene.geometry.camera import Camera
-from scene.runtime.memory import keep_few_kernels
+from scene.runtime.memory import keep_few_kernels, keep_freed
 from scene.storage.lru_cache import MEGABYTE
 
 # Bytes per pixel that a pass of the networks takes at its peak, beside what they return.
@@ -102,6 +102,7 @@ class MapExtractor:
 
     def __init__(self, network: Network, longest: int, precision: str) -> None:
         keep_few_kernels()
+        keep_freed()
         self.network = network
         self.longest = longest
         self._precision = precision

@@ -6,10 +6,18 @@ import ctypes
 import os
 import sys
 from pathlib import Path
+from typing import Final
 
 _HELD = Path("/proc/self/statm")
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
+# Parameters of glibc's mallopt.
+_TRIM_THRESHOLD: Final = -1
+_MMAP_THRESHOLD: Final = -3
+# Bytes that may be free at the end of the heap, and above which a block is taken from the system by
+# itself: the most that glibc takes for the latter.
+_FREE_AT_END: Final = 1 << 30
+_BLOCK: Final = 1 << 25
 # Convolutions that are kept: those of a network for one or two sizes.
 _KERNELS = "32"
 
@@ -41,6 +49,25 @@ def return_freed_above(bound: int) -> None:
     """
     if resident_bytes() > bound:
         return_freed()
+
+
+def keep_freed() -> None:
+    """Keep memory that was freed for the next pass of a network, where the C library can.
+
+    glibc gives back what is free at the end of its heap, once that is twice the largest block that
+    it ever freed. The maps of a picture are some 50 MB, and to take them again costs a tenth of a
+    query. ``return_freed`` gives it back. Thresholds that the environment gives are left as they
+    are.
+    """
+    if any(name.startswith("MALLOC_") or name == "GLIBC_TUNABLES" for name in os.environ):
+        return
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+        # Either one ends that glibc chooses both by the blocks it frees.
+        if mallopt(_MMAP_THRESHOLD, _BLOCK):
+            mallopt(_TRIM_THRESHOLD, _FREE_AT_END)
+    except (AttributeError, OSError, TypeError):  # macOS, musl, Windows
+        return
 
 
 def keep_few_kernels() -> None:

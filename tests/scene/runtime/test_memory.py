@@ -37,6 +37,51 @@ def test_freed_memory_goes_back_above_a_bound() -> None:
     assert above > 150_000_000
 
 
+PASSES = """
+import ctypes, os, resource
+from scene.runtime.memory import keep_freed, return_freed, resident_bytes
+
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+libc.malloc.argtypes = [ctypes.c_size_t]
+libc.free.argtypes = [ctypes.c_void_p]
+
+def one():
+    # The maps of a picture: together more than twice the largest of them.
+    blocks = [libc.malloc(16_000_000) for _ in range(4)]
+    for block in blocks:
+        ctypes.memset(block, 1, 16_000_000)
+    for block in blocks:
+        libc.free(block)
+
+if os.environ.get("KEEP"):
+    keep_freed()
+for _ in range(3):
+    one()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(10):
+    one()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+held = resident_bytes()
+return_freed()
+print(held - resident_bytes())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc gives memory back")
+def test_passes_find_the_memory_of_the_one_before_and_it_can_still_go_back() -> None:
+    faults, given_back = map(int, printed(PASSES, KEEP="1").split())
+    assert faults < 1000
+    assert given_back > 50_000_000
+    assert int(printed(PASSES).split()[0]) > 50_000  # of 156,000 pages
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's thresholds")
+def test_thresholds_of_the_environment_are_left_as_they_are() -> None:
+    faults, _ = map(int, printed(PASSES, KEEP="1", MALLOC_TRIM_THRESHOLD_="100000").split())
+    assert faults > 50_000
+
+
 KERNELS = """
 import torch
 from scene.runtime.memory import keep_few_kernels, resident_bytes, return_freed
