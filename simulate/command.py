@@ -185,6 +185,8 @@ def _plain(config: SimulateConfig) -> dict[str, Any]:
     plain: dict[str, Any] = config.model_dump(mode="json")
     if config.site is None:
         del plain["site"]  # scenes of other presets stay what they were
+    if config.denoising == "high":
+        del plain["denoising"]  # scenes from before there was a choice stay what they were
     return plain
 
 
@@ -270,6 +272,7 @@ def render_job(
         camera=pinhole,
         lens=lens,
         samples=config.spp,
+        denoising=config.denoising,
         poses={k: pose.tolist() for k, pose in enumerate(poses)},
         travel={k: (x, y, z) for k, (x, y, z) in enumerate(travel.tolist()) if any((x, y, z))},
     )

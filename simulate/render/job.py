@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -10,6 +11,9 @@ from scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.look.conditions import PLACE
 from simulate.place.change import Change
+
+Denoising = Literal["fast", "high"]
+"""Quality of Open Image Denoise."""
 
 
 class Board(BaseModel):
@@ -30,7 +34,7 @@ class RenderJob(BaseModel):
     """The frames of one flight under one condition.
 
     - ``poses`` maps frame numbers to ``cam_from_world`` (4, 4), OpenCV axes, metres.
-    - ``samples`` is the number of paths per pixel before denoising.
+    - ``samples`` is the number of paths per pixel before denoising, and ``denoising`` its quality.
     - ``origin`` is the geodetic origin, from which the position of the sun follows.
     - ``change`` and ``first_new_id`` make the world, as ``simulate.place.change.changed_world``.
     - ``prepared`` is the file of a surveyed place, which is read instead of built.
@@ -54,6 +58,7 @@ class RenderJob(BaseModel):
     lens: str | None = None
     board: Board | None = None
     samples: int = Field(default=4, ge=1)
+    denoising: Denoising = "fast"
     poses: dict[int, list[list[float]]]
     travel: dict[int, tuple[float, float, float]] = {}
 

@@ -41,6 +41,7 @@ def alone(place: str) -> None:
     from simulate.look.conditions import condition
     from simulate.place.presets import preset
     from simulate.render.blender import _build_scene, _claim_stdout, _render, _set_up_render
+    from simulate.render.job import RenderJob
 
     out = _claim_stdout()
     name, area, seed = place.split(":")
@@ -49,7 +50,16 @@ def alone(place: str) -> None:
     spent.append(time.process_time())
     _build_scene(world, condition("summer-noon"))
     spent.append(time.process_time())
-    _set_up_render(PinholeCamera(width=64, height=64, f=55, cx=32, cy=32), 1, 0)
+    camera = PinholeCamera(width=64, height=64, f=55, cx=32, cy=32)
+    job = RenderJob(
+        seed=int(seed),
+        area_m=float(area),
+        condition="summer-noon",
+        camera=camera,
+        samples=1,
+        poses={},
+    )
+    _set_up_render(job, 0)
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     down[2, 3] = 80.0 + world.terrain.height(0.0, 0.0)
     with tempfile.TemporaryDirectory() as scratch:

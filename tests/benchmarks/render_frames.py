@@ -45,7 +45,7 @@ def main(job_path: str, out: str) -> None:
     world = preset(job.preset)(job.seed, job.area_m)
     light = condition(job.condition)
     _build_scene(world, light)
-    _set_up_render(job.camera, job.samples, 0)
+    _set_up_render(job, 0)
     stage = _Stage(world, light)
     scene = bpy.context.scene
     layer, rays, glow = scene.view_layers[0], pinhole_rays(job.camera), _glow()

@@ -40,6 +40,7 @@ def nadir_job(config: SimulateConfig, frames: int) -> RenderJob:
         condition=config.sessions[0].condition,
         camera=pinhole,
         samples=config.spp,
+        denoising=config.denoising,
         poses={k: poses[k % len(poses)].tolist() for k in range(frames)},
     )
 

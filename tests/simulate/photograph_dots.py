@@ -36,7 +36,7 @@ def main(job_path: str, dots_path: str, out: str) -> None:
         placed.location, placed.scale = point, (radius,) * 3
     # Grey: on black, what resampling overshoots would be cut off on one side.
     bpy.context.scene.world = shining(bpy.data.worlds.new("sky"), "ShaderNodeOutputWorld", 0.1)
-    _set_up_render(job.camera, job.samples, threads=0)
+    _set_up_render(job, threads=0)
     bpy.context.scene.cycles.use_denoising = False
     # Linear light: of a tone curve's output the centre of light would not be that of the disc.
     bpy.context.scene.view_settings.view_transform = "Raw"
