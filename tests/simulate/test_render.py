@@ -92,6 +92,22 @@ def test_a_frame_holds_what_is_promised(summer):
     assert sorted(p.name for p in summer.iterdir()) == [f"{i:06d}.npz" for i in range(3)]
 
 
+def test_a_fast_denoiser_is_nearly_as_near_to_a_picture_of_many_samples(summer, tmp_path):
+    """And the other layers do not change. Of one sample a pixel both are some 7 grey levels off."""
+    few, frame = job("summer-noon"), 0
+    only = {"poses": {frame: few.poses[frame]}}
+    pictures = {"fast": load(summer, frame)}
+    for name, changed in (("high", {"denoising": "high"}), ("many", {"samples": 256})):
+        render(few.model_copy(update=only | changed), tmp_path / name)
+        pictures[name] = load(tmp_path / name, frame)
+    for layer in set(pictures["fast"]) - {"rgb"}:
+        assert np.array_equal(pictures["fast"][layer], pictures["high"][layer]), layer
+    many = pictures["many"]["rgb"].astype(float)
+    off = {name: np.sqrt(((pictures[name]["rgb"] - many) ** 2).mean()) for name in pictures}
+    assert 0 < off["fast"] < 1.1 * off["high"]
+    assert not np.array_equal(pictures["fast"]["rgb"], pictures["high"]["rgb"])
+
+
 def test_depth_is_what_rays_meet(summer, tmp_path):
     """Against Blender's own ray casts through pixel centres, edges of objects included."""
     frames = [load(summer, frame) for frame in range(3)]
