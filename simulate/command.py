@@ -182,12 +182,9 @@ def finished_scene(out: Path, config: SimulateConfig) -> Scene | None:
 
 
 def _plain(config: SimulateConfig) -> dict[str, Any]:
-    plain: dict[str, Any] = config.model_dump(mode="json")
-    if config.site is None:
-        del plain["site"]  # scenes of other presets stay what they were
-    if config.denoising == "high":
-        del plain["denoising"]  # scenes from before there was a choice stay what they were
-    return plain
+    # Scenes from before there was a choice do not say what they were made with.
+    unsaid = {k for k, v in (("site", None), ("denoising", "high")) if getattr(config, k) == v}
+    return config.model_dump(mode="json", exclude=unsaid)
 
 
 def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifest:

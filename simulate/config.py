@@ -149,7 +149,8 @@ class SimulateConfig(Config):
             ``fov_deg``.
         spp: rendering samples per pixel; the result is denoised.
         denoising: quality of the denoiser, "fast" or "high". The latter takes 7 % longer, and is 0
-            to 0.2 dB nearer to a picture of 64 samples.
+            to 0.2 dB nearer to a picture of 64 samples. With an ``spp`` below 4 choose it: of few
+            samples the fast one leaves noise that feature extractors take for texture.
         frames: number of photographs of sessions that give no number of their own.
         sessions: flights; on the command line "condition:flight[:role][:change]", where by default
             the first is a map session and the others are query sessions.

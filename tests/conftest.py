@@ -125,6 +125,7 @@ RENDERED = SimulateConfig.model_validate(
         "area": 120,
         "size": 320,
         "spp": 2,
+        "denoising": "high",  # the fast one leaves noise of two samples
         "sessions": [
             {"condition": "summer-noon", "flight": "nadir", "role": "map", "frames": 12},
             {"condition": "summer-noon", "flight": "nadir", "role": "query", "frames": 4},

@@ -106,7 +106,10 @@ def made_answers(numbers: Numbers, seed: int, count: int = 2000, freedom: int = 
     patches = rng.uniform(50, 500, count)
     fit = rng.uniform(0.5, 0.9, count)
     view_cosine = rng.uniform(0.8, 1.0, count)
-    known = Answers(names, names, blank, covariances, patches, depth, fit, view_cosine, false)
+    level, equal = np.exp(rng.normal(np.log(5e-4), 0.5, count)), rng.uniform(5, 30, count)
+    known = Answers(
+        names, names, blank, covariances, patches, level, equal, depth, fit, view_cosine, false
+    )
     lower = np.linalg.cholesky(known.calibrated(numbers))
     tails = np.sqrt((freedom - 2) / rng.chisquare(freedom, count))
     errors = (lower @ rng.normal(size=(count, 6, 1)))[..., 0] * tails[:, None]
@@ -115,7 +118,10 @@ def made_answers(numbers: Numbers, seed: int, count: int = 2000, freedom: int = 
 
 @pytest.mark.parametrize(
     "planted",
-    [Numbers(2.0, 0.2, 3e-4, 0.6, 0.4, 0.1), Numbers(3.0, 0.5, 6e-4, 0.65, 0.8, 0.2)],
+    [
+        Numbers(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1),
+        Numbers(3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2),
+    ],
 )
 def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
     found = calibrate(made_answers(planted, seed=1, count=5000))
@@ -128,7 +134,7 @@ def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
 
 
 def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
-    planted = Numbers(2.0, 0.2, 3e-4, 0.6, 0.4, 0.1)
+    planted = Numbers(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)
     found = calibrate(made_answers(planted, seed=1, freedom=20))
     unseen = made_answers(planted, seed=2, freedom=20)
     for wrong, holds in [(1.0, True), (2.0, False), (0.5, False)]:
