@@ -139,7 +139,7 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
     values = values.clamp(options.least_curvature, 1)
     root = lower @ vectors * values.sqrt()[:, None]
     measured = _sandwich(root @ root.transpose(-1, -2), scatter, patches, shrinkage)
-    level, equal = _level(grids, axes)
+    level = (axes @ scatter @ axes.transpose(-1, -2)).diagonal(dim1=-2, dim2=-1).mean(-1)
     determined = known[:, 0, 0]
     return Spread(
         torch.where(known, measured, first),
@@ -149,7 +149,7 @@ def spread(problem: Problem, aligned: Pose) -> Spread:
         _view_cosine(problem, aligned, around.seen),
         torch.where(determined, _informative_cost(cost, local.start, around, axes), 1),
         torch.where(determined, level, 0),
-        torch.where(determined, equal, 0),
+        torch.where(determined, _equal_patches(grids, axes), 0),
     )
 
 
@@ -205,8 +205,8 @@ def _scatter(grids: list[_Grid]) -> tuple[Tensor, Tensor]:
     return scatter, torch.stack([count for _, count in grids]).double().mean(0)
 
 
-def _level(grids: list[_Grid], axes: Tensor) -> tuple[Tensor, Tensor]:
-    """Return levels (M,) and numbers of equal patches (M,) as in ``Spread``, means over the grids.
+def _equal_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
+    """Return numbers of equal patches (M,) as in ``Spread``, means over the grids.
 
     Where some patches pull more than others, their mean is known as well as that of fewer equal
     ones (Kish, "Survey Sampling", 1965).
@@ -215,23 +215,14 @@ def _level(grids: list[_Grid], axes: Tensor) -> tuple[Tensor, Tensor]:
         grids: the patches.
         axes: (M, 6, 6) rows along which the Hessian is the identity.
     """
-    levels, equal = [], []
-    for pull, count in grids:
-        squares = (pull @ axes.transpose(-1, -2)).square().sum(-1)
-        total = squares.sum(-1)
-        levels.append(total * _used(count) / 6)
-        equal.append(total.square() / squares.square().sum(-1))
-    return torch.stack(levels).mean(0), torch.stack(equal).mean(0)
+    each = [(pull @ axes.transpose(-1, -2)).square().sum(-1) for pull, _ in grids]
+    return torch.stack([a.sum(-1).square() / a.square().sum(-1) for a in each]).mean(0)
 
 
 def _unbiased(pull: Tensor, count: Tensor) -> Tensor:
     """Return the scatter (M, 6, 6) of the pulls (M, P, 6) that a pose was fitted to."""
-    return pull.transpose(-1, -2) @ pull * _used(count)[:, None, None]
-
-
-def _used(count: Tensor) -> Tensor:
-    """Return by how much the scatter of patches that a pose was fitted to is too small."""
-    return count / (count - _POSE_IN_PATCHES).clamp_min(1)
+    used = count / (count - _POSE_IN_PATCHES).clamp_min(1)
+    return pull.transpose(-1, -2) @ pull * used[:, None, None]
 
 
 def _by_patch(around: Linearisation, side: float, first: tuple[float, float]) -> _Grid:
