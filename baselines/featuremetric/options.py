@@ -81,44 +81,44 @@ class SearchOptions(Config):
         "finds this and the next seven.",
     )
     covariance_patches_power: float = Field(
-        0.121,
+        0.205,
         ge=0,
         description="Power of the number of patches, as a share of 100, by which the covariance is "
         "divided: it is measured too small from few of them.",
     )
     covariance_level: float = Field(
-        5.03e-4,
+        3.71e-4,
         gt=0,
         description="Level of the scatter of the patches' pulls, as a share of the curvature of "
         "the cost, that queries have in general.",
     )
     covariance_level_patches: float = Field(
-        4.27,
+        2.82,
         ge=0,
         description="Number of equal patches of a query as which this level counts beside what "
         "the query's own patches show: their level is not known well from few of them.",
     )
     covariance_floor: float = Field(
-        9.08e-5,
+        8.59e-5,
         ge=0,
         description="Standard deviation, per axis, of what moves all points alike, as shadows do "
         "when the sun moves: radians, and metres per metre to the points.",
     )
     covariance_unchanged_fit: float = Field(
-        0.546,
+        0.548,
         gt=0,
         description="Fit of the points by how much they tell of the pose, below which light and "
         "season are the map's and nothing is added to the covariance, for a query that sees the "
         "points from where the map's photographs do.",
     )
     covariance_view_fit: float = Field(
-        0.425,
+        0.413,
         ge=0,
         description="How much that fit grows with 1 less the mean cosine of the angle between the "
         "directions in which the query and the map's photographs see the points.",
     )
     covariance_changed_fit: float = Field(
-        0.397,
+        0.316,
         gt=0,
         description="Share by which the fit is worse than in the map's season where the whole of "
         "covariance_floor is added; below, the variance that is added grows in proportion.",

@@ -6,11 +6,11 @@
 Give scenes of seeds 100 to 999: a choice is not made on what is reported. The scenes have maps and
 queries of many conditions. ``covariance_factor``, ``_patches_power``, ``_level``,
 ``_level_patches``, ``_floor``, ``_unchanged_fit``, ``_view_fit`` and ``_changed_fit`` make most
-likely the errors, if these follow a Student distribution of eight degrees of freedom, and under
-each condition the mean of their normalised squares (NEES) and the share of them in the 95 %
-ellipsoid. Printed are the eight, and for each condition the NEES with them, with those that the
-method has now, and with the covariance as it is measured; of several scenes, also the NEES of each
-with the numbers that the others give.
+likely the errors, if these follow a Student distribution of eight degrees of freedom, and, with
+four times the weight, under each condition the mean of their normalised squares (NEES) and the
+share of them in the 95 % ellipsoid. Printed are the eight, and for each condition the NEES with
+them, with those that the method has now, and with the covariance as it is measured; of several
+scenes, also the NEES of each with the numbers that the others give.
 """
 
 from __future__ import annotations
@@ -52,6 +52,9 @@ _INSIDE: Final = 0.95
 # A pose counts as inside by the logistic function of the logarithm of its NEES, with this width, as
 # a count has no slope to follow.
 _SOFT: Final = 0.05
+# Weight of means and shares of the conditions beside the likelihood, which makes covariances of
+# conditions with fewer large errors than Student's too large.
+_OF_CONDITIONS: Final = 4.0
 _RESTARTS: Final = 2
 _SIMPLEX: Final = {"maxfev": 4000, "adaptive": True}
 
@@ -145,7 +148,7 @@ def calibrate(answers: Answers) -> Numbers:
             own = answers.conditions == condition
             off += own.sum() * (bounded[own].mean() - _MEAN) ** 2 / (2 * _VARIANCE)
             off += own.sum() * (inside[own].mean() - _INSIDE) ** 2 / (2 * _INSIDE * (1 - _INSIDE))
-        return float(volume + tail + off)
+        return float(volume + tail + _OF_CONDITIONS * off)
 
     tried = []
     for begin in _BEGIN:
