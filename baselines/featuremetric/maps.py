@@ -159,15 +159,13 @@ class MapExtractor:
             seen: the warped photograph.
             levels: how many levels to compute, from the coarsest; None for all.
         """
-        # Rows of pixels of RGB are channels-last as they are.
-        image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
         strides = self.network.config.strides
-        size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in image.shape[-2:])
+        height, width = seen.picture.shape[:2]
+        size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in (height, width))
         finest = None if seen.whole else _shown(seen, size, strides[-1])
-        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
-            made = self.network(image, levels=levels, shown=finest)
-        maps = []
-        for stride, (features, confidence) in zip(strides[:levels], made, strict=True):
+        made, maps = self._pass(seen, levels, finest), []
+        for stride in strides[:levels]:
+            features, confidence = made.pop(0)  # what the network made can go once it is converted
             confidence = confidence.float()
             if finest is not None:
                 last = stride == strides[-1]
@@ -175,6 +173,15 @@ class MapExtractor:
                 confidence = confidence * torch.from_numpy(shown)
             maps.append(FeatureMap(features.float(), confidence, stride))
         return maps
+
+    def _pass(
+        self, seen: WarpedImage, levels: int | None, shown: NDArray[np.bool_] | None
+    ) -> list[tuple[Tensor, Tensor]]:
+        """Run the network; see ``Network.__call__``."""
+        # Rows of pixels of RGB are channels-last as they are.
+        image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
+        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
+            return list(self.network(image, levels=levels, shown=shown))
 
     def largest_scale(self, camera: Camera, magnification: float = 1.0) -> float:
         """Return the largest scale at which photographs of a camera are seen.
