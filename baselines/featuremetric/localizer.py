@@ -165,7 +165,7 @@ class FeaturemetricLocalizer:
         clock = Stopwatch()
         if (followed := self._followed(query, clock)) is not None:
             return followed
-        return_freed_above(self._refine.kept_bytes)
+        return_freed_above(self.config.return_freed_mb * MEGABYTE)
         unsaid = query.references is None and not says_all(query.prior)
         if self.config.multistart and unsaid and (found := self._search(query, clock)) is not None:
             return found

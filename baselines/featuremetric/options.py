@@ -281,10 +281,16 @@ class FeaturemetricConfig(Config):
         QuantizationOptions(), description="How the scales of these integers are chosen."
     )
     memory_mb: int = Field(
-        1150,
+        1060,
         ge=1,
         description="Memory of the whole process; features of the map stay in memory as far as "
         "there is room below it beside a pass of the network.",
+    )
+    return_freed_mb: int = Field(
+        610,
+        ge=0,
+        description="A query that begins with more memory than this gives back what the queries "
+        "before it freed; a pass that takes it again is a tenth slower.",
     )
     place: PlaceOptions = Field(
         PlaceOptions(candidates=0),

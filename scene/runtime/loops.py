@@ -7,6 +7,8 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any, Final
 
+from scene.runtime.memory import return_code
+
 # Numba knows what it kept by the file of a function: after a change here, write those files anew.
 OPTIONS: Final[dict[str, Any]] = {
     "nogil": True,
@@ -37,5 +39,6 @@ def compiled(function: Callable[..., None], signature: str) -> Callable[..., Non
     except (OSError, RuntimeError):  # nowhere to keep it, or the disk is full
         made = njit(**OPTIONS)(function)
         made.compile(signature)
+    return_code("llvmlite")  # 50 MB of a compiler
     loops: Callable[..., None] = made
     return loops

@@ -11,6 +11,7 @@ from typing import Final
 _HELD = Path("/proc/self/statm")
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
+_MAPS = Path("/proc/self/maps")
 # Parameters of glibc's mallopt.
 _TRIM_THRESHOLD: Final = -1
 _MMAP_THRESHOLD: Final = -3
@@ -18,6 +19,8 @@ _MMAP_THRESHOLD: Final = -3
 # itself: the most that glibc takes for the latter.
 _FREE_AT_END: Final = 1 << 30
 _BLOCK: Final = 1 << 25
+# Advice of madvise: the pages are not needed now.
+_DONTNEED: Final = 4
 # Convolutions that are kept: those of a network for one or two sizes.
 _KERNELS = "32"
 
@@ -68,6 +71,28 @@ def keep_freed() -> None:
             mallopt(_TRIM_THRESHOLD, _FREE_AT_END)
     except (AttributeError, OSError, TypeError):  # macOS, musl, Windows
         return
+
+
+def return_code(library: str) -> None:
+    """Give the code of a loaded library back to the system, which reads it again where it runs.
+
+    A compiler that has done its work otherwise stays resident.
+
+    Args:
+        library: a part of the name of its file.
+    """
+    try:
+        mapped = _MAPS.read_text().splitlines()
+        madvise = ctypes.CDLL(None).madvise
+    except (AttributeError, OSError, TypeError):  # not Linux
+        return
+    madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
+    for line in mapped:
+        span, access, *_, file = line.split(maxsplit=5)
+        # Only code is sure to be as it is in the file.
+        if access == "r-xp" and library in file.rpartition("/")[2]:
+            begin, end = (int(side, 16) for side in span.split("-"))
+            madvise(begin, end - begin, _DONTNEED)
 
 
 def keep_few_kernels() -> None:

@@ -104,3 +104,40 @@ def test_few_kernels_are_kept() -> None:
     few = int(printed(KERNELS))
     all_of_them = int(printed(KERNELS, ONEDNN_PRIMITIVE_CACHE_CAPACITY="1024"))
     assert few < 0.7 * all_of_them, (few, all_of_them)
+
+
+CODE = """
+import numpy as np
+from scene.runtime.loops import compiled
+from scene.runtime.memory import return_code
+
+def resident():
+    found, kept = 0, False
+    for line in open("/proc/self/smaps"):
+        if "-" in line.split()[0]:
+            kept = "llvmlite" in line and " r-xp " in line
+        elif kept and line.startswith("Rss:"):
+            found += int(line.split()[1])
+    return found
+
+def double(numbers):
+    for k in range(len(numbers)):
+        numbers[k] *= 2
+
+import llvmlite.binding as llvm
+llvm.initialize_native_target()
+print(resident())
+loop, numbers = compiled(double, "void(f8[::1])"), np.ones(3)
+print(resident())
+loop(numbers)
+compiled(double, "void(f4[::1])")
+print(int(numbers.sum()))
+return_code("no such library")
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux tells what is resident")
+def test_a_compiler_that_has_done_its_work_leaves_memory() -> None:
+    before, after, doubled = map(int, printed(CODE).split())
+    assert before > 4 * after
+    assert doubled == 6
