@@ -38,7 +38,7 @@ from baselines.starts import starts
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.memory import return_freed_above
+from scene.runtime.memory import resident_bytes, return_freed, return_freed_above
 from scene.storage.lru_cache import MEGABYTE
 from scene.storage.scratch import scratch
 
@@ -128,6 +128,8 @@ class FeaturemetricLocalizer:
         if other is not None:
             other.prepare(source, cache)
         self._search = GlobalSearch(self._refine, sparse_map, places, other)
+        return_freed()
+        self._most_bytes = resident_bytes() + config.return_freed_mb * MEGABYTE
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
         """Compute what the cache is to hold of a part; see ``scene.localizer.PreparesParts``."""
@@ -165,7 +167,7 @@ class FeaturemetricLocalizer:
         clock = Stopwatch()
         if (followed := self._followed(query, clock)) is not None:
             return followed
-        return_freed_above(self.config.return_freed_mb * MEGABYTE)
+        return_freed_above(self._most_bytes)
         unsaid = query.references is None and not says_all(query.prior)
         if self.config.multistart and unsaid and (found := self._search(query, clock)) is not None:
             return found

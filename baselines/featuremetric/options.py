@@ -287,10 +287,10 @@ class FeaturemetricConfig(Config):
         "there is room below it beside a pass of the network.",
     )
     return_freed_mb: int = Field(
-        610,
+        290,
         ge=0,
-        description="A query that begins with more memory than this gives back what the queries "
-        "before it freed; a pass that takes it again is a tenth slower.",
+        description="A query that begins with so much more memory than the map took gives back "
+        "what the queries before it freed; a pass that takes it again is a tenth slower.",
     )
     place: PlaceOptions = Field(
         PlaceOptions(candidates=0),
