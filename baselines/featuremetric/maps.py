@@ -160,8 +160,8 @@ class MapExtractor:
             levels: how many levels to compute, from the coarsest; None for all.
         """
         strides = self.network.config.strides
-        height, width = seen.picture.shape[:2]
-        size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in (height, width))
+        sides = seen.picture.shape[:2]
+        size = tuple(side // _COARSEST * _COARSEST // strides[-1] for side in sides)
         finest = None if seen.whole else _shown(seen, size, strides[-1])
         made, maps = self._pass(seen, levels, finest), []
         for stride in strides[:levels]:
