@@ -103,8 +103,6 @@ def _quantize_encoder(encoder: Sequence[nn.Sequential], scales: Channelwise) -> 
                 out = scales[f"encoder.{number}.{place}"]
                 block[place] = _QuantizedConvReLU(layer.convolution, into, out, zero)
                 into, zero = out, 0
-            else:
-                block[place] = _Pooling()
         blocks.append(into)
     encoder[0].insert(0, pixels)
     return blocks
@@ -214,15 +212,6 @@ class _QuantizedConvReLU(nn.Module):
             maps, 1.0, self._zero, *weight, *self._where, 1.0, 0, self._type, "relu", [], ""
         )
         return result
-
-
-class _Pooling(nn.Module):
-    """The largest of two by two cells; torch has no pooling of integers."""
-
-    def forward(self, maps: Tensor) -> Tensor:
-        height, width = (side // 2 * 2 for side in maps.shape[-2:])
-        rows = torch.maximum(maps[..., 0:height:2, :width], maps[..., 1:height:2, :width])
-        return torch.maximum(rows[..., 0::2], rows[..., 1::2])
 
 
 class _Head(CellwiseConv):

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import nn
 
-from baselines.folding import ConvReLU, fold
+from baselines.folding import ConvReLU, Pooling, fold
 from baselines.pixloc.network import PixlocNet, PixlocNetConfig
 from objconnect.config import ObjConnectNetConfig
 from objconnect.localizer import ObjConnectConfig
@@ -52,6 +52,14 @@ def test_folded_networks_are_the_same(which: int) -> None:
             for a, b in zip(ours, theirs, strict=True):
                 assert b.std() > 1e-3
                 torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+@pytest.mark.parametrize("size", [(6, 8), (7, 5), (1, 4)])
+def test_pooling_is_that_of_torch(size: tuple[int, int], dtype: torch.dtype) -> None:
+    maps = torch.randn(2, 3, *size).to(dtype).contiguous(memory_format=torch.channels_last)
+    expected = nn.MaxPool2d(2)(maps) if min(size) > 1 else maps.new_empty(2, 3, 0, 2)
+    assert torch.equal(Pooling()(maps), expected)
 
 
 def test_bfloat16_is_near() -> None:
