@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from baselines.align.aligner import Alignment
 from baselines.align.covariance import Spread, spread
 from baselines.align.problem import Problem
+from baselines.featuremetric.calibration import Calibration, calibrated
 from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.problem import fit
 from baselines.views import WarpedImage
@@ -59,11 +60,6 @@ class Attempt:
     def failed(self) -> bool:
         """Whether there is no pose."""
         return bool(self.alignment.failed[0])
-
-    @property
-    def informative_fit(self) -> float:
-        """``fit`` of the points by how much each of them tells of the pose."""
-        return self.fit * (1.0 if self.spread is None else float(self.spread.informative_cost[0]))
 
     @property
     def pose(self) -> Pose:
@@ -116,7 +112,7 @@ def estimated(
     return Estimate(
         Status.OK,
         best.pose,
-        calibrated(best, options),
+        pose_covariance(best, options),
         inliers=seen,
         iterations=iterations,
         seconds=clock.seconds,
@@ -147,45 +143,17 @@ def unclear(attempt: Attempt) -> Attempt:
     return replace(attempt, reason=attempt.reason or _UNCLEAR)
 
 
-def calibrated(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
+def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
     """Return the covariance (6, 6) of an attempt's pose; None where the points do not tell it.
 
-    The fit of the points by how much they tell of the pose is compared with that of a query in the
-    light and season of the map, which is worse the more the query's view differs from those of the
-    map's photographs. What the alignment measures
-    grows by ``covariance_factor`` and by that ratio: the slopes of a changed query are not those of
-    the map. It grows, too, by ``(100 / patches)**covariance_patches_power``: clustered estimates
-    from few clusters are too small (Cameron and Miller, Journal of Human Resources 2015). The level
-    of the patches' scatter is drawn to ``covariance_level`` as the posterior mean of a variance is,
-    which counts as that of ``covariance_level_patches`` equal patches (Smyth, Statistical
-    Applications in Genetics and Molecular Biology 2004). What
-    moves all points alike, such as shadows when the sun moves, cannot be seen in their residuals. A
-    variance is added for it, which rises from none where the fit is that of the map's season to
-    ``covariance_floor`` where it is worse by a share of ``covariance_changed_fit``.
+    Args:
+        attempt: with its pose.
+        options: how the covariance is calibrated.
     """
-    if attempt.spread is None:
+    if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
         return None
-    measured = attempt.spread.covariance[0].numpy()
-    if not np.isfinite(measured).all():
-        return None
-    other_view = 1 - float(attempt.spread.view_cosine[0])
-    unchanged = options.covariance_unchanged_fit + options.covariance_view_fit * other_view
-    ratio, depth = attempt.informative_fit / unchanged, float(attempt.spread.depth[0])
-    factor = options.covariance_factor * ratio
-    factor *= (float(attempt.spread.patches[0]) / 100) ** -options.covariance_patches_power
-    factor *= _moderation(attempt.spread, options)
-    change = min(1.0, max(0.0, (ratio - 1) / options.covariance_changed_fit))
-    variance = change * (options.covariance_floor * np.repeat([1.0, depth], 3)) ** 2
-    return attempt.view.photograph_covariance(factor * measured + np.diag(variance))
-
-
-def _moderation(spread: Spread, options: SearchOptions) -> float:
-    """Return by what the general level of scatter changes a covariance."""
-    own, level = float(spread.equal_patches[0]), float(spread.level[0])
-    if level <= 0:
-        return 1.0
-    weight = options.covariance_level_patches
-    return (own + weight * options.covariance_level / level) / (own + weight)
+    of_view = calibrated(attempt.spread, attempt.fit, Calibration.of(options))
+    return attempt.view.photograph_covariance(of_view[0])
 
 
 def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:

@@ -9,12 +9,14 @@ import pytest
 import torch
 from scipy.stats import chi2
 
+from baselines.align.covariance import Spread
+from baselines.featuremetric.calibration import Calibration
 from benchmark.score import Threshold
 from benchmark.uncertainty import _CHI2_95, consistency, normalised_error, risk_coverage
 from scene.geometry.pose import Pose
 from scene.localizer import Status
 from tests.benchmark.made_data import pose_at, scored_query
-from tests.benchmarks.covariance import Answers, Numbers, calibrate
+from tests.benchmarks.covariance import Answers, calibrate
 
 TIGHT = Threshold(0.5, 5)
 
@@ -94,22 +96,19 @@ def test_risk_coverage_by_hand() -> None:
     ]
 
 
-def made_answers(numbers: Numbers, seed: int, count: int = 2000, freedom: int = 8) -> Answers:
+def made_answers(numbers: Calibration, seed: int, count: int = 2000, freedom: int = 8) -> Answers:
     """Errors of Student's distribution that have the covariances that the numbers give."""
     rng = np.random.default_rng(seed)
     mixed = rng.normal(size=(count, 6, 9)) * np.repeat([3e-4, 2e-2], 3)[:, None]
     covariances = mixed @ mixed.transpose(0, 2, 1) / 9
-    depth = rng.uniform(30, 120, count)
-    blank = np.zeros((count, 6))
-    false = np.zeros(count, bool)
-    names = np.full(count, "snow")
-    patches = rng.uniform(50, 500, count)
-    fit = rng.uniform(0.5, 0.9, count)
-    view_cosine = rng.uniform(0.8, 1.0, count)
+    depth, patches = rng.uniform(30, 120, count), rng.uniform(50, 500, count)
+    fit, view_cosine = rng.uniform(0.5, 0.9, count), rng.uniform(0.8, 1.0, count)
     level, equal = np.exp(rng.normal(np.log(5e-4), 0.5, count)), rng.uniform(5, 30, count)
-    known = Answers(
-        names, names, blank, covariances, patches, level, equal, depth, fit, view_cosine, false
-    )
+    same = np.ones(count)
+    columns = (same, depth, patches, view_cosine, same, level, equal)
+    around = Spread(torch.from_numpy(covariances), *map(torch.from_numpy, columns))
+    names = np.full(count, "snow")
+    known = Answers(names, names, np.zeros((count, 6)), around, fit, np.zeros(count, bool))
     lower = np.linalg.cholesky(known.calibrated(numbers))
     tails = np.sqrt((freedom - 2) / rng.chisquare(freedom, count))
     errors = (lower @ rng.normal(size=(count, 6, 1)))[..., 0] * tails[:, None]
@@ -119,11 +118,11 @@ def made_answers(numbers: Numbers, seed: int, count: int = 2000, freedom: int = 
 @pytest.mark.parametrize(
     "planted",
     [
-        Numbers(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1),
-        Numbers(3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2),
+        Calibration(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1),
+        Calibration(3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2),
     ],
 )
-def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
+def test_calibration_finds_what_was_planted(planted: Calibration) -> None:
     found = calibrate(made_answers(planted, seed=1, count=5000))
     assert found.patches_power == pytest.approx(planted.patches_power, abs=0.1)
     assert found.factor == pytest.approx(planted.factor, rel=0.1)
@@ -134,7 +133,7 @@ def test_calibration_finds_what_was_planted(planted: Numbers) -> None:
 
 
 def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
-    planted = Numbers(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)
+    planted = Calibration(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)
     found = calibrate(made_answers(planted, seed=1, freedom=20))
     unseen = made_answers(planted, seed=2, freedom=20)
     for wrong, holds in [(1.0, True), (2.0, False), (0.5, False)]:

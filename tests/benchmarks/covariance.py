@@ -18,18 +18,21 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 from unittest.mock import patch
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
 import baselines.featuremetric.attempt as attempts
+from baselines.align.covariance import Spread
 from baselines.featuremetric.attempt import Attempt
+from baselines.featuremetric.calibration import Calibration, calibrated
 from baselines.featuremetric.options import SearchOptions
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
@@ -59,23 +62,10 @@ _RESTARTS: Final = 2
 _SIMPLEX: Final = {"maxfev": 4000, "adaptive": True}
 
 
-class Numbers(NamedTuple):
-    """The options of ``SearchOptions`` of the same names, without ``covariance_``."""
-
-    factor: float
-    patches_power: float
-    level: float
-    level_patches: float
-    floor: float
-    unchanged_fit: float
-    view_fit: float
-    changed_fit: float
-
-
 # Where the search for the numbers begins, as there are several minima.
 _BEGIN: Final = (
-    Numbers(1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
-    Numbers(2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+    Calibration(1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+    Calibration(2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
 )
 
 
@@ -87,43 +77,31 @@ class Answers:
         scenes: of their queries.
         conditions: of their queries.
         errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
-        covariances: (N, 6, 6) as the alignments measure them.
-        patches: (N,) of the picture with points in view.
-        level: (N,) of the patches' scatter.
-        equal_patches: (N,) from which that is known.
-        depth: (N,) metres to the points.
-        fit: (N,) ``Attempt.informative_fit``.
-        view_cosine: (N,) as ``Spread`` has it.
+        around: how far the poses may be off, as the alignments measure it.
+        fit: (N,) cost as a share of the cost by chance.
         false: (N,) whether they are wrong by more than 5 m or 10 degrees.
     """
 
     scenes: NDArray[np.str_]
     conditions: NDArray[np.str_]
     errors: NDArray[np.float64]
-    covariances: NDArray[np.float64]
-    patches: NDArray[np.float64]
-    level: NDArray[np.float64]
-    equal_patches: NDArray[np.float64]
-    depth: NDArray[np.float64]
+    around: Spread
     fit: NDArray[np.float64]
-    view_cosine: NDArray[np.float64]
     false: NDArray[np.bool_]
 
     def __getitem__(self, which: NDArray[np.bool_]) -> Answers:
         """Return some of the poses."""
-        return Answers(*(getattr(self, each.name)[which] for each in fields(self)))
+        rows = torch.from_numpy(which)
+        around = Spread(*(getattr(self.around, each.name)[rows] for each in fields(Spread)))
+        columns = (self.scenes, self.conditions, self.errors, self.fit, self.false)
+        scenes, conditions, errors, fit, false = (column[which] for column in columns)
+        return Answers(scenes, conditions, errors, around, fit, false)
 
-    def calibrated(self, numbers: Numbers) -> NDArray[np.float64]:
+    def calibrated(self, numbers: Calibration) -> NDArray[np.float64]:
         """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
-        factor = numbers.factor * (self.patches / 100) ** -numbers.patches_power
-        ratio = self.fit / (numbers.unchanged_fit + numbers.view_fit * (1 - self.view_cosine))
-        own, weight = self.equal_patches, numbers.level_patches
-        factor *= ratio * (own + weight * numbers.level / self.level) / (own + weight)
-        change = np.clip((ratio - 1) / numbers.changed_fit, 0, 1)
-        alike = numbers.floor**2 * np.repeat([change, change * self.depth**2], 3, axis=0).T
-        return factor[:, None, None] * self.covariances + alike[..., None] * np.eye(6)
+        return calibrated(self.around, self.fit, numbers)
 
-    def nees(self, numbers: Numbers) -> NDArray[np.float64]:
+    def nees(self, numbers: Calibration) -> NDArray[np.float64]:
         """Return the normalised errors squared (N,) with these numbers."""
         return _nees(self.errors, self.calibrated(numbers))
 
@@ -134,11 +112,11 @@ def _nees(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDAr
     return np.asarray((errors * whitened[..., 0]).sum(-1))
 
 
-def calibrate(answers: Answers) -> Numbers:
+def calibrate(answers: Answers) -> Calibration:
     """Return the numbers with which the covariances are right."""
 
     def unlikeliness(logarithms: NDArray[np.float64]) -> float:
-        numbers = Numbers(*np.exp(logarithms).tolist())
+        numbers = Calibration(*np.exp(logarithms).tolist())
         volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
         nees = answers.nees(numbers)
         tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
@@ -157,7 +135,7 @@ def calibrate(answers: Answers) -> Numbers:
             found = minimize(unlikeliness, at, method="Nelder-Mead", options=_SIMPLEX)
             at = found.x
         tried.append(found)
-    return Numbers(*np.exp(min(tried, key=lambda found: float(found.fun)).x).tolist())
+    return Calibration(*np.exp(min(tried, key=lambda found: float(found.fun)).x).tolist())
 
 
 def unseen_nees(answers: Answers) -> NDArray[np.float64]:
@@ -186,12 +164,12 @@ def main() -> None:
     )
     options = create(given.method, {}).config.search
     found = calibrate(answers)
-    now = Numbers(*(getattr(options, f"covariance_{name}") for name in Numbers._fields))
+    now = Calibration.of(options)
     for name, value in found._asdict().items():
         print(f"covariance_{name} {value:.3g}")
     _table("found", answers, answers.nees(found))
     _table("now", answers, answers.nees(now))
-    _table("measured", answers, _nees(answers.errors, answers.covariances))
+    _table("measured", answers, _nees(answers.errors, answers.around.covariance.numpy()))
     if len(np.unique(answers.scenes)) > 1:
         _table("found on the other scenes", answers, unseen_nees(answers))
 
@@ -215,7 +193,7 @@ def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterat
         return attempt.view.photograph_covariance(covariance)
 
     with (
-        patch.object(attempts, "calibrated", measured),
+        patch.object(attempts, "pose_covariance", measured),
         progress_bar(f"{dataset.name} {method}", len(dataset.queries)) as advance,
     ):
         for done, query in enumerate(dataset.queries, 1):
@@ -227,26 +205,21 @@ def _answers(dataset: Dataset, method: str, start: Start, cache: Path) -> Iterat
 
 
 def _together(answers: Iterable[_Answer]) -> Answers:
-    columns: list[tuple[object, ...]] = []
+    scenes, conditions, errors, around, fit, false = [], [], [], [], [], []
     for scene, condition, estimate, attempt, truth in answers:
         assert estimate.cam_from_world is not None and attempt.spread is not None
+        assert estimate.covariance is not None
+        scenes.append(scene)
+        conditions.append(condition)
+        errors.append((truth @ estimate.cam_from_world.inverse()).log().numpy())
+        of_photograph = torch.from_numpy(estimate.covariance)[None]
+        around.append(replace(attempt.spread, covariance=of_photograph))
+        fit.append(attempt.fit)
         metres, degrees = (float(each) for each in estimate.cam_from_world.error_to(truth))
-        columns.append(
-            (
-                scene,
-                condition,
-                (truth @ estimate.cam_from_world.inverse()).log().numpy(),
-                estimate.covariance,
-                float(attempt.spread.patches[0]),
-                float(attempt.spread.level[0]),
-                float(attempt.spread.equal_patches[0]),
-                float(attempt.spread.depth[0]),
-                attempt.informative_fit,
-                float(attempt.spread.view_cosine[0]),
-                metres > 5 or degrees > 10,
-            )
-        )
-    return Answers(*(np.array(column) for column in zip(*columns, strict=True)))
+        false.append(metres > 5 or degrees > 10)
+    parts = [torch.cat([getattr(each, field.name) for each in around]) for field in fields(Spread)]
+    columns = (np.array(scenes), np.array(conditions), np.array(errors))
+    return Answers(*columns, Spread(*parts), np.array(fit), np.array(false))
 
 
 def _table(title: str, answers: Answers, nees: NDArray[np.float64]) -> None:
