@@ -13,7 +13,7 @@ from torch import Tensor
 
 from baselines.featuremetric.maps import FeatureMap, MapExtractor
 from baselines.map_cache import MapCache
-from baselines.place.grid import ground_grid
+from baselines.place.grid import GroundGrid, ground_grid
 from baselines.place.headings import possible_headings
 from baselines.place.mosaic import Mosaic, empty_mosaic, make_mosaic
 from baselines.place.search import Candidate, Hypotheses, PlaceSearch
@@ -50,6 +50,8 @@ class PlaceOptions(Config):
         farthest: ground farther away than so many heights above it is left out.
         most_tilt_deg: a query that looks flatter than this is seen as by a camera that is turned
             down to it, as nearly all photographs of a map look down.
+        reach_sigmas: places are looked for within so many standard deviations of a position that
+            is not sure, and two cells.
     """
 
     candidates: int = Field(16, ge=0)
@@ -62,6 +64,7 @@ class PlaceOptions(Config):
     least_overlap: float = Field(0.3, gt=0, le=1)
     farthest: float = Field(2.0, gt=0)
     most_tilt_deg: float = Field(45.0, ge=0)
+    reach_sigmas: float = Field(3.0, gt=0)
 
 
 class PlaceFinder:
@@ -143,23 +146,35 @@ class PlaceFinder:
             view, levels = self._extract(query.image, query.camera, angle, scale, 1, turn)
             return view, levels[0]
 
-        return self._search(look, self._hypotheses(query.prior), self._options.candidates)
+        tried = hypotheses(query.prior, self._options, self._mosaic.grid, self._height)
+        return self._search(look, tried, self._options.candidates)
 
-    def _hypotheses(self, prior: Prior | None) -> Hypotheses:
-        """What may be, given what is known: the attitude, but not which way it is turned, unless
-        its sigma says so; the place as far as its sigma says."""
-        options = self._options
-        step = math.tau / options.headings
-        turns = [(k - (options.turns - 1) / 2) * step / options.turns for k in range(options.turns)]
-        base, headings = possible_headings(prior, options.headings)
-        passes: list[Tensor] = [base @ so3_exp(heading * _UP) for heading in headings]
-        altitudes = [part * self._height for part in options.altitudes]
-        within = None
-        if prior is not None and prior.position_sigma is not None:
-            east, north_, up = (float(each) for each in prior.position)
-            if (sigma := prior.horizontal_sigma) is not None:
-                within = (east, north_, 3 * sigma + 2 * self._mosaic.grid.cell)
-            height = up - self._mosaic.grid.height_at(east, north_)
-            if prior.position_sigma[2] < _KNOWN_ALTITUDE * height:
-                altitudes = [height]
-        return Hypotheses(passes, turns, altitudes, within)
+
+def hypotheses(
+    prior: Prior | None, options: PlaceOptions, grid: GroundGrid, height: float
+) -> Hypotheses:
+    """Return where a camera may be, given what is known.
+
+    That is its attitude, but not which way it is turned, unless its sigma says so, and its place as
+    far as that sigma says.
+
+    Args:
+        prior: of the query.
+        options: of the search.
+        grid: of the ground.
+        height: of the map's photographs above ground, metres.
+    """
+    step = math.tau / options.headings
+    turns = [(k - (options.turns - 1) / 2) * step / options.turns for k in range(options.turns)]
+    base, headings = possible_headings(prior, options.headings)
+    passes: list[Tensor] = [base @ so3_exp(heading * _UP) for heading in headings]
+    altitudes = [part * height for part in options.altitudes]
+    within = None
+    if prior is not None and prior.position_sigma is not None:
+        east, north_, up = (float(each) for each in prior.position)
+        if (sigma := prior.horizontal_sigma) is not None:
+            within = (east, north_, options.reach_sigmas * sigma + 2 * grid.cell)
+        above = up - grid.height_at(east, north_)
+        if prior.position_sigma[2] < _KNOWN_ALTITUDE * above:
+            altitudes = [above]
+    return Hypotheses(passes, turns, altitudes, within)

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from baselines.featuremetric.maps import FeatureMap
+from baselines.place.finder import PlaceOptions, hypotheses
 from baselines.place.grid import GroundGrid, ground_grid
 from baselines.place.mosaic import Mosaic, empty_mosaic
 from baselines.place.search import Hypotheses, PlaceSearch
@@ -18,6 +19,7 @@ from baselines.views import WarpedImage, warp_image
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, so3_exp
+from scene.localizer import Prior
 
 CELL, CHANNELS = 2.0, 8
 CAMERA = Camera("PINHOLE", 320, 320, (300.0, 300.0, 160.0, 160.0))
@@ -105,6 +107,18 @@ def test_places_are_sought_where_the_prior_lets_them_be(mosaic: Mosaic) -> None:
         assert candidate.score < 0.4
     there = Hypotheses([DOWN], [0.0], [60.0], within=(10.0, -15.0, 15.0))
     assert search(lambda _: seen(mosaic, true), there, 1)[0].score > 0.6
+
+
+@pytest.mark.parametrize(("sigmas", "radius"), [(3.0, 19.0), (1.0, 9.0)])
+def test_an_unsure_position_bounds_the_place(mosaic: Mosaic, sigmas: float, radius: float) -> None:
+    """By so many standard deviations and two cells, of 2 m each."""
+    known = Prior(np.array([10.0, 20.0, 65.0]), np.array([5.0, 4.0, 1.0]))
+    tried = hypotheses(known, PlaceOptions(reach_sigmas=sigmas), mosaic.grid, 80.0)
+    assert tried.within == (10.0, 20.0, radius)
+    assert tried.altitudes == [60.0]
+    unknown = hypotheses(None, PlaceOptions(), mosaic.grid, 80.0)
+    assert unknown.within is None
+    assert unknown.altitudes == [80.0 * part for part in PlaceOptions().altitudes]
 
 
 def test_candidates_are_apart(mosaic: Mosaic) -> None:
