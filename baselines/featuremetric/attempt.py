@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from baselines.align.aligner import Alignment
 from baselines.align.covariance import Spread, spread
 from baselines.align.problem import Problem
-from baselines.featuremetric.calibration import Calibration, calibrated
+from baselines.featuremetric.calibration import CovarianceNumbers, calibrated
 from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.problem import fit
 from baselines.views import WarpedImage
@@ -152,7 +152,7 @@ def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.floa
     """
     if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
         return None
-    of_view = calibrated(attempt.spread, attempt.fit, Calibration.of(options))
+    of_view = calibrated(attempt.spread, attempt.fit, CovarianceNumbers.of(options))
     return attempt.view.photograph_covariance(of_view[0])
 
 

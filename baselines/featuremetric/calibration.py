@@ -12,7 +12,7 @@ from baselines.align.covariance import Spread
 from baselines.featuremetric.options import SearchOptions
 
 
-class Calibration(NamedTuple):
+class CovarianceNumbers(NamedTuple):
     """The options of ``SearchOptions`` of the same names, without ``covariance_``."""
 
     factor: float
@@ -25,14 +25,14 @@ class Calibration(NamedTuple):
     changed_fit: float
 
     @staticmethod
-    def of(options: SearchOptions) -> Calibration:
+    def of(options: SearchOptions) -> CovarianceNumbers:
         """Return what options say."""
-        names = (f"covariance_{name}" for name in Calibration._fields)
-        return Calibration(*(getattr(options, name) for name in names))
+        names = (f"covariance_{name}" for name in CovarianceNumbers._fields)
+        return CovarianceNumbers(*(getattr(options, name) for name in names))
 
 
 def calibrated(
-    around: Spread, fit: float | NDArray[np.float64], by: Calibration
+    around: Spread, fit: float | NDArray[np.float64], by: CovarianceNumbers
 ) -> NDArray[np.float64]:
     """Return the covariances (B, 6, 6) of aligned poses.
 

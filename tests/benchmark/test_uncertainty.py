@@ -10,7 +10,7 @@ import torch
 from scipy.stats import chi2
 
 from baselines.align.covariance import Spread
-from baselines.featuremetric.calibration import Calibration
+from baselines.featuremetric.calibration import CovarianceNumbers
 from benchmark.score import Threshold
 from benchmark.uncertainty import _CHI2_95, consistency, normalised_error, risk_coverage
 from scene.geometry.pose import Pose
@@ -96,7 +96,9 @@ def test_risk_coverage_by_hand() -> None:
     ]
 
 
-def made_answers(numbers: Calibration, seed: int, count: int = 2000, freedom: int = 8) -> Answers:
+def made_answers(
+    numbers: CovarianceNumbers, seed: int, count: int = 2000, freedom: int = 8
+) -> Answers:
     """Errors of Student's distribution that have the covariances that the numbers give."""
     rng = np.random.default_rng(seed)
     mixed = rng.normal(size=(count, 6, 9)) * np.repeat([3e-4, 2e-2], 3)[:, None]
@@ -118,11 +120,11 @@ def made_answers(numbers: Calibration, seed: int, count: int = 2000, freedom: in
 @pytest.mark.parametrize(
     "planted",
     [
-        Calibration(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1),
-        Calibration(3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2),
+        CovarianceNumbers(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1),
+        CovarianceNumbers(3.0, 0.5, 8e-4, 8, 6e-4, 0.65, 0.8, 0.2),
     ],
 )
-def test_calibration_finds_what_was_planted(planted: Calibration) -> None:
+def test_calibration_finds_what_was_planted(planted: CovarianceNumbers) -> None:
     found = calibrate(made_answers(planted, seed=1, count=5000))
     assert found.patches_power == pytest.approx(planted.patches_power, abs=0.1)
     assert found.factor == pytest.approx(planted.factor, rel=0.1)
@@ -133,7 +135,7 @@ def test_calibration_finds_what_was_planted(planted: Calibration) -> None:
 
 
 def test_calibrated_covariances_hold_where_they_were_not_chosen() -> None:
-    planted = Calibration(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)
+    planted = CovarianceNumbers(2.0, 0.2, 5e-4, 4, 3e-4, 0.6, 0.4, 0.1)
     found = calibrate(made_answers(planted, seed=1, freedom=20))
     unseen = made_answers(planted, seed=2, freedom=20)
     for wrong, holds in [(1.0, True), (2.0, False), (0.5, False)]:

@@ -32,7 +32,7 @@ from scipy.special import expit
 import baselines.featuremetric.attempt as attempts
 from baselines.align.covariance import Spread
 from baselines.featuremetric.attempt import Attempt
-from baselines.featuremetric.calibration import Calibration, calibrated
+from baselines.featuremetric.calibration import CovarianceNumbers, calibrated
 from baselines.featuremetric.options import SearchOptions
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
@@ -64,8 +64,8 @@ _SIMPLEX: Final = {"maxfev": 4000, "adaptive": True}
 
 # Where the search for the numbers begins, as there are several minima.
 _BEGIN: Final = (
-    Calibration(1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
-    Calibration(2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+    CovarianceNumbers(1.3, 0.1, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
+    CovarianceNumbers(2.0, 0.3, 5e-4, 3, 5e-5, 0.6, 0.5, 0.1),
 )
 
 
@@ -97,11 +97,11 @@ class Answers:
         scenes, conditions, errors, fit, false = (column[which] for column in columns)
         return Answers(scenes, conditions, errors, around, fit, false)
 
-    def calibrated(self, numbers: Calibration) -> NDArray[np.float64]:
+    def calibrated(self, numbers: CovarianceNumbers) -> NDArray[np.float64]:
         """Return the covariances (N, 6, 6) that the method would answer with these numbers."""
         return calibrated(self.around, self.fit, numbers)
 
-    def nees(self, numbers: Calibration) -> NDArray[np.float64]:
+    def nees(self, numbers: CovarianceNumbers) -> NDArray[np.float64]:
         """Return the normalised errors squared (N,) with these numbers."""
         return _nees(self.errors, self.calibrated(numbers))
 
@@ -112,11 +112,11 @@ def _nees(errors: NDArray[np.float64], covariances: NDArray[np.float64]) -> NDAr
     return np.asarray((errors * whitened[..., 0]).sum(-1))
 
 
-def calibrate(answers: Answers) -> Calibration:
+def calibrate(answers: Answers) -> CovarianceNumbers:
     """Return the numbers with which the covariances are right."""
 
     def unlikeliness(logarithms: NDArray[np.float64]) -> float:
-        numbers = Calibration(*np.exp(logarithms).tolist())
+        numbers = CovarianceNumbers(*np.exp(logarithms).tolist())
         volume = np.linalg.slogdet(answers.calibrated(numbers))[1].sum() / 2
         nees = answers.nees(numbers)
         tail = np.log1p(nees / (_TAIL - 2)).sum() * (_TAIL + 6) / 2
@@ -135,7 +135,7 @@ def calibrate(answers: Answers) -> Calibration:
             found = minimize(unlikeliness, at, method="Nelder-Mead", options=_SIMPLEX)
             at = found.x
         tried.append(found)
-    return Calibration(*np.exp(min(tried, key=lambda found: float(found.fun)).x).tolist())
+    return CovarianceNumbers(*np.exp(min(tried, key=lambda found: float(found.fun)).x).tolist())
 
 
 def unseen_nees(answers: Answers) -> NDArray[np.float64]:
@@ -164,7 +164,7 @@ def main() -> None:
     )
     options = create(given.method, {}).config.search
     found = calibrate(answers)
-    now = Calibration.of(options)
+    now = CovarianceNumbers.of(options)
     for name, value in found._asdict().items():
         print(f"covariance_{name} {value:.3g}")
     _table("found", answers, answers.nees(found))
