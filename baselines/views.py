@@ -145,8 +145,9 @@ class WarpedImage:
     def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether pixels of the view (..., 2) show the photograph, 8 px inside its edge."""
         there, margin = self.in_photograph(xy.reshape(-1, 2)), MARGIN / self.scale
-        inside = (there >= margin) & (there <= self.size - margin)
-        return np.asarray((inside[:, 0] & inside[:, 1]).reshape(xy.shape[:-1]))
+        (x, y), (wide, high) = there.T, self.size - margin
+        inside = (x >= margin) & (x <= wide) & (y >= margin) & (y <= high)
+        return np.asarray(inside.reshape(xy.shape[:-1]))
 
     @cached_property
     def whole(self) -> bool:

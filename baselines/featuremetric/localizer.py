@@ -38,7 +38,12 @@ from baselines.starts import starts
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
-from scene.runtime.memory import resident_bytes, return_freed, return_freed_above
+from scene.runtime.memory import (
+    resident_bytes,
+    return_freed,
+    return_freed_above,
+    spare_collector,
+)
 from scene.storage.lru_cache import MEGABYTE
 from scene.storage.scratch import scratch
 
@@ -128,6 +133,7 @@ class FeaturemetricLocalizer:
         if other is not None:
             other.prepare(source, cache)
         self._search = GlobalSearch(self._refine, sparse_map, places, other)
+        spare_collector()
         return_freed()
         self._most_bytes = resident_bytes() + config.return_freed_mb * MEGABYTE
 

@@ -112,33 +112,43 @@ class Decoder(nn.ModuleList):
         """
         skips = list(blocks)
         del blocks  # each of them can go once it is decoded
+        wanted = _spans(shown)
         decoded = skips.pop()
         if 0 in self._wanted:
             yield decoded
         for number, step in enumerate(self, 1):
-            finer = 2 ** (self._wanted[-1] - number)
-            decoded = _decode(step, decoded, skips.pop(), _spans(shown, finer))
+            spans = _coarser(wanted, 2 ** (self._wanted[-1] - number))
+            decoded = _decode(step, decoded, skips.pop(), spans)
             if number in self._wanted:
                 yield decoded
 
 
-def _spans(shown: NDArray[np.bool_] | None, finer: int) -> NDArray[np.int64] | None:
-    """Return the wanted columns (rows, 2) of each row of a level: the first, and one past the last.
+def _spans(shown: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
+    """Return the wanted columns (h, 2) of each row: the first, and one past the last.
+
+    They are w and 0 where none is wanted.
 
     Args:
-        shown: wanted cells of the finest level, or None for all.
-        finer: side of a cell of this level, in cells of the finest.
+        shown: wanted cells (h, w), or None for all.
     """
     if shown is None or not shown.any():
         return None
-    cells = np.pad(shown, [(0, -side % finer) for side in shown.shape])
-    height, width = (side // finer for side in cells.shape)
-    cells = cells.reshape(height, finer, width, finer).any((1, 3))
-    some = cells.any(1)
-    first = np.where(some, cells.argmax(1), width)
-    last = np.where(some, width - cells[:, ::-1].argmax(1), 0)
+    width, some = shown.shape[1], shown.any(1)
+    first = np.where(some, shown.argmax(1), width)
+    last = np.where(some, width - shown[:, ::-1].argmax(1), 0)
     spans: NDArray[np.int64] = np.stack([first, last], 1)
     return spans
+
+
+def _coarser(spans: NDArray[np.int64] | None, times: int) -> NDArray[np.int64] | None:
+    """Return the spans of a level whose cells have so many times the side."""
+    if spans is None:
+        return None
+    begins = np.arange(0, len(spans), times)
+    first = np.minimum.reduceat(spans[:, 0], begins) // times
+    last = -(-np.maximum.reduceat(spans[:, 1], begins) // times)
+    coarse: NDArray[np.int64] = np.stack([first, last], 1)
+    return coarse
 
 
 class _Window(NamedTuple):

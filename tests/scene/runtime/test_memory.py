@@ -141,3 +141,32 @@ def test_a_compiler_that_has_done_its_work_leaves_memory() -> None:
     before, after, doubled = map(int, printed(CODE).split())
     assert before > 4 * after
     assert doubled == 6
+
+
+SPARED = """
+import gc
+import weakref
+from scene.runtime.memory import spare_collector
+
+class Cycle:
+    def __init__(self):
+        self.itself = self
+
+held = Cycle()
+seen = weakref.ref(held)
+before = len(gc.get_objects())
+spare_collector()
+print(before, len(gc.get_objects()))
+del held
+gc.collect()
+print(seen() is None)
+spare_collector()
+print(seen() is None)
+"""
+
+
+def test_the_collector_leaves_out_what_there_is_until_the_next_call() -> None:
+    counts, *gone = printed(SPARED).splitlines()
+    before, after = map(int, counts.split())
+    assert after < 0.1 * before
+    assert gone == ["False", "True"]
