@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scene.runtime.loops import OPTIONS
+from scene.runtime.loops import CALLED
 
 Singles = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -99,7 +99,7 @@ def descend(
             _damped_step(gradient, here[4], factors[pose] * damping, floor, step)
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _accept(
     found: tuple[Doubles, Doubles], there: Around, pose: tuple[Doubles, Doubles], here: Around
 ) -> None:
@@ -120,7 +120,7 @@ def _accept(
             here[5][point, k] = there[5][point, k]
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _gradient(around: Around, min_points: int, out: Doubles) -> bool:
     """Write the gradient (6,), and return whether a step can be computed."""
     seen, _, _, pull, hessian, _ = around
@@ -138,7 +138,7 @@ def _gradient(around: Around, min_points: int, out: Doubles) -> bool:
     return finite and count >= min_points
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _falls(here: Around, there: Around, min_points: int) -> bool:
     """Return whether the mean cost falls, over the points in view from both poses."""
     count = 0
@@ -154,7 +154,7 @@ def _falls(here: Around, there: Around, min_points: int) -> bool:
     return lower and count >= min_points and _gradient(there, 0, np.empty(6))
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _damped_step(
     gradient: Doubles, hessian: Singles, damping: Doubles, floor: float, out: Doubles
 ) -> None:
@@ -180,7 +180,7 @@ def _damped_step(
         out[k] = system[k, 6] / system[k, k]
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _move(
     turn: Doubles, shift: Doubles, step: Doubles, to_turn: Doubles, to_shift: Doubles
 ) -> tuple[float, float]:
@@ -205,7 +205,7 @@ def _move(
     return angle, sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _project(
     cam_from_world: tuple[Doubles, Doubles],
     points: tuple[Singles, Flags],
@@ -246,7 +246,7 @@ def _project(
         by[1, 2] = -(by[1, 0] * u + by[1, 1] * v)
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _bend(u: np.float32, v: np.float32, by: Singles, limit: np.float32, out: Singles) -> bool:
     """Write what distortion makes of a ray, with derivatives xx, xy and yy, if it is inside."""
     k1, k2, p1, p2 = by
@@ -262,7 +262,7 @@ def _bend(u: np.float32, v: np.float32, by: Singles, limit: np.float32, out: Sin
     return bool(r2 < limit * limit and out[2] * out[4] - out[3] * out[3] > 0)
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _bend_fisheye(
     u: np.float32, v: np.float32, by: Singles, limit: np.float32, out: Singles
 ) -> bool:
@@ -279,7 +279,7 @@ def _bend_fisheye(
     return bool(angle < limit)
 
 
-@njit(**OPTIONS)  # type: ignore[untyped-decorator]
+@njit(**CALLED)  # type: ignore[untyped-decorator]
 def _linearise(level: Level, pose: int, points: View, out: Around) -> None:
     """Write the cost around one pose."""
     (features, trust, first, width, height), targets, stride, numbers, trusted = level
@@ -332,7 +332,7 @@ def _linearise(level: Level, pose: int, points: View, out: Around) -> None:
                 hessian[i, j] += both_x * rows[0, j] + both_y * rows[1, j]
 
 
-@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
+@njit(inline="always", **CALLED)  # type: ignore[untyped-decorator]
 def _bilinear(
     table: Singles, cell: int, width: int, between: tuple[np.float32, np.float32]
 ) -> np.float32:
@@ -344,7 +344,7 @@ def _bilinear(
     return value
 
 
-@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
+@njit(inline="always", **CALLED)  # type: ignore[untyped-decorator]
 def _row(point: Singles, slope: Singles, stride: np.float32, row: Singles) -> None:
     """Write the derivative of a pixel's coordinate, in cells, by the tangent of the pose."""
     (x, y, z), (of_x, of_y, of_z) = point, slope
@@ -353,7 +353,7 @@ def _row(point: Singles, slope: Singles, stride: np.float32, row: Singles) -> No
     row[2], row[5] = (x * of_y - y * of_x) / stride, of_z / stride
 
 
-@njit(inline="always", **OPTIONS)  # type: ignore[untyped-decorator]
+@njit(inline="always", **CALLED)  # type: ignore[untyped-decorator]
 def _products(
     features: Singles,
     cell: int,

@@ -16,6 +16,9 @@ OPTIONS: Final[dict[str, Any]] = {
     # What is not finite must stay so: flags that exclude it are missing.
     "fastmath": {"contract", "reassoc", "arcp", "nsz"},
 }
+# Of functions that a kept one calls. They become part of it: else the process that compiles it
+# calls others than those that are kept with it, whose results differ by rounding.
+CALLED: Final[dict[str, Any]] = {**OPTIONS, "forceinline": True}
 
 
 @cache

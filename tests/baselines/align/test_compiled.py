@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.runtime.threads import torch_threads
 from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
+from tests.programs import printed
 
 POINTS, CHANNELS = 300, 24
 
@@ -216,3 +218,30 @@ def test_without_numba_torch_computes_it(monkeypatch: pytest.MonkeyPatch) -> Non
         assert not can_be_compiled(cost)
         around = linearise(cost, pose)
     torch.testing.assert_close(around.pull, linearised(cost, pose, by_torch=True).pull)
+
+
+FIRST = """
+import hashlib
+from pathlib import Path
+import torch
+from baselines.align import kernels
+from baselines.align.compiled import descended
+from baselines.align.options import Options
+from tests.baselines.align.test_compiled import level_cost
+from tests.baselines.align.world import DISTORTED
+from tests.programs import printed
+
+with torch.inference_mode():
+    cost, pose = level_cost(DISTORTED, 4, smooth=True)
+    moving, damping = torch.ones(4, dtype=torch.bool), torch.full((6,), 1e-3)
+    state = descended(cost, pose, moving, damping, Options())
+parts = (state.pose.rotation, state.pose.translation, state.around.hessian)
+print(hashlib.sha256(b"".join(part.numpy().tobytes() for part in parts)).hexdigest())
+"""
+
+
+@pytest.mark.thorough
+def test_the_process_that_compiles_gives_the_bits_of_those_after_it(tmp_path: Path) -> None:
+    first = printed(FIRST, NUMBA_CACHE_DIR=str(tmp_path))
+    assert list(tmp_path.rglob("kernels.descend*.nbc"))
+    assert printed(FIRST, NUMBA_CACHE_DIR=str(tmp_path)) == first
