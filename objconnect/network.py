@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -115,7 +116,7 @@ class ObjConnectNet(nn.Module):
             labels: int64 label maps (B, _, _) of any size that cover the image, see
                 ``objconnect.segmentation``; None segments the image as configured.
             levels: number of levels from the coarsest on; None stands for all.
-            shown: cells of the finest level that are wanted, as ``pixloc.Decoder.forward`` takes
+            shown: cells of the finest level that are wanted, as ``pixloc.Decoder.levels`` takes
                 them; a network with objects or another decoder makes all cells.
 
         Returns:
@@ -154,10 +155,10 @@ class ObjConnectNet(nn.Module):
 
         The objects are None where the network has none. Arguments are those of ``forward``.
         """
-        decoded = self._decoded(image, None if self._with_objects else shown)
         if not self._with_objects:
-            labels = None
-        elif labels is None and self.config.segmentation == "learned":
+            return list(islice(self._levels(image, shown), levels)), None
+        decoded = self._decoded(image)
+        if labels is None and self.config.segmentation == "learned":
             decoded = list(decoded)
             labels = self._learned(decoded)
         elif labels is None:
@@ -165,7 +166,7 @@ class ObjConnectNet(nn.Module):
         levels_made: list[Level] = []
         objects = None
         for number, maps in enumerate(islice(decoded, levels)):
-            if labels is not None and number < self._with_objects:
+            if number < self._with_objects:
                 stride = self.config.strides[number]
                 here = at_level(labels, image, maps, stride)
                 objects_here = occupancy(here, self.config.segments)
@@ -207,15 +208,20 @@ class ObjConnectNet(nn.Module):
         decoded = self._decoded(image)
         return [found for _, found in self._detected(decoded)]
 
-    def _decoded(self, image: Tensor, shown: NDArray[np.bool_] | None = None) -> Iterable[Tensor]:
+    def _decoded(self, image: Tensor) -> Iterable[Tensor]:
         """Yield the decoder's maps of images, coarse to fine."""
-        blocks = encode(self.encoder, image, self.config.strides[-1])
-        maps: Iterable[Tensor]
-        if isinstance(self.decoder, pixloc.Decoder):
-            maps = self.decoder(blocks, shown)
-        else:
-            maps = self.decoder(blocks)
+        maps: Iterable[Tensor] = self.decoder(self._blocks(image))
         return maps
+
+    def _levels(self, image: Tensor, shown: NDArray[np.bool_] | None) -> Iterable[Level]:
+        """Yield the levels of images without objects, coarse to fine."""
+        if not isinstance(self.decoder, pixloc.Decoder):
+            return (self._level(*each) for each in enumerate(self._decoded(image)))
+        heads = [partial(self._level, number) for number in range(len(self.features))]
+        return self.decoder.levels(self._blocks(image), heads, shown)
+
+    def _blocks(self, image: Tensor) -> list[Tensor]:
+        return encode(self.encoder, image, self.config.strides[-1])
 
     def _learned(self, decoded: Iterable[Tensor]) -> Tensor:
         detected = self._detected(decoded)

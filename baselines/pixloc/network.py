@@ -7,7 +7,8 @@ loads their weights.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple, Self
@@ -47,6 +48,10 @@ def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
         raise ValueError("dims must give one number of channels per stride")
 
 
+Level = tuple[Tensor, Tensor]
+"""Features (B, C, h, w) and confidences (B, 1, h, w) of a level."""
+Cellwise = Callable[[Tensor], tuple[Tensor, ...]]
+"""Makes maps (B, _, h, w) of one (B, C, h, w), each cell of them of the same cell alone."""
 Channels = Annotated[int, Field(ge=1, le=2048)]
 """Number of channels of a layer; the widest of VGG16 has 512."""
 
@@ -97,9 +102,7 @@ class Decoder(nn.ModuleList):
         self._wanted = [STRIDES.index(stride) for stride in strides]
         self.sizes = [sizes[step] for step in self._wanted]
 
-    def forward(
-        self, blocks: Sequence[Tensor], shown: NDArray[np.bool_] | None = None
-    ) -> Iterator[Tensor]:
+    def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
         """Yield the map (B, C, h, w) of each level, coarse to fine, computed on demand.
 
         Cells are ``stride`` pixels wide and start at the top left corner. The part of an image
@@ -107,6 +110,23 @@ class Decoder(nn.ModuleList):
 
         Args:
             blocks: outputs of the encoder's blocks, from the finest stride of the decoder to 16.
+        """
+        for (maps,) in self.levels(blocks, [lambda maps: (maps,)] * len(self._wanted)):
+            yield maps
+
+    def levels(
+        self,
+        blocks: Sequence[Tensor],
+        heads: Sequence[Cellwise],
+        shown: NDArray[np.bool_] | None = None,
+    ) -> Iterator[tuple[Tensor, ...]]:
+        """Yield what a head makes of the map of each level, which ``forward`` describes.
+
+        The map of the finest level, the largest, is made and read a few rows at a time.
+
+        Args:
+            blocks: outputs of the encoder's blocks, as ``forward`` takes them.
+            heads: of each level, coarse to fine.
             shown: cells (h, w) of the finest level that are wanted; None stands for all. Cells of
                 any level that lie far from them may be zero. The others do not change.
         """
@@ -115,12 +135,15 @@ class Decoder(nn.ModuleList):
         wanted = _spans(shown)
         decoded = skips.pop()
         if 0 in self._wanted:
-            yield decoded
+            yield heads[0](decoded)
         for number, step in enumerate(self, 1):
             spans = _coarser(wanted, 2 ** (self._wanted[-1] - number))
-            decoded = _decode(step, decoded, skips.pop(), spans)
+            if number == len(self):
+                yield _decode(step, decoded, skips.pop(), heads[-1], spans)
+                return
+            (decoded,) = _decode(step, decoded, skips.pop(), lambda maps: (maps,), spans)
             if number in self._wanted:
-                yield decoded
+                yield heads[self._wanted.index(number)](decoded)
 
 
 def _spans(shown: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
@@ -180,18 +203,22 @@ class _Window(NamedTuple):
 
 
 def _decode(
-    step: nn.Module, coarse: Tensor, skip: Tensor, spans: NDArray[np.int64] | None = None
-) -> Tensor:
+    step: nn.Module,
+    coarse: Tensor,
+    skip: Tensor,
+    head: Cellwise,
+    spans: NDArray[np.int64] | None = None,
+) -> tuple[Tensor, ...]:
     """Apply a step of the decoder to maps of half its resolution and the encoder's block.
 
     What goes into the convolution is made for some rows at a time: of a whole picture it would take
     three times the memory of the result. Of these rows, only columns near the ``spans`` (rows, 2)
-    are made, where there are such, and the others are zero.
+    are made, where there are such, and the others are zero. The ``head`` reads them at once.
     """
     rows, columns = (2 * side for side in coarse.shape[-2:])
     # The statistics of a batch are those of whole maps.
     count = rows if step.training else _ROWS
-    decoded = None
+    whole: list[Tensor] = []
     for top in range(0, rows, count):
         bottom, left, right = min(top + count, rows), 0, columns
         if spans is not None:
@@ -204,18 +231,20 @@ def _decode(
         up = doubled(coarse[..., high.coarse, wide.coarse])
         fine = skip[..., :rows, :columns][..., high.fine, wide.fine]
         up = up[..., high.shift :, wide.shift :][..., : fine.shape[-2], : fine.shape[-1]]
-        made = step(torch.cat([up, fine], 1))
-        made = made[..., high.before :, wide.before :][..., : bottom - top, : right - left]
-        if decoded is None:
-            size = (*made.shape[:2], rows, columns)
-            decoded = torch.empty(
-                size, dtype=made.dtype, device=made.device, memory_format=torch.channels_last
-            )
-            if spans is not None:
-                decoded.zero_()
-        decoded[..., top:bottom, left:right] = made
-    assert decoded is not None
-    return decoded
+        made = head(step(torch.cat([up, fine], 1)))
+        if made[0].shape[-2:] == (rows, columns):
+            return made
+        whole = whole or [_zeros(maps, rows, columns) for maps in made]
+        for maps, part in zip(whole, made, strict=True):
+            part = part[..., high.before :, wide.before :]
+            maps[..., top:bottom, left:right] = part[..., : bottom - top, : right - left]
+    return tuple(whole)
+
+
+def _zeros(like: Tensor, rows: int, columns: int) -> Tensor:
+    """Return maps of zeros, channels-last, of the channels and type of others."""
+    batch, depth = like.shape[:2]
+    return like.new_zeros((batch, rows, columns, depth)).permute(0, 3, 1, 2)
 
 
 class PixlocNet(nn.Module):
@@ -247,21 +276,19 @@ class PixlocNet(nn.Module):
         Args:
             image: images (B, 3, H, W), RGB in 0..1; H and W are at least 16.
             levels: number of levels from the coarsest on; None stands for all.
-            shown: cells of the finest level that are wanted, as ``Decoder.forward`` takes them.
+            shown: cells of the finest level that are wanted, as ``Decoder.levels`` takes them.
 
         Returns:
             Features (B, C, h, w) and confidences (B, 1, h, w) of each level. Cells are ``stride``
             pixels wide and start at the top left corner. The part of an image beyond a multiple of
             16 pixels is cut off.
         """
-        decoded = self.decoder(encode(self.encoder, image, self.config.strides[-1]), shown)
-        maps = islice(decoded, levels)
-        return [
-            (features(level), torch.sigmoid(-confidence(level)))
-            for level, features, confidence in zip(
-                maps, self.features, self.confidence, strict=False
-            )
-        ]
+        blocks = encode(self.encoder, image, self.config.strides[-1])
+        heads = [partial(self._level, number) for number in range(len(self.features))]
+        return list(islice(self.decoder.levels(blocks, heads, shown), levels))
+
+    def _level(self, number: int, maps: Tensor) -> Level:
+        return self.features[number](maps), torch.sigmoid(-self.confidence[number](maps))
 
 
 def read_network(path: Path) -> tuple[PixlocNet, str]:
