@@ -39,11 +39,14 @@ def largest_values(network: nn.Module) -> Iterator[Channelwise]:
 
         return module.register_forward_hook(seen)
 
+    # Whole pictures: at the border of a strip the network sees zeros that no picture has there.
+    encoder = network.get_submodule("encoder").train()
     named = network.named_modules()
     handles = [watch(name, module) for name, module in named if isinstance(module, ConvReLU)]
     try:
         yield largest
     finally:
+        encoder.eval()
         for handle in handles:
             handle.remove()
 

@@ -12,6 +12,10 @@ BLOCKS: Final = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 5
 # Mean and deviation of RGB in 0..1 over ImageNet, by which networks based on VGG16 normalise.
 IMAGENET_MEAN: Final = (0.485, 0.456, 0.406)
 IMAGENET_STD: Final = (0.229, 0.224, 0.225)
+# Rows of an image that the first block sees at once, an even number: fewer take more time.
+_ROWS: Final = 128
+# Rows beyond them that its two convolutions see.
+_HALO: Final = 2
 
 
 def channels(width: float) -> list[int]:
@@ -57,17 +61,62 @@ def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tenso
 
     Args:
         encoder: result of ``vgg16_encoder``.
-        image: images (B, 3, H, W), RGB in 0..1. They are normalised by ImageNet's statistics here.
+        image: images (B, 3, H, W), RGB, in 0..1 or of bytes. They are normalised by ImageNet's
+            statistics here.
         finest: outputs of finer strides are not kept: at stride 1 they take most of the memory.
     """
-    mean, std = image.new_tensor([IMAGENET_MEAN, IMAGENET_STD])[..., None, None]
-    maps = torch.addcmul(-mean / std, image, 1 / std)  # in one pass
+    first, second = encoder[0], encoder[1]
+    assert isinstance(second, nn.Sequential)
+    pooling, others = second[0], second[1:]
     blocks = []
-    for number, block in enumerate(encoder):
+    if finest > 1 and not encoder.training:
+        maps = _in_strips(nn.Sequential(first, pooling), image)
+    else:
+        maps = first(_normalised(image))
+        if finest == 1:
+            blocks.append(maps)
+        maps = pooling(maps)
+    for number, block in enumerate([others, *encoder[2:]], 1):
         maps = block(maps)
         if 2**number >= finest:
             blocks.append(maps)
     return blocks
+
+
+def in_unit(image: Tensor) -> Tensor:
+    """Return images in 0..1, of such images or of bytes."""
+    return image / 255 if image.dtype == torch.uint8 else image
+
+
+def _normalised(image: Tensor) -> Tensor:
+    image = in_unit(image)
+    mean, std = image.new_tensor([IMAGENET_MEAN, IMAGENET_STD])[..., None, None]
+    return torch.addcmul(-mean / std, image, 1 / std)  # in one pass
+
+
+def _in_strips(layers: nn.Module, image: Tensor) -> Tensor:
+    """Apply the first block and the pooling after it to some rows of an image at a time.
+
+    What lies between them would take several times the memory of all that is kept. All strips have
+    as many rows, as oneDNN compiles a convolution for each size.
+    """
+    height = image.shape[-2]
+    # Strips begin at even rows, which are pooled with the next ones.
+    count = min(_ROWS + 2 * _HALO + height % 2, height)
+    pooled: Tensor | None = None
+    done = 0
+    while done < height // 2:
+        begin = min(max(2 * done - _HALO, 0), height - count)
+        end = begin + count
+        last = height // 2 if end == height else (end - _HALO) // 2
+        made = layers(_normalised(image[..., begin:end, :]))
+        if pooled is None:
+            batch, depth, _, width = made.shape
+            pooled = made.new_empty((batch, height // 2, width, depth)).permute(0, 3, 1, 2)
+        pooled[..., done:last, :] = made[..., done - begin // 2 : last - begin // 2, :]
+        done = last
+    assert pooled is not None
+    return pooled
 
 
 def keep_variance(network: nn.Module) -> None:

@@ -17,7 +17,7 @@ import baselines.pixloc.network as pixloc
 from baselines.align.damping import Damping
 from baselines.checkpoint import load_into, read_weights
 from baselines.training.contrastive import sample
-from baselines.vgg import encode, keep_variance, vgg16_encoder
+from baselines.vgg import encode, in_unit, keep_variance, vgg16_encoder
 from objconnect.config import ObjConnectNetConfig
 from objconnect.constellation import ConstellationGraph
 from objconnect.detector import Detections, DetectorMaps, ObjectDetector, detections, label_map
@@ -112,7 +112,7 @@ class ObjConnectNet(nn.Module):
         """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
 
         Args:
-            image: images (B, 3, H, W), RGB in 0..1; H and W are at least 16.
+            image: images (B, 3, H, W), RGB in 0..1 or of bytes; H and W are at least 16.
             labels: int64 label maps (B, _, _) of any size that cover the image, see
                 ``objconnect.segmentation``; None segments the image as configured.
             levels: number of levels from the coarsest on; None stands for all.
@@ -157,6 +157,7 @@ class ObjConnectNet(nn.Module):
         """
         if not self._with_objects:
             return list(islice(self._levels(image, shown), levels)), None
+        image = in_unit(image)
         decoded = self._decoded(image)
         if labels is None and self.config.segmentation == "learned":
             decoded = list(decoded)
@@ -218,7 +219,8 @@ class ObjConnectNet(nn.Module):
         if not isinstance(self.decoder, pixloc.Decoder):
             return (self._level(*each) for each in enumerate(self._decoded(image)))
         heads = [partial(self._level, number) for number in range(len(self.features))]
-        return self.decoder.levels(self._blocks(image), heads, shown)
+        made = self.decoder.levels(self._blocks(image), heads, shown)
+        return ((features, confidence) for features, confidence in made)
 
     def _blocks(self, image: Tensor) -> list[Tensor]:
         return encode(self.encoder, image, self.config.strides[-1])

@@ -55,7 +55,7 @@ class Network(Protocol):
     def __call__(
         self, image: Tensor, *, levels: int | None = None, shown: NDArray[np.bool_] | None = None
     ) -> Iterable[tuple[Tensor, Tensor]]:
-        """Images (B, 3, H, W) of RGB in 0..1 -> features (B, C, h, w), not normalised, and
+        """Images (B, 3, H, W) of RGB bytes -> features (B, C, h, w), not normalised, and
         confidences (B, 1, h, w) in 0..1, of so many levels from the coarsest or of all.
 
         Of the finest level only the cells ``shown`` (h, w) are wanted; None stands for all.
@@ -179,7 +179,8 @@ class MapExtractor:
     ) -> list[tuple[Tensor, Tensor]]:
         """Run the network; see ``Network.__call__``."""
         # Rows of pixels of RGB are channels-last as they are.
-        image = torch.from_numpy(seen.picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
+        picture = np.require(seen.picture, requirements=("C_CONTIGUOUS", "WRITEABLE"))
+        image = torch.from_numpy(picture).permute(2, 0, 1)[None]
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
             return list(self.network(image, levels=levels, shown=shown))
 

@@ -274,7 +274,7 @@ class PixlocNet(nn.Module):
         """Return features, which are not normalised, and confidences in 0..1, coarse to fine.
 
         Args:
-            image: images (B, 3, H, W), RGB in 0..1; H and W are at least 16.
+            image: images (B, 3, H, W), RGB in 0..1 or of bytes; H and W are at least 16.
             levels: number of levels from the coarsest on; None stands for all.
             shown: cells of the finest level that are wanted, as ``Decoder.levels`` takes them.
 
@@ -285,7 +285,8 @@ class PixlocNet(nn.Module):
         """
         blocks = encode(self.encoder, image, self.config.strides[-1])
         heads = [partial(self._level, number) for number in range(len(self.features))]
-        return list(islice(self.decoder.levels(blocks, heads, shown), levels))
+        made = islice(self.decoder.levels(blocks, heads, shown), levels)
+        return [(features, confidence) for features, confidence in made]
 
     def _level(self, number: int, maps: Tensor) -> Level:
         return self.features[number](maps), torch.sigmoid(-self.confidence[number](maps))
