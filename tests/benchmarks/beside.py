@@ -4,7 +4,7 @@
 Each version has a process of one thread. All localize a query before any localizes the next, so
 that a machine with other work slows all of them alike: read the ratios. With ``--threads 2``,
 seconds are those of the clock, for which a machine must be idle. ``--set`` is for the last version
-alone. ``--prepare`` prepares the map with an empty cache instead.
+alone, or with ``--alike`` for all. ``--prepare`` prepares the map with an empty cache instead.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="take every so many queries")
     parser.add_argument("--threads", type=int, default=1, help="above 1, by the clock")
     parser.add_argument("--set", action="append", default=[], help="KEY=VALUE of the configuration")
+    parser.add_argument("--alike", action="store_true", help="all versions take what is set")
     parser.add_argument("--prepare", action="store_true")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -44,7 +45,7 @@ def main() -> None:
         caches = Path(scratch) if given.cache is None or given.prepare else given.cache
         last = len(given.versions) - 1
         workers = [
-            _Worker(folder.resolve(), caches / f"version-{row}", given, row == last)
+            _Worker(folder.resolve(), caches / f"version-{row}", given, given.alike or row == last)
             for row, folder in enumerate(given.versions)
         ]
         if given.prepare:
