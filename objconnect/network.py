@@ -32,7 +32,7 @@ _ENCODER: Final = "encoder."
 # A key that only configurations of this network have.
 _OURS: Final = "segmentation"
 
-Level = tuple[Tensor, Tensor]
+Level = pixloc.Level
 
 
 class ObjectBlocks(nn.Module):

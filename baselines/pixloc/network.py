@@ -111,7 +111,7 @@ class Decoder(nn.ModuleList):
         Args:
             blocks: outputs of the encoder's blocks, from the finest stride of the decoder to 16.
         """
-        for (maps,) in self.levels(blocks, [lambda maps: (maps,)] * len(self._wanted)):
+        for (maps,) in self.levels(blocks, [_itself] * len(self._wanted)):
             yield maps
 
     def levels(
@@ -141,9 +141,13 @@ class Decoder(nn.ModuleList):
             if number == len(self):
                 yield _decode(step, decoded, skips.pop(), heads[-1], spans)
                 return
-            (decoded,) = _decode(step, decoded, skips.pop(), lambda maps: (maps,), spans)
+            (decoded,) = _decode(step, decoded, skips.pop(), _itself, spans)
             if number in self._wanted:
                 yield heads[self._wanted.index(number)](decoded)
+
+
+def _itself(maps: Tensor) -> tuple[Tensor]:
+    return (maps,)
 
 
 def _spans(shown: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
