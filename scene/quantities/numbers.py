@@ -11,7 +11,7 @@ _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?")
 def parse_number(text: str) -> float | None:
     """Return the number that a text holds and nothing else; None where there is none.
 
-    A single comma is a decimal mark. A text with several marks, as ``1.234,5``, is not a number, for
+    A single comma is a decimal mark. A text with several marks, as ``1.234,5``, is not a number:
     either mark may divide thousands.
 
     Example:
