@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,8 @@ from scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
-# Standard deviation of an altitude that is ignored (m).
-_NO_ALTITUDE = 1e4
+NO_ALTITUDE: Final = 1e4
+"""Standard deviation of an altitude that is unknown or ignored (m)."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +75,14 @@ def adjust(
     order = [photograph.name for photograph in taken if photograph.name in raw.images]
     placed, delay, used = _place(raw, order, fixes, times, options)
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
-    sigma = placed.sigma.copy()
+    sigma = np.minimum(placed.sigma, NO_ALTITUDE)
+    blind = {name for name, position in positions.items() if np.isnan(position[2])}
     if placed.level == "ground":
-        for name in positions:
+        blind = set(positions)
+    for name in positions:
+        if name in blind:
             height = placed.apply(raw.images[name].centre[None])[0, 2]
             positions[name] = np.array([*positions[name][:2], height])
-        sigma[2] = _NO_ALTITUDE
     limits = options.adjustment
     tell = _relief(raw) > limits.min_relief
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
@@ -92,7 +95,7 @@ def adjust(
                 model_path,
                 taken,
                 placed.world_from_model,
-                MeasuredPositions(positions, sigma),
+                MeasuredPositions(positions, sigma, {name: NO_ALTITUDE for name in blind}),
                 refined,
                 folder,
             )
