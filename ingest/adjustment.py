@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -76,7 +76,7 @@ def adjust(
     placed, delay, used = _place(raw, order, fixes, times, options)
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
     sigma = np.minimum(placed.sigma, NO_ALTITUDE)
-    blind = {name for name, position in positions.items() if np.isnan(position[2])}
+    blind = blind_of(positions)
     if placed.level == "ground":
         blind = set(positions)
     for name in positions:
@@ -107,7 +107,23 @@ def adjust(
         least = (1 - limits.min_gain) * best.model.reprojection_error()
         if off_middle.model.reprojection_error() < least:
             best = off_middle
-    return best
+    return _at_height(best, used) if placed.level == "ground" and blind_of(used) else best
+
+
+def blind_of(fixes: Mapping[str, Array]) -> set[str]:
+    """Return the photographs whose fix has no altitude."""
+    return {name for name, fix in fixes.items() if np.isnan(fix[2])}
+
+
+def _at_height(adjusted: Adjusted, fixes: Mapping[str, Array]) -> Adjusted:
+    """Return the model raised to the median of the few altitudes that there are."""
+    images = adjusted.model.images
+    names = [name for name in fixes.keys() - blind_of(fixes) if name in images]
+    if not names:
+        return adjusted
+    up = float(np.median([fixes[name][2] - images[name].centre[2] for name in names]))
+    shift = np.column_stack([np.eye(3), [0.0, 0.0, up]])
+    return replace(adjusted, model=adjusted.model.moved(shift))
 
 
 def _place(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ingest.adjustment import NO_ALTITUDE, Adjusted
+from ingest.adjustment import NO_ALTITUDE, Adjusted, blind_of
 from ingest.attitude import attitudes
 from ingest.georegister import rms_of
 from ingest.options import IngestOptions
@@ -65,7 +65,7 @@ def write_measurements(
     sigma = np.clip(spread, options.placement.min_sigma_m, NO_ALTITUDE)
     nothing = np.full(3, np.nan)
     # An unknown altitude is that of the cameras, give or take kilometres.
-    blind = [name for name in measured if np.isnan(fixes[name][2])]
+    blind = blind_of({name: fixes[name] for name in measured})
     height = float(np.median([model.images[name].centre[2] for name in model.names]))
     level = np.array([*sigma[:2], NO_ALTITUDE])
     priors = {name: fixes[name] for name in measured}
