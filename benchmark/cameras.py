@@ -58,13 +58,16 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
     It is, in this order: the map's camera of the photograph's size; the calibration in XMP; the
     map's camera of another size, scaled; a pinhole of the focal length in EXIF. A camera of the map
     counts where its focal length is that of EXIF; one of the photograph's size also where EXIF has
-    none. If all of them are missing, the camera is to be estimated.
+    none. If all of them are missing, the camera is to be estimated. So it is where fields of EXIF
+    contradict each other: the map decides between what they say.
 
     Args:
         size: width and height of the photograph, pixels.
         exif: what the photograph says of itself.
         cameras: cameras of the map.
     """
+    if exif.focals:
+        return _candidates(size, exif.focals, cameras)
     alike = [camera for camera in cameras if _same_aspect((camera.width, camera.height), size)]
     alike.sort(key=lambda camera: (_unlike(camera, exif), str(camera)))
     same = [camera for camera in alike if (camera.width, camera.height) == size]
@@ -86,6 +89,38 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
     return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
 
 
+def _candidates(
+    size: tuple[int, int], focals: Sequence[float], cameras: Collection[Camera]
+) -> Calibration:
+    """Return cameras to try of a photograph whose fields contradict each other.
+
+    A focal length that is the map's has its camera. The likeliest one comes first.
+    """
+    alike = sorted(
+        (camera for camera in cameras if _same_aspect((camera.width, camera.height), size)), key=str
+    )
+    tried: list[Camera] = []
+    for focal in sorted(focals, key=lambda each: not _nearest(each, alike)):
+        camera = _nearest(focal, alike)
+        tried += [] if camera is None else [_fitted(camera, size)]
+        tried.append(_pinhole(size, focal))
+    tried = list(dict.fromkeys(tried))
+    return Calibration(tried[0], CameraSource.ESTIMATED, tuple(tried[1:]))
+
+
+def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
+    """Return the camera whose focal length is nearest; None where none is of such a lens."""
+    off = {camera: _off(camera, focal) for camera in cameras}
+    best = min(off, key=lambda camera: off[camera], default=None)
+    return best if best is not None and off[best] < _SAME_LENS else None
+
+
+def _off(camera: Camera, focal: float) -> float:
+    """Return by which share a camera's focal length differs from one in longest sides."""
+    ratio = camera.focal[0] / max(camera.width, camera.height) / focal
+    return max(ratio, 1 / ratio) - 1
+
+
 def estimate_camera(
     cameras: Sequence[Camera], queries: Iterable[Query], localize: Callable[[Query], Estimate]
 ) -> Camera:
@@ -97,7 +132,7 @@ def estimate_camera(
     likelihoods are. Between pinholes that were tried, the focal length is that of a parabola.
 
     Args:
-        cameras: cameras to try (``calibration_of``); the pinholes come last, shortest first.
+        cameras: cameras to try (``calibration_of``). Pinholes of a range come last, shortest first.
         queries: photographs of the lens.
         localize: answers a query.
     """
@@ -110,7 +145,10 @@ def estimate_camera(
             sigmas[~found] = _NOT_FOUND * sigmas[found].max()
             misfit += max(estimate.inliers for estimate in estimates) * np.log(sigmas)
     best = int(misfit.argmin())
-    if not len(cameras) - len(_TRIED) < best < len(cameras) - 1:
+    first = len(cameras) - len(_TRIED)
+    size = cameras[0].width, cameras[0].height
+    row = first >= 0 and cameras[first] == _pinhole(size, _TRIED[0])
+    if not row or not first < best < len(cameras) - 1:
         return cameras[best]
     near = slice(best - 1, best + 2)
     focals = np.log([camera.focal[0] for camera in cameras[near]])
@@ -133,10 +171,7 @@ def _rotation_sigma(estimate: Estimate) -> float:
 def _unlike(camera: Camera, exif: Exif) -> float:
     """Return by which share a camera's focal length differs from that of EXIF."""
     focal = exif.focal_in_longest_sides
-    if focal is None:
-        return math.inf
-    ratio = camera.focal[0] / max(camera.width, camera.height) / focal
-    return max(ratio, 1 / ratio) - 1
+    return math.inf if focal is None else _off(camera, focal)
 
 
 def _same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:

@@ -20,6 +20,7 @@ from benchmark.photographs import (
     Place,
     QueryPhotograph,
     priors_of,
+    warn_of_doubts,
     warn_of_rolling_shutter,
     with_estimates,
 )
@@ -133,6 +134,7 @@ def localize(
             with atomic_write(file) as partial_file:
                 partial_file.write_bytes(content)
     warn_of_rolling_shutter(reader.said.values())
+    warn_of_doubts(reader.said)
     return located
 
 

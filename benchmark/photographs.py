@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.cameras import Calibration, CameraSource, calibration_of, estimate_camera
 from benchmark.datasets.textfiles import read_priors, require_same_case
@@ -20,6 +21,7 @@ from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from scene.localizer import Estimate, Prior, Query
 from scene.maps.sparse_map import SparseMap
+from scene.quantities.doubts import said_of
 from scene.runtime.progress import progress_bar
 from scene.storage.images import Exif, image_size, read_exif, read_rgb
 
@@ -31,8 +33,8 @@ _FAST: Final = 5.0
 # Photographs of one lens from which its camera is estimated.
 _ENOUGH: Final = 5
 
-Lens = tuple[str, str, float | None, tuple[int, int]]
-"""Maker, model, equivalent focal length (mm) and size in pixels."""
+Lens = tuple[str, str, float | None, tuple[float, ...], tuple[int, int]]
+"""Maker, model, equivalent focal length (mm) or what contradicts it, and size in pixels."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,20 @@ class Place:
     def cameras(self) -> frozenset[Camera]:
         """Return the cameras of the map's photographs."""
         return frozenset(image.camera for image in self.sparse_map.images.values())
+
+    def located(
+        self, place: Geodetic, origin: Geodetic, sigma: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return a place on earth in the map's world, (3,) metres, and its standard deviations.
+
+        Where the altitude is unknown, the height is that of the map's cameras, and its sigma is
+        infinite.
+        """
+        if not np.isnan(place.altitude):
+            return enu_from_geodetic(place, origin), sigma
+        position = enu_from_geodetic(place._replace(altitude=origin.altitude), origin)
+        position[2] = np.median(self.sparse_map.centres[:, 2])
+        return position, np.array([*sigma[:2], np.inf])
 
 
 @dataclass(frozen=True)
@@ -136,8 +152,8 @@ class PhotographReader:
         origin = self.place.origin
         if exif.position is None or origin is None:
             return None
-        sigma = exif.xmp.rtk_sigma or (self.gps_sigma_m,) * 3
-        prior = Prior(enu_from_geodetic(exif.position, origin), np.array(sigma))
+        sigma = np.array(exif.xmp.rtk_sigma or (self.gps_sigma_m,) * 3)
+        prior = Prior(*self.place.located(exif.position, origin, sigma))
         if exif.gimbal is None:
             return prior
         return replace(
@@ -149,7 +165,7 @@ class PhotographReader:
 
 def lens_of(exif: Exif, size: tuple[int, int]) -> Lens:
     """Return what all photographs of one lens have in common."""
-    return exif.make, exif.model, exif.focal_35mm, size
+    return exif.make, exif.model, exif.focal_35mm, exif.focals, size
 
 
 def with_estimates(
@@ -176,8 +192,9 @@ def with_estimates(
     estimated = {}
     for lens, cameras in tried.items():
         log.warning(
-            "nothing tells the focal length of %d photographs of %d x %d pixels: it is estimated; "
+            "%s the focal length of %d photographs of %d x %d pixels: it is estimated; "
             "give --camera for exact poses",
+            "fields of EXIF contradict each other on" if lens[-2] else "nothing tells",
             len(unknown[lens]),
             *lens[-1],
         )
@@ -201,6 +218,12 @@ def _read(
         advance(done)
         with suppress(InputError, OSError):
             yield reader(name, path)
+
+
+def warn_of_doubts(photographs: Mapping[Path, Exif]) -> None:
+    """Warn of what photographs say of themselves and cannot be believed, a line for each kind."""
+    for line in said_of({path.name: exif.doubts for path, exif in photographs.items()}):
+        log.warning("%s", line)
 
 
 def warn_of_rolling_shutter(photographs: Collection[Exif]) -> None:

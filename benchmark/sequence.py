@@ -20,7 +20,13 @@ from benchmark.localize import (
     on_earth,
     photographs_in,
 )
-from benchmark.photographs import PhotographReader, Place, priors_of, warn_of_rolling_shutter
+from benchmark.photographs import (
+    PhotographReader,
+    Place,
+    priors_of,
+    warn_of_doubts,
+    warn_of_rolling_shutter,
+)
 from benchmark.results import Method
 from benchmark.shots import (
     Footage,
@@ -198,6 +204,7 @@ def localize_sequence(
     shots = _from_the_first(shots, len(paths), photographs)
     located = _localize(place, shots, len(paths), localizer, job)
     warn_of_rolling_shutter(reader.said.values())
+    warn_of_doubts(reader.said)
     return located
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,8 @@ from scene.storage.atomic import atomic_folder
 
 Array = NDArray[np.float64]
 
-# Standard deviation of an altitude that is ignored (m).
-_NO_ALTITUDE = 1e4
+NO_ALTITUDE: Final = 1e4
+"""Standard deviation of an altitude that is unknown or ignored (m)."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +75,14 @@ def adjust(
     order = [photograph.name for photograph in taken if photograph.name in raw.images]
     placed, delay, used = _place(raw, order, fixes, times, options)
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
-    sigma = placed.sigma.copy()
+    sigma = np.minimum(placed.sigma, NO_ALTITUDE)
+    blind = blind_of(positions)
     if placed.level == "ground":
-        for name in positions:
+        blind = set(positions)
+    for name in positions:
+        if name in blind:
             height = placed.apply(raw.images[name].centre[None])[0, 2]
             positions[name] = np.array([*positions[name][:2], height])
-        sigma[2] = _NO_ALTITUDE
     limits = options.adjustment
     tell = _relief(raw) > limits.min_relief
     focal = {p.lens for p in taken if not p.calibrated and (tell or not p.focal_known)}
@@ -92,7 +95,7 @@ def adjust(
                 model_path,
                 taken,
                 placed.world_from_model,
-                MeasuredPositions(positions, sigma),
+                MeasuredPositions(positions, sigma, {name: NO_ALTITUDE for name in blind}),
                 refined,
                 folder,
             )
@@ -104,7 +107,23 @@ def adjust(
         least = (1 - limits.min_gain) * best.model.reprojection_error()
         if off_middle.model.reprojection_error() < least:
             best = off_middle
-    return best
+    return _at_height(best, used) if placed.level == "ground" and blind_of(used) else best
+
+
+def blind_of(fixes: Mapping[str, Array]) -> set[str]:
+    """Return the photographs whose fix has no altitude."""
+    return {name for name, fix in fixes.items() if np.isnan(fix[2])}
+
+
+def _at_height(adjusted: Adjusted, fixes: Mapping[str, Array]) -> Adjusted:
+    """Return the model raised to the median of the few altitudes that there are."""
+    images = adjusted.model.images
+    names = [name for name in fixes.keys() - blind_of(fixes) if name in images]
+    if not names:
+        return adjusted
+    up = float(np.median([fixes[name][2] - images[name].centre[2] for name in names]))
+    shift = np.column_stack([np.eye(3), [0.0, 0.0, up]])
+    return replace(adjusted, model=adjusted.model.moved(shift))
 
 
 def _place(

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 _Fit = Callable[[Array, Array], Array]
 
 _DEFAULTS: Final = PlacementOptions()
+# Altitudes that tell a rotation.
+_WHOLE: Final = 3
 # Squared standard deviations per axis from the median of squared distances, in 2 and 3 axes.
 _CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 
@@ -74,23 +76,52 @@ def georegister(
         )
     centres = np.array([model.images[name].centre for name in names])
     measured = np.array([fixes[name] for name in names])
-    if np.linalg.norm(measured - np.median(measured, 0), axis=1).max() < options.min_sigma_m:
+    high = np.isfinite(measured[:, 2])
+    away = measured - np.median(measured, 0)
+    away[:, 2] = measured[:, 2] - np.median(measured[high, 2]) if high.any() else 0.0
+    if np.linalg.norm(np.nan_to_num(away), axis=1).max() < options.min_sigma_m:
         raise InputError("all GPS positions are one: they do not tell scale and direction")
 
     upright = _upright(model, options.ground_sigmas)
-    placed, good = robust_similarity(centres, measured, options)
-    level = "gps"
-    tilted = _tilt_deg(placed, model, upright[2]) > options.max_tilt_deg
-    if tilted or is_on_a_line(centres, options):
+    level = "ground"
+    if high.sum() >= _WHOLE and not is_on_a_line(centres[high], options):
+        placed, good = _fit_whole(centres, measured, options)
+        if _tilt_deg(placed, model, upright[2]) <= options.max_tilt_deg:
+            level = "gps"
+    if level == "ground":
         placed, good = _fit_level(upright, centres, measured, options)
-        level = "ground"
     off = (_apply(placed, centres) - measured)[good]
     return Georegistration(
         world_from_model=placed,
         level=level,
         blunders=tuple(name for name, ok in zip(names, good, strict=True) if not ok),
-        sigma=np.maximum(np.sqrt((off**2).mean(0)), options.min_sigma_m),
+        sigma=np.maximum(rms_of(off), options.min_sigma_m),
     )
+
+
+def rms_of(off: Array) -> Array:
+    """Return the root mean square (3,) of differences (N, 3), of which some ups are NaN.
+
+    That of the ups is infinite where all of them are.
+    """
+    high = np.isfinite(off[:, 2])
+    if high.all():
+        return np.asarray(np.sqrt((off**2).mean(0)))
+    up = float(np.sqrt((off[high, 2] ** 2).mean())) if high.any() else np.inf
+    return np.array([*np.sqrt((off[:, :2] ** 2).mean(0)), up])
+
+
+def _fit_whole(
+    centres: Array, measured: Array, options: PlacementOptions
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Fit to the fixes that have an altitude, and judge the others by the horizontal axes."""
+    high = np.isfinite(measured[:, 2])
+    placed, right = robust_similarity(centres[high], measured[high], options)
+    off = np.linalg.norm((_apply(placed, centres) - measured)[:, :2], axis=1)
+    usual = SIGMA_OF_MEDIAN * float(np.median(off[high][right]))
+    good = off <= max(options.blunder_sigmas * usual, options.usual_error_m)
+    good[high] = right
+    return placed, good
 
 
 def _apply(similarity: Array, points: Array) -> Array:
@@ -141,9 +172,13 @@ def _fit_level(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Fit with the ground level, and with heights at the scale of the model."""
     turned = centres @ upright.T
-    horizontal, good = _robust(_level_similarity, turned, measured, 2, options)
+    horizontal, good = _robust(_level_similarity, turned, np.nan_to_num(measured), 2, options)
     similarity = np.column_stack([horizontal[:, :3] @ upright, horizontal[:, 3]])
-    similarity[2, 3] += np.median((measured - _apply(similarity, centres))[good, 2])
+    up = (measured - _apply(similarity, centres))[:, 2]
+    # Only a few may have an altitude, and these be wrong in the horizontal axes.
+    used = good & np.isfinite(up) if (good & np.isfinite(up)).any() else np.isfinite(up)
+    if used.any():
+        similarity[2, 3] += np.median(up[used])
     return similarity, good
 
 

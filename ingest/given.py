@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.adjustment import Adjusted
-from ingest.georegister import Georegistration, georegister
+from ingest.georegister import Georegistration, georegister, rms_of
 from ingest.options import IngestOptions
 from ingest.photographs import Flight, fitted
 from scene.colmap.structure_from_motion import RefinedLenses
@@ -145,9 +145,9 @@ def as_given(
     """Return the placement of a model that is in the world, and the fixes that contradict it."""
     names = [name for name in model.names if name in fixes]
     off = np.array([fixes[n] - model.images[n].centre for n in names]).reshape(-1, 3)
-    limits, distance = options.placement, np.linalg.norm(off, axis=1)
+    limits, distance = options.placement, np.linalg.norm(np.nan_to_num(off), axis=1)
     usual = SIGMA_OF_MEDIAN * float(np.median(distance)) if names else 0.0
     good = distance <= max(limits.blunder_sigmas * usual, limits.usual_error_m)
-    sigma = np.sqrt((off[good] ** 2).mean(0)) if good.any() else np.full(3, limits.min_sigma_m)
+    sigma = rms_of(off[good]) if good.any() else np.full(3, limits.min_sigma_m)
     blunders = tuple(name for name, ok in zip(names, good, strict=True) if not ok)
     return Georegistration(_IDENTITY, "given", blunders, np.maximum(sigma, limits.min_sigma_m))

@@ -19,10 +19,14 @@ _SAME_FOCAL: Final = 0.005
 
 @dataclass(frozen=True)
 class _Lens:
-    """What EXIF says of a lens: maker and model, and focal length (mm) on 35 mm film."""
+    """What EXIF says of a lens: maker and model, and focal length (mm) on 35 mm film.
+
+    Where its fields contradict each other, ``focals`` are what they say (longest sides).
+    """
 
     body: tuple[str, str]
     focal: float | None
+    focals: tuple[float, ...]
 
     def is_like(self, other: _Lens) -> bool:
         if self.focal is None or other.focal is None:
@@ -47,11 +51,12 @@ def with_known_lenses(
     for name, mapped in scene.sparse_map().images.items():
         exif = read_exif(scene.images_root / name)
         if exif.make or exif.model:
-            seen[_Lens((exif.make, exif.model), exif.focal_35mm), mapped.camera] += 1
+            seen[_Lens((exif.make, exif.model), exif.focal_35mm, exif.focals), mapped.camera] += 1
     known = [lens for lens, _ in seen.most_common()]
     found = []
     for image, photograph in zip(images, taken, strict=True):
-        lens = _Lens((image.exif.make, image.exif.model), image.exif.focal_35mm)
+        said = image.exif
+        lens = _Lens((said.make, said.model), said.focal_35mm, said.focals)
         size = photograph.camera.width, photograph.camera.height
         camera = next((c for like, c in known if lens.is_like(like) and _has_shape(c, size)), None)
         if camera is not None:

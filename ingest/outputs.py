@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ingest.adjustment import Adjusted
+from ingest.adjustment import NO_ALTITUDE, Adjusted, blind_of
 from ingest.attitude import attitudes
+from ingest.georegister import rms_of
 from ingest.options import IngestOptions
 from ingest.photographs import SESSION, FlightImage
 from ingest.picture import PICTURE
@@ -60,9 +61,15 @@ def write_measurements(
     measured = [name for name in names if name in fixes and name not in placed.blunders]
     mapped = [name for name in measured if name not in queries] or measured
     off = residuals(model, fixes, mapped)
-    spread = np.sqrt((off**2).mean(0)) if mapped else np.zeros(3)
-    sigma = np.maximum(spread, options.placement.min_sigma_m)
+    spread = rms_of(off) if mapped else np.zeros(3)
+    sigma = np.clip(spread, options.placement.min_sigma_m, NO_ALTITUDE)
     nothing = np.full(3, np.nan)
+    # An unknown altitude is that of the cameras, give or take kilometres.
+    blind = blind_of({name: fixes[name] for name in measured})
+    height = float(np.median([model.images[name].centre[2] for name in model.names]))
+    level = np.array([*sigma[:2], NO_ALTITUDE])
+    priors = {name: fixes[name] for name in measured}
+    priors |= {name: np.array([*fixes[name][:2], height]) for name in blind}
     attitude, attitude_sigma, wrong = attitudes(images, poses, queries, options)
     times = [image.exif.time.timestamp() if image.exif.time else np.nan for image in images]
     frames = Frames(
@@ -70,8 +77,10 @@ def write_measurements(
         cameras=tuple(model.images[name].camera for name in names),
         cam_from_world=poses,
         time=np.array(times),
-        gps_prior=np.array([fixes[n] if n in measured else nothing for n in names]),
-        gps_sigma=np.array([sigma if n in measured else nothing for n in names]),
+        gps_prior=np.array([priors.get(name, nothing) for name in names]),
+        gps_sigma=np.array(
+            [(level if n in blind else sigma) if n in priors else nothing for n in names]
+        ),
         attitude_prior=attitude,
         attitude_sigma_deg=attitude_sigma,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,11 +12,15 @@ from ingest.options import IngestOptions
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.maps.photographs import Photograph
+from scene.quantities.doubts import said_of
+from scene.quantities.focal import FILM_LENGTH
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
 from scene.storage.files import sha256_of
 from scene.storage.images import Exif, image_size, read_exif, read_rgb, write_resized
 from scene.storage.listing import list_files
+
+log = logging.getLogger(__name__)
 
 SESSION = "flight"
 _ENDINGS = (".jpg", ".jpeg")
@@ -45,6 +50,9 @@ class FlightImage:
     def lens(self) -> str:
         """Return a text that all photographs of one lens have in common."""
         focal = f"{self.exif.focal_35mm:.2f} mm" if self.exif.focal_35mm else "focal length unknown"
+        if self.exif.focals:
+            said = " or ".join(f"{FILM_LENGTH * each:.2f}" for each in self.exif.focals)
+            focal = f"focal length {said} mm"
         maker = f"{self.exif.make} {self.exif.model}".strip() or "unknown camera"
         return f"{maker}, {self.size[0]} x {self.size[1]}, {focal}"
 
@@ -106,6 +114,8 @@ def read_flight(folder: Path, session: str = SESSION) -> Flight:
             except OSError as error:
                 left_out[file] = f"cannot be read: {error.strerror}"
             advance(done)
+    for line in said_of({image.file: image.exif.doubts for image in images.values()}):
+        log.warning("%s", line)
     ordered = _in_order(images.values())
     named: dict[str, str] = {}
     for image in ordered:
@@ -185,7 +195,8 @@ def photographs_of(
         focal = image.exif.focal_in_longest_sides
         if calibration is None:
             width, height = reduced(image, longest)
-            pixels = (focal or guessed_focal) * max(width, height)
+            likely = image.exif.focals[0] if image.exif.focals else guessed_focal
+            pixels = (focal or likely) * max(width, height)
             # One coefficient: more of them bend flat ground into a dome.
             camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
         else:

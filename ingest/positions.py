@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,6 +19,8 @@ from scene.geometry.geodesy import Geodetic, enu_from_geodetic, median_place
 from scene.imports.names import match_files
 from scene.storage.files import read_text
 from scene.storage.tables import require_commas
+
+log = logging.getLogger(__name__)
 
 FEWEST = 3
 # Positions nearer to one another than this, metres, are those of a receiver that is stuck.
@@ -102,15 +105,15 @@ def local(
 ) -> tuple[Geodetic, dict[str, NDArray[np.float64]]]:
     """Return an origin amid the photographs, and their positions (3,) from it.
 
-    Positions are by name, metres east, north and up.
+    Positions are by name, metres east, north and up; up is NaN where the altitude is unknown.
 
     Args:
         images: The photographs.
         origin: An origin that is known; then no photograph needs a position.
 
     Raises:
-        InputError: Fewer than three photographs have a position, or most positions are one, and
-            the origin is not known.
+        InputError: Fewer than three photographs have a position, none has an altitude, or most
+            positions are one, and the origin is not known.
     """
     known: Mapping[str, Geodetic] = {
         image.name: image.exif.position for image in images if image.exif.position is not None
@@ -122,8 +125,9 @@ def local(
                 "needed, for a scene has metres and a place on earth: give --gps CSV with columns "
                 f"{','.join(_COLUMNS)}"
             )
+        _require_altitudes(known)
         origin = median_place(list(known.values()))
-        east_north = np.array([enu_from_geodetic(place, origin)[:2] for place in known.values()])
+        east_north = np.array([_from(place, origin)[:2] for place in known.values()])
         at_one = np.linalg.norm(east_north - np.median(east_north, 0), axis=1) < _ONE_PLACE_M
         if 2 * at_one.sum() > len(known):
             raise InputError(
@@ -131,4 +135,30 @@ def local(
                 "direction: leave these photographs out, or give --gps CSV with columns "
                 f"{','.join(_COLUMNS)}"
             )
-    return origin, {name: enu_from_geodetic(place, origin) for name, place in known.items()}
+    return origin, {name: _from(place, origin) for name, place in known.items()}
+
+
+def _require_altitudes(known: Mapping[str, Geodetic]) -> None:
+    """Refuse positions of which none has an altitude; warn where few have one."""
+    high = sum(not math.isnan(place.altitude) for place in known.values())
+    if high == 0:
+        raise InputError(
+            f"none of {len(known)} photographs with a GPS position has an altitude (GPSAltitude), "
+            "so that the height of the scene is unknown: give --gps CSV with columns "
+            f"{','.join(_COLUMNS)}"
+        )
+    if high < len(known):
+        log.warning(
+            "%d of %d photographs with a GPS position have an altitude (GPSAltitude): the height "
+            "of the scene is that of these",
+            high,
+            len(known),
+        )
+
+
+def _from(place: Geodetic, origin: Geodetic) -> NDArray[np.float64]:
+    """Return east, north and up of a place, (3,) metres; up is NaN where the altitude is."""
+    if not math.isnan(place.altitude):
+        return enu_from_geodetic(place, origin)
+    enu = enu_from_geodetic(place._replace(altitude=origin.altitude), origin)
+    return np.array([*enu[:2], np.nan])

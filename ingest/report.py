@@ -21,21 +21,25 @@ _SHOWN = 6
 
 
 class Residuals(BaseModel):
-    """Statistics of the distances between cameras and their fixes, metres, without sign."""
+    """Statistics of the distances between cameras and their fixes, metres, without sign.
+
+    The vertical ones are those of fixes with an altitude, None where none has one.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     horizontal_median: float
     horizontal_rms: float
-    vertical_median: float
-    vertical_rms: float
+    vertical_median: float | None
+    vertical_rms: float | None
 
     def text(self) -> str:
         """Return the figures as text."""
-        return (
-            f"horizontal {self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms; "
-            f"vertical {self.vertical_median:.2f} m median, {self.vertical_rms:.2f} m rms"
-        )
+        across = f"{self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms"
+        if self.vertical_median is None or self.vertical_rms is None:
+            return f"horizontal {across}; vertical unknown"
+        up = f"{self.vertical_median:.2f} m median, {self.vertical_rms:.2f} m rms"
+        return f"horizontal {across}; vertical {up}"
 
 
 class Lens(BaseModel):
@@ -146,19 +150,20 @@ def _listed(what: str, reasons: Mapping[str, str]) -> list[str]:
 def residuals(
     model: SparseMap, fixes: Mapping[str, NDArray[np.float64]], names: Sequence[str]
 ) -> NDArray[np.float64]:
-    """Return fix minus camera centre of some photographs, (N, 3) metres."""
+    """Return fix minus camera centre of some photographs, (N, 3) metres; up may be NaN."""
     off = [fixes[name] - model.images[name].centre for name in names]
     return np.array(off).reshape(-1, 3)
 
 
 def summary(off: NDArray[np.float64]) -> Residuals:
     """Return statistics of residuals (N, 3)."""
-    horizontal, vertical = np.linalg.norm(off[:, :2], axis=1), np.abs(off[:, 2])
+    horizontal = np.linalg.norm(off[:, :2], axis=1)
+    vertical = np.abs(off[np.isfinite(off[:, 2]), 2])
     return Residuals(
         horizontal_median=float(np.median(horizontal)),
         horizontal_rms=float(np.sqrt((horizontal**2).mean())),
-        vertical_median=float(np.median(vertical)),
-        vertical_rms=float(np.sqrt((vertical**2).mean())),
+        vertical_median=float(np.median(vertical)) if len(vertical) else None,
+        vertical_rms=float(np.sqrt((vertical**2).mean())) if len(vertical) else None,
     )
 
 
@@ -245,7 +250,7 @@ def make_report(
         level=placed.level,
         fixes=len(used),
         blunders={
-            files[name]: float(np.linalg.norm(off))
+            files[name]: float(np.linalg.norm(np.nan_to_num(off)))
             for name, off in zip(placed.blunders, wrong, strict=True)
         },
         wrong_attitudes=dict(findings.wrong),

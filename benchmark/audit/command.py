@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,11 @@ from benchmark.audit.page import check_page, write_page
 from benchmark.audit.positions import FOLLOW, check_positions
 from benchmark.audit.stated import Stated, centres, sample
 from scene.geometry.camera import Camera
+from scene.quantities.doubts import said_of
 
 Array = NDArray[np.float64]
+
+log = logging.getLogger(__name__)
 
 # Photographs that are matched with each other, in runs of neighbours.
 _MATCHED, _RUN = 32, 8
@@ -65,6 +69,9 @@ def audit(
 
 def _audited(stated: Stated) -> Audit:
     photographs = look_at(stated)
+    told = zip(stated.names, photographs.exif, strict=True)
+    for line in said_of({name: exif.doubts for name, exif in told if exif is not None}):
+        log.warning("%s", line)
     findings = list(check_files(stated, photographs))
     positions, named, plan = stated.positions, False, np.zeros((0, 4))
     if stated.cam_from_world is not None:

@@ -75,11 +75,14 @@ class _Compared:
         stated: (n, 3).
         measured: (n, 3) east, north, up.
         absolute: whether both are in one frame; else the stated ones are in a world of their own.
+        high: whether the height of each was measured, (n,). Where it was not, the stated one
+            stands for it.
     """
 
     stated: Array
     measured: Array
     absolute: bool
+    high: NDArray[np.bool_]
 
     @property
     def extent(self) -> float:
@@ -106,22 +109,40 @@ def check_positions(
     findings: list[Finding] = []
     places = [None if e is None else e.position for e in exif]
     there = np.array([place is not None for place in places])
+    high = np.array([place is not None and not np.isnan(place.altitude) for place in places])
+    if stated.places is None:
+        there = high  # poses of a world of their own are compared in three dimensions
     if there.sum() >= FEWEST:
-        known = [place for place in places if place is not None]
         read = stated.places
+        known = _with_heights(places, there, read)
         if read is not None:
             finding, read = _check_latlon(read[there], known)
             findings.append(finding)
-        compared = _on_earth(known, read, None if positions is None else positions[there])
+        own = None if positions is None else positions[there]
+        compared = _on_earth(known, read, own, high[there])
     elif positions is not None and stated.measured is not None:
         there = np.isfinite(stated.measured).all(1)
-        compared = _Compared(positions[there], stated.measured[there], True)
+        every = np.ones(int(there.sum()), bool)
+        compared = _Compared(positions[there], stated.measured[there], True, every)
     else:
         compared = None
     if compared is None or len(compared.measured) < FEWEST:
         return [*findings, _no_gps(stated, int(there.sum()))], np.zeros((0, 4))
     findings += _compare(compared, named, positions is not None)
     return findings, _plan(compared)
+
+
+def _with_heights(
+    places: Sequence[Geodetic | None], there: NDArray[np.bool_], read: Array | None
+) -> list[Geodetic]:
+    """Return places of which those without an altitude have the stated one."""
+    known = []
+    for row, place in enumerate(places):
+        if place is not None and there[row]:
+            if np.isnan(place.altitude) and read is not None:
+                place = place._replace(altitude=float(read[row, 2]))
+            known.append(place)
+    return known
 
 
 def _plan(compared: _Compared) -> Array:
@@ -147,7 +168,8 @@ def _no_gps(stated: Stated, count: int) -> Finding:
             )
             detail = f"{name} is at {row[0]:g}, {row[1]:g}, no place on earth: {looks}"
             return wrong(LATLON, fault, detail)
-    return unknown(FOLLOW, f"{count} photographs tell a GPS position, {FEWEST} are needed")
+    what = "a GPS position" if stated.places is not None else "a GPS position with its altitude"
+    return unknown(FOLLOW, f"{count} photographs tell {what}, {FEWEST} are needed")
 
 
 def _check_latlon(places: Array, known: Sequence[Geodetic]) -> tuple[Finding, Array]:
@@ -174,15 +196,18 @@ def _check_latlon(places: Array, known: Sequence[Geodetic]) -> tuple[Finding, Ar
 
 
 def _on_earth(
-    known: Sequence[Geodetic], places: Array | None, positions: Array | None
+    known: Sequence[Geodetic],
+    places: Array | None,
+    positions: Array | None,
+    high: NDArray[np.bool_],
 ) -> _Compared:
     origin = median_place(known)
     measured = np.array([enu_from_geodetic(place, origin) for place in known])
     if places is not None:
         rows = [enu_from_geodetic(Geodetic(*row), origin) for row in places.tolist()]
-        return _Compared(np.array(rows), measured, True)
+        return _Compared(np.array(rows), measured, True, high)
     assert positions is not None
-    return _Compared(positions, measured, False)
+    return _Compared(positions, measured, False, high)
 
 
 def _compare(compared: _Compared, named: bool, posed: bool) -> Iterator[Finding]:
@@ -284,11 +309,15 @@ def _offsets(compared: _Compared) -> Iterator[Finding]:
         yield wrong(EAST_NORTH, "positions-offset", detail, **figures)
     else:
         yield right(EAST_NORTH, f"{where} (median)", **figures)
-    up, rough = float(middle[2]), float(scatter[2])
+    up, rough, heights = _up(off, compared.high)
     if away > _ELSEWHERE_M:
         yield unknown(HEIGHTS, f"the photographs' GPS is {away / 1000:.4g} km away")
         return
-    if abs(up) <= max(_OFFSET_M, 3 * rough / np.sqrt(len(off))):
+    if heights < FEWEST:
+        why = f"{heights} photographs tell an altitude (GPSAltitude), {FEWEST} are needed"
+        yield unknown(HEIGHTS, why)
+        return
+    if abs(up) <= max(_OFFSET_M, 3 * rough / np.sqrt(heights)):
         yield right(HEIGHTS, f"{_height(up)} them (median)", up_m=up, scatter_m=rough)
     elif rough > max(_SCATTER_M, abs(up) / 3):
         why = f"the photographs' altitudes scatter by {rough:.1f} m, {_height(-up)} the heights"
@@ -299,6 +328,15 @@ def _offsets(compared: _Compared) -> Iterator[Finding]:
             "height system, such as sea level beside the ellipsoid (-106 to 85 m) or the take-off"
         )
         yield wrong(HEIGHTS, "height-datum", detail, up_m=up, scatter_m=rough)
+
+
+def _up(off: Array, high: NDArray[np.bool_]) -> tuple[float, float, int]:
+    """Return by how much stated heights are above measured ones, their scatter and their number."""
+    if not high.any():
+        return 0.0, 0.0, 0
+    up = off[high, 2]
+    middle = float(np.median(up))
+    return middle, SIGMA_OF_MEDIAN * float(np.median(np.abs(up - middle))), len(up)
 
 
 def _height(up: float) -> str:

@@ -251,10 +251,16 @@ class MeasuredPositions:
     Attributes:
         centres: measured camera centres by name of the photograph, (3,) world metres.
         sigma: standard deviation of all of them per axis, (3,) metres.
+        up_sigma: standard deviation of the height where it is another one, metres, by name.
     """
 
     centres: Mapping[str, NDArray[np.float64]]
     sigma: NDArray[np.float64]
+    up_sigma: Mapping[str, float]
+
+    def sigma_of(self, name: str) -> NDArray[np.float64]:
+        """Return the standard deviations of a photograph's centre, (3,) metres."""
+        return np.array([*self.sigma[:2], self.up_sigma.get(name, self.sigma[2])])
 
 
 @dataclass(frozen=True)
@@ -319,7 +325,7 @@ def adjust_to_positions(
         pycolmap.PosePrior(
             corr_data_id=image.data_id,
             position=measured.centres[image.name],
-            position_covariance=np.diag(measured.sigma**2),
+            position_covariance=np.diag(measured.sigma_of(image.name) ** 2),
             coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
         )
         for image in native.images.values()

@@ -15,7 +15,11 @@ _E2 = _FLATTENING * (2 - _FLATTENING)
 
 
 class Geodetic(NamedTuple):
-    """Latitude and longitude in degrees, altitude in metres above the ellipsoid."""
+    """Latitude and longitude in degrees, altitude in metres above the ellipsoid.
+
+    The altitude is NaN where it is unknown, as that of a photograph may be. No function of this
+    module takes such a place but ``median_place``.
+    """
 
     latitude: float
     longitude: float
@@ -111,12 +115,15 @@ def median_place(places: Sequence[Geodetic]) -> Geodetic:
 
     Each coordinate is a median, so that a few wrong places have no effect. Longitudes are measured
     from the longitude of the median place in earth-centred coordinates, so that they do not wrap.
+    Unknown altitudes take no part; where all of them are, the median is.
     """
-    x, y, _ = np.median([ecef_from_geodetic(place) for place in places], axis=0).tolist()
+    whole = [p._replace(altitude=0.0) if math.isnan(p.altitude) else p for p in places]
+    x, y, _ = np.median([ecef_from_geodetic(place) for place in whole], axis=0).tolist()
     middle = math.degrees(math.atan2(y, x))
     turned = [middle + longitude_difference(place.longitude, middle) for place in places]
     latitude = float(np.median([place.latitude for place in places]))
-    altitude = float(np.median([place.altitude for place in places]))
+    altitudes = [place.altitude for place in places if not math.isnan(place.altitude)]
+    altitude = float(np.median(altitudes)) if altitudes else math.nan
     return Geodetic(latitude, longitude_difference(float(np.median(turned)), 0.0), altitude)
 
 

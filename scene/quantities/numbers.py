@@ -23,3 +23,25 @@ def parse_number(text: str) -> float | None:
         return None
     value = float(text.replace(",", "."))
     return value if math.isfinite(value) else None
+
+
+def to_number(value: object) -> float:
+    """Return a number of EXIF, which may be a rational or a text; NaN where it is none, as 0/0."""
+    if isinstance(value, tuple | list) and len(value) == 1:
+        value = value[0]
+    if isinstance(value, str | bytes):
+        number = parse_number(plain_text(value))
+        return math.nan if number is None else number
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (ArithmeticError, TypeError, ValueError, AttributeError):
+        return math.nan
+
+
+def plain_text(value: object) -> str:
+    """Return a text of EXIF without the zero bytes and white space that programs pad it with."""
+    if isinstance(value, tuple | list) and len(value) == 1:
+        value = value[0]
+    if isinstance(value, bytes):
+        value = value.decode("ascii", "replace")
+    return str(value if value is not None else "").strip("\0 \t\r\n")

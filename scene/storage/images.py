@@ -8,7 +8,7 @@ import struct
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
@@ -22,6 +22,9 @@ from PIL.TiffImagePlugin import IFDRational
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
+from scene.quantities.altitudes import read_altitude
+from scene.quantities.focal import FILM_LENGTH, Lens, read_focal, size_taken
+from scene.quantities.positions import read_position
 from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
 from scene.storage.xmp import DroneXmp, parse_xmp
@@ -45,17 +48,8 @@ _MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
 warnings.filterwarnings("ignore", module=r"PIL\.")
 # The largest payload of a segment of a JPEG, with its identifier (bytes).
 _SEGMENT: Final = 65_500
-# Focal lengths outside this range (mm) and altitudes above this one (m) are damaged values.
-_FOCAL_MM: Final = (1.0, 10_000.0)
-_MAX_ALTITUDE_M: Final = 1e6
-# The size of 35 mm film, for which equivalent focal lengths are given (mm).
-_FILM_LENGTH = 36.0
-_FILM_DIAGONAL = math.hypot(36, 24)
-# Images with a larger aspect ratio are much wider than 3:2.
-_WIDE = 1.6
-# EXIF's units of resolution, millimetres.
+# EXIF's unit of resolution that we write.
 _CENTIMETRE = 3
-_MILLIMETRES = {2: 25.4, _CENTIMETRE: 10.0}
 
 
 def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
@@ -138,12 +132,15 @@ class Exif:
     """The metadata that a drone writes into a photograph.
 
     Attributes:
-        position: measured position of the aircraft, or None.
+        position: measured position of the aircraft, or None. Its altitude is NaN where unknown.
         time: time of the photograph, or None.
         make: maker of the camera.
         model: model of the camera.
         focal_35mm: focal length in millimetres for film whose longer side is 36 mm, or None.
         xmp: what the drone wrote into the XMP; it is read only.
+        doubts: what is unknown or contradicts itself, with the names of fields.
+        focals: focal lengths in longest sides that its fields state where none of them can be
+            believed before it is checked.
     """
 
     position: Geodetic | None
@@ -152,6 +149,8 @@ class Exif:
     model: str = "simulated camera"
     focal_35mm: float | None = None
     xmp: DroneXmp = field(default_factory=DroneXmp)
+    doubts: tuple[str, ...] = ()
+    focals: tuple[float, ...] = ()
 
     @property
     def gimbal(self) -> tuple[float, float, float] | None:
@@ -162,7 +161,7 @@ class Exif:
     @property
     def focal_in_longest_sides(self) -> float | None:
         """Return the focal length in longest sides of the picture; None if unknown."""
-        return None if self.focal_35mm is None else self.focal_35mm / _FILM_LENGTH
+        return None if self.focal_35mm is None else self.focal_35mm / FILM_LENGTH
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -238,9 +237,9 @@ def _encode(exif: Exif, size: tuple[int, int]) -> Image.Exif:
         detail[ExifTags.Base.FocalLength] = _rational(exif.focal_35mm)
         detail[ExifTags.Base.FocalLengthIn35mmFilm] = round(exif.focal_35mm)
         # The tag above holds whole millimetres only; the pixel pitch gives the exact value.
-        detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * max(size) / _FILM_LENGTH)
+        detail[ExifTags.Base.FocalPlaneXResolution] = _rational(10 * max(size) / FILM_LENGTH)
         detail[ExifTags.Base.FocalPlaneResolutionUnit] = _CENTIMETRE
-        detail[ExifTags.Base.ExifImageWidth] = size[0]
+        detail[ExifTags.Base.ExifImageWidth], detail[ExifTags.Base.ExifImageHeight] = size
     if exif.position is not None:
         gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
         place = exif.position
@@ -248,13 +247,16 @@ def _encode(exif: Exif, size: tuple[int, int]) -> Image.Exif:
         gps[ExifTags.GPS.GPSLatitude] = _sexagesimal(abs(place.latitude))
         gps[ExifTags.GPS.GPSLongitudeRef] = "E" if place.longitude >= 0 else "W"
         gps[ExifTags.GPS.GPSLongitude] = _sexagesimal(abs(place.longitude))
-        gps[ExifTags.GPS.GPSAltitudeRef] = b"\x00" if place.altitude >= 0 else b"\x01"
-        gps[ExifTags.GPS.GPSAltitude] = _rational(abs(place.altitude))
+        if math.isfinite(place.altitude):
+            gps[ExifTags.GPS.GPSAltitudeRef] = b"\x00" if place.altitude >= 0 else b"\x01"
+            gps[ExifTags.GPS.GPSAltitude] = _rational(abs(place.altitude))
     return tags
 
 
 def read_exif(path: Path) -> Exif:
     """Read a photograph's metadata; fields that are missing or meaningless are None.
+
+    Fields that contradict each other are ``doubts``.
 
     Raises:
         InputError: the file is missing or not an image.
@@ -268,10 +270,23 @@ def read_exif(path: Path) -> Exif:
         except _DAMAGE:  # the image itself may be whole
             tags, detail, gps = Image.Exif(), {}, {}
     stamp = detail.get(ExifTags.Base.DateTimeOriginal)
+    fields, places = _names(detail, ExifTags.TAGS), _names(gps, ExifTags.GPSTAGS)
     packet = xmp if isinstance(xmp, bytes) else str(xmp).encode()
-    drone = parse_xmp(packet, _size_taken(detail, size))
+    drone = parse_xmp(packet, size_taken(fields) or size)
+    focal = read_focal(fields, size, _lens(drone.camera, drone.sized))
+    if not focal.agrees:
+        drone = replace(drone, camera=None)
+    position = read_position(places, drone.places)
+    altitude = read_altitude(places, drone.places)
+    where = None
+    if position.value is not None:
+        up = math.nan if altitude.value is None else altitude.value
+        where = Geodetic(*position.value, up)
+    doubts = [position.doubts, () if where is None else altitude.doubts, focal.reading.doubts]
+    # A calibration in XMP alone is no field of EXIF.
+    exact = focal.reading.value
     return Exif(
-        position=_decode_position(gps, drone.altitude),
+        position=where,
         time=_decode_time(
             stamp,
             detail.get(ExifTags.Base.SubsecTimeOriginal),
@@ -279,52 +294,16 @@ def read_exif(path: Path) -> Exif:
         ),
         make=_text(tags.get(ExifTags.Base.Make)),
         model=_text(tags.get(ExifTags.Base.Model)),
-        focal_35mm=_decode_focal(detail, size),
+        focal_35mm=None if exact is None else exact * FILM_LENGTH,
         xmp=drone,
+        doubts=tuple(doubt for part in doubts for doubt in part),
+        focals=focal.candidates,
     )
 
 
 def _text(value: object) -> str:
     """Return a text field without the zero bytes that cameras pad it with."""
     return str(value or "").strip("\0 ")
-
-
-def _decode_focal(detail: dict[int, Any], size: tuple[int, int]) -> float | None:
-    """Return the focal length in millimetres for film whose longer side is 36 mm.
-
-    It is computed from the pixel pitch if the camera gives it, else from the 35 mm equivalent.
-    """
-    try:
-        unit = _MILLIMETRES[int(detail.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
-        pitch = unit / float(detail[ExifTags.Base.FocalPlaneXResolution])
-        sensor = pitch * float(detail[ExifTags.Base.ExifImageWidth])
-        # The longer side of the film is that of the picture, upright or not.
-        in_widths = float(detail[ExifTags.Base.FocalLength]) / sensor
-        focal = _FILM_LENGTH * in_widths * size[0] / max(size)
-    except _DAMAGE:
-        focal = math.nan
-    if _FOCAL_MM[0] <= focal <= _FOCAL_MM[1]:
-        return focal
-    try:
-        focal = float(detail[ExifTags.Base.FocalLengthIn35mmFilm])
-    except _DAMAGE:
-        return None
-    if not _FOCAL_MM[0] <= focal <= _FOCAL_MM[1]:
-        return None
-    # The equivalent refers to the diagonal (CIPA DCG-001); wide images are crops of 4:3 sensors.
-    aspect = max(size) / min(size)
-    diagonal = math.hypot(1, 1 / aspect) if aspect < _WIDE else math.hypot(1, 3 / 4)
-    return focal * _FILM_LENGTH / _FILM_DIAGONAL * diagonal
-
-
-def _size_taken(detail: dict[int, Any], size: tuple[int, int]) -> tuple[int, int]:
-    """Return the size in which a photograph was taken; programs that resize it keep the tags."""
-    try:
-        width = int(detail[ExifTags.Base.ExifImageWidth])
-        height = int(detail[ExifTags.Base.ExifImageHeight])
-    except _DAMAGE:
-        return size
-    return (width, height) if min(width, height) > 0 else size
 
 
 def _decode_time(stamp: object, fraction: object, offset: object) -> datetime | None:
@@ -343,32 +322,13 @@ def _decode_time(stamp: object, fraction: object, offset: object) -> datetime | 
         return None
 
 
-def _decode_position(gps: dict[int, object], altitude_m: float | None) -> Geodetic | None:
-    """Return the position; ``altitude_m`` stands where EXIF has none."""
+def _names(tags: Mapping[int, object], known: Mapping[int, str]) -> dict[str, object]:
+    """Return the fields of a directory by name."""
+    return {known[tag]: value for tag, value in tags.items() if tag in known}
 
-    def angle(tag: int, reference: int, negative: str) -> float | None:
-        parts = gps.get(tag)
-        if not isinstance(parts, tuple) or len(parts) != 3:
-            return None
-        degrees = float(sum(float(part) / 60**k for k, part in enumerate(parts)))
-        return -degrees if gps.get(reference) == negative else degrees
 
-    try:
-        latitude: float | None = angle(ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLatitudeRef, "S")
-        longitude = angle(ExifTags.GPS.GPSLongitude, ExifTags.GPS.GPSLongitudeRef, "W")
-        altitude = float(str(gps.get(ExifTags.GPS.GPSAltitude, math.nan)))
-    except _DAMAGE:
-        return None
-    if latitude is None or longitude is None:
-        return None
-    # A receiver without a fix writes 0/0, which reads as NaN, or latitude and longitude of zero.
-    if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
-        return None
-    if gps.get(ExifTags.GPS.GPSAltitudeRef) in (b"\x01", 1):
-        altitude = -altitude
-    if not abs(altitude) <= _MAX_ALTITUDE_M:
-        altitude = altitude_m or 0.0
-    return Geodetic(latitude, longitude, altitude)
+def _lens(made: Camera | None, sized: bool) -> Lens | None:
+    return None if made is None else Lens(made.focal[0] / max(made.width, made.height), sized)
 
 
 def _rational(value: float, denominator: int = 10_000) -> IFDRational:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 from xml.parsers import expat
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from scene.errors import InputError
 from scene.geometry.camera import Camera
+from scene.quantities.numbers import parse_number
 
 _RTK_FIXED: Final = 50
 # Standard deviations (m) outside this range and numbers beyond the other one are damaged values.
@@ -26,6 +27,12 @@ _MOST: Final = 1e6
 _LONGEST: Final = 1000
 # A principal point further from the middle, in sizes of the picture, belongs to another size.
 _FARTHEST: Final = 0.1
+# Fields that tell where a photograph was taken.
+_PLACES: Final = (
+    *("GpsLatitude", "GpsLongitude", "GpsLongtitude", "Latitude", "Longitude"),
+    *("GPSLatitude", "GPSLongitude", "GPSAltitude", "GPSAltitudeRef"),
+    *("AbsoluteAltitude", "RelativeAltitude"),
+)
 
 
 @dataclass(frozen=True)
@@ -34,18 +41,20 @@ class DroneXmp:
 
     Attributes:
         gimbal: yaw clockwise from north, pitch above the horizon and roll of the camera, degrees.
-        altitude: absolute altitude, metres; above the ellipsoid where it is one of RTK.
+        places: the texts of its fields by name, from which position and altitude are read.
         rtk_sigma: standard deviations of the position to the east, north and up, metres, where it
             is a fixed solution of RTK.
         camera: calibration by the maker, of the picture in the size in which it was taken.
+        sized: whether the optical centre shows that the calibration is of that size.
         speed: horizontal speed of the aircraft, m/s.
         shutter: kind of the shutter, such as ``Mechanical``.
     """
 
     gimbal: tuple[float, float, float] | None = None
-    altitude: float | None = None
+    places: Mapping[str, str] = field(default_factory=dict)
     rtk_sigma: tuple[float, float, float] | None = None
     camera: Camera | None = None
+    sized: bool = False
     speed: float | None = None
     shutter: str | None = None
 
@@ -72,9 +81,10 @@ def parse_xmp(packet: bytes, size: tuple[int, int]) -> DroneXmp:
     velocity = [numbers.get(f"Flight{axis}Speed", math.nan) for axis in "XY"]
     return DroneXmp(
         gimbal=gimbal,
-        altitude=numbers.get("AbsoluteAltitude"),
+        places={name: texts[name] for name in _PLACES if name in texts},
         rtk_sigma=sigma,
         camera=_camera(numbers, texts.get("DewarpData", ""), size),
+        sized=all(f"CalibratedOpticalCenter{axis}" in numbers for axis in "XY"),
         speed=math.hypot(*velocity) if np.isfinite(velocity).all() else None,
         shutter=texts.get("ShutterType"),
     )
@@ -109,11 +119,8 @@ def _texts(packet: bytes) -> dict[str, str]:
 
 
 def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if abs(value) <= _MOST else None
+    value = parse_number(text)
+    return value if value is not None and abs(value) <= _MOST else None
 
 
 def _three(

@@ -194,8 +194,9 @@ def test_the_table_says_which_camera(
 
 
 def test_fixed_rtk_is_its_own_sigma(made_flight: Path, tmp_path: Path, method: Remembering) -> None:
-    taken(tmp_path / "new" / "fixed.jpg", (96, 64), 30, packet())
-    taken(tmp_path / "new" / "float.jpg", (96, 64), 30, packet(FIELDS | {"RtkFlag": "34"}))
+    high = FIELDS | {"AbsoluteAltitude": "+490.00"}
+    taken(tmp_path / "new" / "fixed.jpg", (96, 64), 30, packet(high))
+    taken(tmp_path / "new" / "float.jpg", (96, 64), 30, packet(high | {"RtkFlag": "34"}))
     answer = run(made_flight, tmp_path / "new", tmp_path / "poses.txt", "--gps-sigma", "3")
     assert answer.exit_code == 0, answer.stderr
     sigmas = {query.name: query.prior and query.prior.position_sigma for query in method.seen}

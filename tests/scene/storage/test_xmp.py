@@ -69,7 +69,7 @@ def without(*names: str, **others: str) -> bytes:
 def test_every_field(elements: bool) -> None:
     said = parse_xmp(packet(elements=elements), SIZE)
     assert said.gimbal == (-79.0, -89.9, 0.1)
-    assert said.altitude == 116.56
+    assert said.places["AbsoluteAltitude"] == "+116.56"
     assert said.rtk_sigma == (0.01052, 0.01187, 0.02534)
     assert said.speed == 5
     assert said.shutter == "Mechanical"
