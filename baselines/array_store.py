@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, dataset
+from scene.storage.hdf5_writing import hdf5_file
 
 # A photograph has hundreds of rows. Chunks that HDF5 chooses by itself divide the columns, too, and
 # take eight times as long to read.
@@ -42,7 +42,7 @@ def written_store(path: Path, **attributes: float) -> Iterator[Add]:
         InputError: the folder cannot be written.
     """
     ends, keys = [0], []
-    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+    with hdf5_file(path) as file:
         file.attrs.update(attributes)
 
         def add(parts: Arrays, key: str = "") -> None:

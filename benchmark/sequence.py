@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.answers import Geography, Located, contents, outputs
+from benchmark.footage import Footage, cameras_of_frames
 from benchmark.journal import Journal, journal_path
 from benchmark.localize import (
     Answer,
@@ -29,10 +30,8 @@ from benchmark.photographs import (
 )
 from benchmark.results import Method
 from benchmark.shots import (
-    Footage,
     Shot,
     TelemetryReader,
-    calibration_of_frames,
     frames_of,
     photographs_of,
     warn_of_far_telemetry,
@@ -155,11 +154,11 @@ def localize_video(
             cannot be written.
     """
     files, geography = output.claim(place, [video] if told.srt is None else [video, told.srt])
-    footage = Footage.open(video, told.srt, told.rate_hz or RATE_HZ)
+    footage = Footage.open(video, told.srt, told.rate_hz or RATE_HZ, place)
     sigmas = told.gps_sigma_m, told.gimbal_sigma_deg
     telemetry = TelemetryReader(place, *sigmas, geography.undulation_m)
     warn_of_far_telemetry(footage, telemetry)
-    shots = frames_of(footage, calibration_of_frames(footage, told.camera, place), telemetry)
+    shots = frames_of(footage, cameras_of_frames(footage, told.camera, place), telemetry)
     srt = None if footage.srt is None else footage.srt.name
     source = {"video": video.name, "srt": srt, "rate_hz": footage.rate_hz}
     job = _Job(output, files, geography, told.config, source)

@@ -4,33 +4,28 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.cameras import Calibration, CameraSource, calibration_of
+from benchmark.cameras import CameraSource
+from benchmark.footage import Footage, FrameCameras, Timing
 from benchmark.photographs import PhotographReader, Place
-from ingest.telemetry import Telemetry, at_time, read_telemetry
+from ingest.telemetry import Telemetry
 from scene.errors import InputError
-from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from scene.geometry.gimbal import gimbal_pose
 from scene.localizer import Prior, Query
-from scene.storage.images import Exif
-from scene.storage.video import Video, decode_frames, frame_name, read_video
+from scene.quantities.coordinate_order import REACH_M
+from scene.storage.video import decode_frames, frame_name
 
 log = logging.getLogger(__name__)
-
-# A position further from the map (m) is not that of this flight.
-_FARTHEST_M: Final = 50_000.0
-_SIDECARS: Final = (".SRT", ".srt", ".Srt")
 
 
 @dataclass(frozen=True)
@@ -52,50 +47,6 @@ class Shot:
     query: Query | None
     source: CameraSource | None = None
     reason: str = ""
-
-
-@dataclass(frozen=True)
-class Footage:
-    """A video with its telemetry, to be localized.
-
-    Attributes:
-        path: file of the video.
-        video: what the file says of itself.
-        srt: subtitles with telemetry; None without.
-        flight: what they say; empty without.
-        rate_hz: frames a second to localize.
-    """
-
-    path: Path
-    video: Video
-    srt: Path | None
-    flight: Sequence[Telemetry]
-    rate_hz: float
-
-    @staticmethod
-    def open(path: Path, srt: Path | None, rate_hz: float) -> Footage:
-        """Read what a video and its subtitles say.
-
-        Args:
-            path: file of the video.
-            srt: its subtitles; None takes those of the same name beside it, if there are any.
-            rate_hz: frames a second to localize.
-
-        Raises:
-            InputError: the video or the subtitles cannot be read.
-        """
-        video = read_video(path)
-        if srt is None:
-            beside = (path.with_suffix(ending) for ending in _SIDECARS)
-            srt = next((file for file in beside if file.is_file()), None)
-        flight = [] if srt is None else read_telemetry(srt)
-        return Footage(path, video, srt, flight, rate_hz)
-
-    @property
-    def count(self) -> int:
-        """Return about how many frames are localized."""
-        rate_hz = min(self.rate_hz, self.video.rate_hz)
-        return max(1, round((self.video.duration_s or 0.0) * rate_hz))
 
 
 @dataclass(frozen=True)
@@ -142,7 +93,7 @@ class TelemetryReader:
             # The height of the map's cameras stands where the altitude is unknown.
             position = enu_from_geodetic(Geodetic(*said.place, origin.altitude), origin)
             position[2], sigma[2] = self._middle()[2], np.inf
-        if np.hypot(*position[:2]) > _FARTHEST_M:
+        if np.hypot(*position[:2]) > REACH_M:
             return None
         return Prior(position, sigma)
 
@@ -152,40 +103,20 @@ class TelemetryReader:
         return np.asarray(np.median([image.pose.centre().numpy() for image in images], axis=0))
 
 
-def calibration_of_frames(footage: Footage, camera: Camera | None, place: Place) -> Calibration:
-    """Return the camera of a video's frames.
-
-    Without a given one it is the map's camera of their size, else one of the focal length in the
-    telemetry, scaled from the map's where that has such a lens.
-
-    Raises:
-        InputError: the given camera has another size, or nothing tells the focal length.
-    """
-    size = (footage.video.width, footage.video.height)
-    shape = f"{footage.path} is {size[0]} x {size[1]} pixels and "
-    hint = ": give its calibration with --camera 'MODEL width height params...'"
-    if camera is not None:
-        if (camera.width, camera.height) != size:
-            raise InputError(f"{shape}its camera {camera.width} x {camera.height}{hint}")
-        return Calibration(camera, CameraSource.GIVEN)
-    of_map = calibration_of(size, Exif(None, None), place.cameras)
-    if of_map.source is CameraSource.MAP:
-        return of_map
-    focal = next((said.focal_mm for said in footage.flight if said.focal_mm is not None), None)
-    if focal is None:
-        raise InputError(f"{shape}nothing tells the focal length of its frames{hint}")
-    return calibration_of(size, Exif(None, None, focal_35mm=focal), place.cameras)
-
-
 def frames_of(
-    footage: Footage, calibration: Calibration, telemetry: TelemetryReader
+    footage: Footage, cameras: FrameCameras, telemetry: TelemetryReader
 ) -> Iterator[Shot]:
     """Yield the frames of a video at its rate, with the priors of its telemetry."""
-    clock = _clock(footage)
+    clock, timing = _clock(footage), Timing.of(footage.flight, footage.video)
     for frame in decode_frames(footage.path, footage.rate_hz):
-        said = at_time(footage.flight, frame.seconds)
+        said = timing.said(footage.flight, frame)
         name = frame_name(footage.path.stem, frame.index)
         time = None if clock is None else clock + timedelta(seconds=frame.seconds)
+        calibration = cameras.of(said)
+        if calibration is None:
+            reason = f"{footage.srt} does not tell the focal length or zoom: give --camera"
+            yield Shot(name, frame.seconds, time, None, None, reason)
+            continue
         query = Query(name, frame.image, calibration.camera, telemetry(said))
         yield Shot(name, frame.seconds, time, query, calibration.source)
 
@@ -199,7 +130,7 @@ def warn_of_far_telemetry(footage: Footage, telemetry: TelemetryReader) -> None:
             log.warning(
                 "%s has positions, and none within %.0f km of the map: they are not used",
                 footage.srt,
-                _FARTHEST_M / 1000,
+                REACH_M / 1000,
             )
 
 

@@ -8,47 +8,50 @@ JuanIrache/DJI_SRT_Parser):
   gb_pitch: -90.0 gb_roll: 0.0]``, as of Mavic 3, Mini 3 and later ones; Air 2 writes ``altitude``
   alone, and Mavic 2 ``longtitude``;
 - compact, ``GPS (8.5, 47.1, 17), D 20.1m, H 60.0m, G.PRY (-90.0°, 0.0°, 10.0°)``, as of Mini 2 and
-  Mavic Pro, and ``RTK (...)`` of Phantom 4 RTK: longitude first, and then the number of satellites;
-- ``GPS(8.5,47.1,17) BAROMETER:60.0`` with ``HOME(...)`` before it, as of Phantom 4: the same order;
-- ``GPS(47.1,8.5,0.0M) BAROMETER:60.0M``, as of Matrice 300: latitude first;
+  Mavic Pro, and ``RTK (...)`` of Phantom 4 RTK;
+- ``GPS(8.5,47.1,17) BAROMETER:60.0`` with ``HOME(...)`` before it, as of Phantom 4;
+  ``GPS(47.1,8.5,0.0M) BAROMETER:60.0M``, as of Matrice 300; ``GPS(47.1,8.5,512.3)
+  BAROMETER(60.0)``, as of Avata 2;
 - ``GPS(E: 8.5, N: 47.1, 512.30m)``, as of Autel EVO: with letters, and an altitude.
+
+Some begin pairs with the longitude and others with the latitude, and the words do not tell which.
+Checks do (``scene.quantities.coordinate_order``). So it is with the units of focal lengths and zoom
+(``scene.quantities.film_lens``) and with decimal commas (``scene.quantities.decimal_marks``). What
+no check tells is unknown, and a warning says so.
 """
 
 from __future__ import annotations
 
-import math
+import logging
 import re
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
+from ingest.caption_lenses import ZOOMS, lenses_of
+from ingest.caption_places import LATITUDES, LONGITUDES, places_of
+from ingest.captions import Caption, angle, parts_of, quantity, split_letter
 from scene.errors import InputError
-from scene.storage.subtitles import Subtitle, read_subtitles
+from scene.quantities.coordinate_order import Pair
+from scene.quantities.decimal_marks import DecimalMarks
+from scene.quantities.lengths import metres_per
+from scene.storage.subtitles import read_subtitles
 
-Order = Literal["longitude", "latitude"]
+log = logging.getLogger(__name__)
 
-_NUMBER: Final = r"[-+]?\d++(?:\.\d++)?+"
-# The second stands for a byte of another encoding.
-_DEGREE: Final = "[°\ufffd]?"
-_TAG: Final = re.compile(r"<[^<>]*>")
-_KEY: Final = re.compile(rf"\b(\w+)\s*:\s*({_NUMBER})(?![/eE.])")
-_PAIR: Final = re.compile(
-    rf"\b(?:GPS|RTK)\s*\(\s*(?:([NSEW])\s*:\s*)?({_NUMBER})\s*,\s*(?:([NSEW])\s*:\s*)?({_NUMBER})"
-    rf"(?:\s*,\s*({_NUMBER})\s*(m|M)?)?\s*\)"
+_REL_ALTS: Final = ("rel_alt", "barometer", "hb", "h")
+_ABS_ALTS: Final = ("abs_alt",)
+_GIMBAL: Final = ("gb_yaw", "gb_pitch", "gb_roll")
+_NUMBERS: Final = (
+    *(*LATITUDES, *LONGITUDES, *_REL_ALTS, *_ABS_ALTS, *_GIMBAL, *ZOOMS),
+    *("focal_len", "fnum", "f-num", "d", "h.s"),
 )
-_GIMBAL: Final = re.compile(
-    rf"\bG\.PRY\s*\(\s*({_NUMBER}){_DEGREE}\s*,\s*({_NUMBER}){_DEGREE}\s*,\s*({_NUMBER})"
-)
-# The height of compact subtitles; "H.S" is a speed and "HOME" a place.
-_HEIGHT: Final = re.compile(rf"(?<![\w.])H\s+({_NUMBER})\s*m\b")
 _TIME: Final = re.compile(
     r"\b(\d{4})[-.](\d{1,2})[-.](\d{1,2})\s+(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,3}))?"
 )
-# A larger focal length (mm) is written in tenths.
-_LONGEST_MM: Final = 100.0
 _HIGHEST_M: Final = 1e5
 
 
@@ -63,8 +66,11 @@ class Telemetry:
         rel_alt: height above the place of take-off, metres.
         abs_alt: altitude above sea level, metres, by a barometer: it may be off by tens of metres.
         gimbal: yaw (clockwise from north), pitch (above the horizon) and roll, degrees.
-        focal_mm: focal length on 35 mm film, millimetres.
+        focal_mm: focal length on 35 mm film, millimetres, without digital zoom.
         time: clock of the drone, which names no time zone.
+        zoom: digital zoom, a ratio by which it multiplies the focal length; 1 where the file tells
+            of none.
+        frame: number of the frame, which counts from 1.
     """
 
     start_s: float
@@ -75,28 +81,67 @@ class Telemetry:
     gimbal: tuple[float, float, float] | None = None
     focal_mm: float | None = None
     time: datetime | None = None
+    zoom: float | None = 1.0
+    frame: int | None = None
+
+    @property
+    def zoomed_mm(self) -> float | None:
+        """Return the focal length on 35 mm film with the digital zoom, millimetres."""
+        if self.focal_mm is None or self.zoom is None:
+            return None
+        return self.focal_mm * self.zoom
 
 
-def read_telemetry(path: Path) -> list[Telemetry]:
+def read_telemetry(
+    path: Path, near: Pair | None = None, lenses: Sequence[float] = ()
+) -> list[Telemetry]:
     """Read the telemetry of a video's SRT file, in the order of its times.
 
     A fix at latitude 0 and longitude 0 is none: drones write it before they have one. So is a
-    number that no drone can have.
+    number that no drone can have. What cannot be told for sure is unknown, and a warning of one
+    line names the field.
+
+    Args:
+        path: SRT file.
+        near: latitude and longitude of the map, degrees, which tell the order of pairs.
+        lenses: focal lengths of the map's cameras on 35 mm film, millimetres, which tell the unit
+            of focal lengths.
 
     Raises:
         InputError: the file cannot be read, or no subtitle says anything of the flight.
     """
-    subtitles = read_subtitles(path)
-    texts = [_TAG.sub(" ", subtitle.text) for subtitle in subtitles]
-    order = _order(texts)
+    captions = [Caption.of(subtitle) for subtitle in read_subtitles(path)]
+    marks = DecimalMarks.of(number for caption in captions for number in caption.numbers(*_NUMBERS))
+    places = places_of(captions, marks, near)
+    lens = lenses_of(captions, marks, lenses)
+    heights = _Heights.of(captions, marks)
+    attitudes = _attitudes(captions, marks)
     flight = [
-        _parsed(subtitle, text, order) for subtitle, text in zip(subtitles, texts, strict=True)
-    ]
-    if all(_says_nothing(item) for item in flight):
-        raise InputError(
-            f"{path} has {len(flight)} subtitles, and none tells position, height or gimbal: give "
-            "the SRT file that the drone wrote"
+        Telemetry(
+            caption.subtitle.start_s,
+            caption.subtitle.end_s,
+            place=place,
+            rel_alt=heights.first(caption, _REL_ALTS),
+            abs_alt=heights.above_sea(caption),
+            gimbal=gimbal,
+            focal_mm=focal_mm,
+            time=_time(caption.text),
+            zoom=zoom,
+            frame=_frame(caption.fields),
         )
+        for caption, place, gimbal, focal_mm, zoom in zip(
+            captions, places.places, attitudes, lens.focals, lens.zooms, strict=True
+        )
+    ]
+    doubts = (*places.doubts, *heights.doubts, *lens.doubts)
+    if all(_says_nothing(item) for item in flight):
+        why = f" ({'; '.join(doubts)})" if doubts else ""
+        raise InputError(
+            f"{path} has {len(flight)} subtitles, and none tells position, height or gimbal{why}: "
+            "give the SRT file that the drone wrote"
+        )
+    for doubt in doubts:
+        log.warning("%s: %s", path, doubt)
     return flight
 
 
@@ -121,96 +166,91 @@ def at_time(flight: Sequence[Telemetry], seconds: float, most_s: float = 1.0) ->
     return flight[row]
 
 
-def _parsed(subtitle: Subtitle, text: str, order: Order) -> Telemetry:
-    """Return what the text (without tags) of a subtitle says."""
-    keys = {key.lower(): float(value) for key, value in _KEY.findall(text)}
-    pair = _PAIR.search(text)
-    rel_alt = _height(keys, "rel_alt", "barometer", "hb")
-    if rel_alt is None and (found := _HEIGHT.search(text)):
-        rel_alt = _height({"h": float(found[1])}, "h")
-    abs_alt = _height(keys, "abs_alt")
-    # The third number of a pair with letters is the altitude; else it counts satellites.
-    if abs_alt is None and pair is not None and pair[1] and pair[6] == "m":
-        abs_alt = _height({"pair": float(pair[5])}, "pair")
-    return Telemetry(
-        subtitle.start_s,
-        subtitle.end_s,
-        place=_keyed_place(keys) or _paired_place(pair, order),
-        rel_alt=rel_alt,
-        abs_alt=abs_alt,
-        gimbal=_gimbal(keys, text),
-        focal_mm=_focal(keys),
-        time=_time(text),
-    )
+@dataclass(frozen=True)
+class _Heights:
+    """Heights of a file, whose units are written beside them or metres.
 
-
-def _order(texts: Sequence[str]) -> Order:
-    """Return which number of the pairs without letters comes first.
-
-    A number beyond 90 can only be a longitude. Where there is none, the pair whose third number
-    is in ``M`` begins with the latitude, and every other known one with the longitude.
+    Attributes:
+        marks: decimal marks of the file.
+        plain: whether a height without a unit is in metres; in a file with another unit it is not
+            known in which.
+        doubts: why heights are unknown.
     """
-    order: Order = "longitude"
-    for text in texts:
-        pair = _PAIR.search(text)
-        if pair is None or pair[1]:
-            continue
-        first, second = abs(float(pair[2])), abs(float(pair[4]))
-        if first > 90 or second > 90:
-            return "longitude" if first > 90 else "latitude"
-        if pair[6] == "M":
-            order = "latitude"
-    return order
+
+    marks: DecimalMarks
+    plain: bool
+    doubts: tuple[str, ...]
+
+    @staticmethod
+    def of(captions: Sequence[Caption], marks: DecimalMarks) -> _Heights:
+        units: dict[str, str] = {}
+        doubts: dict[str, None] = {}
+        for caption in captions:
+            for name in (*_REL_ALTS, *_ABS_ALTS):
+                if name in caption.fields:
+                    number, unit = quantity(caption.fields[name], marks)
+                    units[unit] = f"{name} {caption.fields[name][:40]}"
+                    if number is None or (unit and metres_per(unit) is None):
+                        doubts[f"height {name} {caption.fields[name][:40]} is not understood"] = (
+                            None
+                        )
+        others = [unit for unit in units if unit and metres_per(unit) != 1]
+        if others and "" in units:
+            doubts[f"the unit of height {units['']} is not told"] = None
+        return _Heights(marks, not others, tuple(doubts)[:2])
+
+    def first(self, caption: Caption, names: Sequence[str]) -> float | None:
+        """Return the first height that is one, metres."""
+        values = (self._metres(caption.fields[name]) for name in names if name in caption.fields)
+        return next((value for value in values if value is not None), None)
+
+    def above_sea(self, caption: Caption) -> float | None:
+        """Return the altitude, metres, also the third number of a pair with letters.
+
+        That of other pairs counts satellites, or does not say above what it is.
+        """
+        height = self.first(caption, _ABS_ALTS)
+        parts = parts_of(caption.tuples.get("gps", ""))
+        if height is not None or len(parts) != 3 or not split_letter(parts[0])[0]:
+            return height
+        return self._metres(parts[2]) if quantity(parts[2], self.marks)[1] else None
+
+    def _metres(self, text: str) -> float | None:
+        number, unit = quantity(text, self.marks)
+        metres = metres_per(unit) if unit else 1.0 if self.plain else None
+        if number is None or metres is None or abs(number * metres) >= _HIGHEST_M:
+            return None
+        return number * metres
 
 
-def _keyed_place(keys: Mapping[str, float]) -> tuple[float, float] | None:
-    longitude = keys.get("longitude", keys.get("longtitude"))
-    latitude = keys.get("latitude")
-    return None if latitude is None or longitude is None else _on_earth(latitude, longitude)
+def _attitudes(
+    captions: Sequence[Caption], marks: DecimalMarks
+) -> list[tuple[float, float, float] | None]:
+    """Return yaw, pitch and roll of each subtitle; None where one of them is not known.
+
+    Where all are whole numbers and some are no angles, they are in another unit than degrees.
+    """
+    angles = [_gimbal(caption, marks) for caption in captions]
+    fits = [found is None or all(abs(value) <= 360 for value in found) for found in angles]
+    whole = all(value.is_integer() for found in angles if found is not None for value in found)
+    if whole and not all(fits):
+        return [None] * len(angles)
+    return [found if fit else None for found, fit in zip(angles, fits, strict=True)]
 
 
-def _paired_place(pair: re.Match[str] | None, order: Order) -> tuple[float, float] | None:
-    if pair is None:
-        return None
-    first, second = float(pair[2]), float(pair[4])
-    if pair[1] or pair[3]:
-        towards = {pair[1]: first, pair[3]: second}
-        towards |= {"N": -towards["S"]} if "S" in towards else {}
-        towards |= {"E": -towards["W"]} if "W" in towards else {}
-        return _on_earth(towards["N"], towards["E"]) if {"N", "E"} <= set(towards) else None
-    return _on_earth(second, first) if order == "longitude" else _on_earth(first, second)
-
-
-def _on_earth(latitude: float, longitude: float) -> tuple[float, float] | None:
-    if abs(latitude) > 90 or abs(longitude) > 180 or latitude == longitude == 0:
-        return None
-    return latitude, longitude
-
-
-def _height(keys: Mapping[str, float], *names: str) -> float | None:
-    """Return the first of some heights that is one."""
-    values = (keys[name] for name in names if name in keys)
-    return next((value for value in values if abs(value) < _HIGHEST_M), None)
-
-
-def _gimbal(keys: Mapping[str, float], text: str) -> tuple[float, float, float] | None:
-    """Return yaw, pitch and roll. Without a yaw nothing is said of the attitude."""
-    if "gb_yaw" in keys and "gb_pitch" in keys:
-        angles = (keys["gb_yaw"], keys["gb_pitch"], keys.get("gb_roll", 0.0))
-    elif found := _GIMBAL.search(text):
-        pitch, roll, yaw = (float(number) for number in found.groups())
-        angles = (yaw, pitch, roll)
+def _gimbal(caption: Caption, marks: DecimalMarks) -> tuple[float, float, float] | None:
+    if any(name in caption.fields for name in _GIMBAL):
+        yaw, pitch, roll = (angle(caption.fields.get(name), marks) for name in _GIMBAL)
+    elif len(parts := parts_of(caption.tuples.get("g.pry", ""))) == 3:
+        pitch, roll, yaw = (angle(part, marks) for part in parts)
     else:
         return None
-    return angles if all(abs(angle) <= 360 for angle in angles) else None
+    return None if yaw is None or pitch is None or roll is None else (yaw, pitch, roll)
 
 
-def _focal(keys: Mapping[str, float]) -> float | None:
-    """Return the focal length, of which some models write millimetres and others tenths."""
-    focal = keys.get("focal_len", 0.0)
-    if focal > _LONGEST_MM:
-        focal /= 10
-    return focal if 1 <= focal <= 10 * _LONGEST_MM and math.isfinite(focal) else None
+def _frame(fields: Mapping[str, str]) -> int | None:
+    text = fields.get("framecnt", "").strip()
+    return int(text) if text.isdecimal() and len(text) < 10 else None
 
 
 def _time(text: str) -> datetime | None:

@@ -25,8 +25,8 @@ from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.camera import Camera
 from scene.geometry.nearest import Nearest
 from scene.geometry.pose import Pose
-from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array
+from scene.storage.hdf5_writing import hdf5_file
 
 _ARRAYS: Final = ("xyz", "vectors", "sides", "rises", "scores", "views")
 # Numerical guard: flatter rays meet the ground too far away, as a share of the distance.
@@ -106,7 +106,7 @@ class Landmarks:
         Raises:
             WriteError: the folder cannot be written, or the disk is full.
         """
-        with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+        with hdf5_file(path) as file:
             self.put(file)
 
     @staticmethod

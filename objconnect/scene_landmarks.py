@@ -21,8 +21,9 @@ from objconnect.object_map import ObjectFinder
 from scene.bundle.scene import Scene, finish_scene
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.maps.sparse_map import SparseMap
-from scene.storage.atomic import atomic_write, write_text
+from scene.storage.atomic import write_text
 from scene.storage.hdf5 import array
+from scene.storage.hdf5_writing import hdf5_file
 from scene.storage.images import check_photographs
 from scene.storage.leftovers import remove_partial
 from scene.storage.locks import write_lock
@@ -128,7 +129,7 @@ def read_landmarks(scene: Scene, sparse_map: SparseMap) -> tuple[Landmarks, Trac
 
 
 def _write(path: Path, landmarks: Landmarks, tracks: Tracks, sparse_map: SparseMap) -> None:
-    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+    with hdf5_file(path) as file:
         file.attrs["map"] = sparse_map.sha256
         landmarks.put(file)
         file["tracks/landmark"] = tracks.landmark.astype(np.uint32)

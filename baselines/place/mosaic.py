@@ -17,8 +17,8 @@ from baselines.views import WarpedImage, looks_down
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import MapImage, SparseMap
-from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array, attribute
+from scene.storage.hdf5_writing import hdf5_file
 
 Look = Callable[[MapImage], tuple[WarpedImage, FeatureMap]]
 
@@ -68,7 +68,7 @@ class Mosaic:
             "mean": self.mean.numpy(),
             "components": self.components.numpy(),
         }
-        with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+        with hdf5_file(path) as file:
             for name, values in arrays.items():
                 file[name] = values
             file.attrs["cell"] = self.grid.cell

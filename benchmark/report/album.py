@@ -29,9 +29,9 @@ from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_bar
-from scene.storage.atomic import atomic_write
 from scene.storage.files import parse_json
 from scene.storage.hdf5 import array, attribute, group, groups, set_text
+from scene.storage.hdf5_writing import hdf5_file
 from scene.storage.images import read_rgb
 
 ALBUM: Final = "album.h5"
@@ -182,7 +182,7 @@ def write_album(path: Path, album: Album) -> None:
     Raises:
         InputError: the folder cannot be written, or the disk is full.
     """
-    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+    with hdf5_file(path) as file:
         file.attrs["schema"] = 1
         set_text(file, "dataset_sha256", album.sha256)
         file["parts"] = np.frombuffer(json.dumps(album.parts).encode(), np.uint8)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.camera import Camera
-from scene.storage.atomic import atomic_write
 from scene.storage.hdf5 import array
+from scene.storage.hdf5_writing import hdf5_file
 
 if TYPE_CHECKING:
     import torch
@@ -67,7 +67,7 @@ def write_covisibility(path: Path, covisibility: Covisibility) -> None:
     """
     mutual = covisibility.mutual
     pairs = np.argwhere(np.triu(mutual) >= COVISIBLE)
-    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+    with hdf5_file(path) as file:
         file["names"] = np.array([name.encode() for name in covisibility.names], "S")
         file.create_dataset("overlap", data=covisibility.overlap, compression="gzip", shuffle=True)
         file["pairs"] = pairs.astype(np.uint32)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scene.errors import HDF5_DAMAGE, InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import FARTHEST_M
-from scene.storage.atomic import atomic_write
 from scene.storage.files import is_safe_path
 from scene.storage.hdf5 import array, dataset
+from scene.storage.hdf5_writing import hdf5_file
 
 if TYPE_CHECKING:
     from scene.geometry.pose import Pose
@@ -137,7 +137,7 @@ def write_frames(
         InputError: the file cannot be written.
     """
     cameras = list(dict.fromkeys(frames.cameras))
-    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+    with hdf5_file(path) as file:
         # The HDF5 library can crash on damaged strings of variable length, so these are fixed.
         file["cameras"] = np.array([str(camera).encode() for camera in cameras], "S")
         file["names"] = np.array([name.encode() for name in frames.names], "S")

@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-import h5py
 import numpy as np
 
 from scene.bundle.covisibility import COVISIBLE
@@ -27,6 +26,7 @@ from scene.errors import InputError
 from scene.exports.matches import described_map, map_pairs, matched_pairs
 from scene.maps.features import unit_descriptors
 from scene.runtime.progress import progress_bar
+from scene.storage.hdf5_writing import open_hdf5
 from scene.storage.names import quote_name
 
 PAIRS_PER_QUERY: Final = 20
@@ -75,7 +75,7 @@ def write_features(scene: Scene, sessions: Mapping[str, Frames], folder: Path, f
     """
     sparse_map, features = described_map(scene)
     count = len(sparse_map.names)
-    with h5py.File(folder / "features.h5", "w") as file, progress_bar("features", count) as advance:
+    with open_hdf5(folder / "features.h5") as file, progress_bar("features", count) as advance:
         for done, name in enumerate(sparse_map.names, 1):
             item, camera = features[name], sparse_map.images[name].camera
             group = file.create_group(name)
@@ -86,7 +86,7 @@ def write_features(scene: Scene, sessions: Mapping[str, Frames], folder: Path, f
             group["image_size"] = np.array([camera.width, camera.height])
             advance(done)
     lines = []
-    with h5py.File(folder / "matches.h5", "w") as file:
+    with open_hdf5(folder / "matches.h5") as file:
         for a, b, matches in matched_pairs(scene, sparse_map):
             to = np.full(len(sparse_map.images[a].xy), -1, np.int32)
             to[matches[:, 0]] = matches[:, 1]

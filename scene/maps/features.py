@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import HDF5_DAMAGE, InputError
-from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
 from scene.storage.hdf5 import array, attribute, group, groups, set_text
+from scene.storage.hdf5_writing import hdf5_file
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -107,7 +107,7 @@ def feature_writer(path: Path, made_of: str = "") -> Iterator[AddFeatures]:
     Raises:
         InputError: the folder cannot be written.
     """
-    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
+    with hdf5_file(path) as file:
         if made_of:
             set_text(file, _MADE_OF, made_of)
 

@@ -19,8 +19,19 @@ from scene.storage.files import require_readable
 # An hour of one subtitle for each of 60 frames a second has 100 MB; what is larger is none.
 _LARGEST = 1 << 29
 _BYTE_ORDER_MARKS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    # Those of UTF-32 begin as those of UTF-16.
+    codecs.BOM_UTF32_LE: "utf-32",
+    codecs.BOM_UTF32_BE: "utf-32",
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
+}
+# Which of the first four bytes are zero, without a byte order mark.
+_ZEROS = {
+    (False, True, False, True): "utf-16-le",
+    (True, False, True, False): "utf-16-be",
+    (False, True, True, True): "utf-32-le",
+    (True, True, True, False): "utf-32-be",
 }
 
 
@@ -42,8 +53,8 @@ class Subtitle:
 def read_subtitles(path: Path) -> list[Subtitle]:
     """Read an SRT file in the order of its times.
 
-    The text is UTF-8 or, with a byte order mark, UTF-16. Bytes that are neither are degree signs
-    and names of old encodings; they are replaced, because no number is among them.
+    The text is UTF-8, UTF-16 or UTF-32, or of an older encoding in which ASCII is ASCII. Its other
+    bytes are degree signs and names; they are replaced, because no number is among them.
 
     Raises:
         InputError: the file cannot be read, is larger than 512 MiB, or holds no subtitle.
@@ -58,7 +69,7 @@ def read_subtitles(path: Path) -> list[Subtitle]:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read subtitles {path}: {error.strerror}") from None
-    text = data.decode(_BYTE_ORDER_MARKS.get(data[:2], "utf-8-sig"), errors="replace")
+    text = data.decode(_encoding(data), errors="replace")
     try:
         items = [
             Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)
@@ -85,6 +96,15 @@ def compose_subtitles(subtitles: Iterable[Subtitle]) -> str:
         for index, subtitle in enumerate(subtitles, 1)
     ]
     return str(srt.compose(items, reindex=False))
+
+
+def _encoding(data: bytes) -> str:
+    """Return the encoding of a text that begins with ASCII, from its byte order mark or zeros."""
+    for mark, encoding in _BYTE_ORDER_MARKS.items():
+        if data.startswith(mark):
+            return encoding
+    zeros = tuple(byte == 0 for byte in data[:4])
+    return _ZEROS.get(zeros, "utf-8")
 
 
 def _one_line_end(text: str) -> str:

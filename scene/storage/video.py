@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -31,6 +32,10 @@ _MOST_PIXELS: Final = 64_000_000
 _PURPOSE: Final = "a video"
 # A video that ends so many seconds before it says is cut short.
 _CUT_SHORT_S: Final = 1.0
+# Codecs of pictures, which film only where there are several.
+_OF_PICTURES: Final = ("mjpeg", "png", "bmp", "gif", "webp", "tiff", "jpeg2000", "jpegls")
+# A film lasts at least this share of the longest one.
+_AS_LONG: Final = 0.9
 # Constant rate factor of H.264: smaller is better and larger; at 17 losses are hardly seen.
 _QUALITY: Final = "17"
 
@@ -169,7 +174,7 @@ def write_video(path: Path, images: Iterable[NDArray[np.uint8]], rate_hz: float)
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a video and its first stream of pictures."""
+    """Open a video and the stream that is the film."""
     av = import_extra("av", "video", _PURPOSE)
     require_readable(path, "video")
     try:
@@ -177,15 +182,82 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise InputError(f"{path} is no video that can be read: {_reason(error)}") from None
     with container:
-        if not container.streams.video:
-            raise InputError(f"{path} has no pictures: it is no video")
-        stream = container.streams.video[0]
+        stream = _film(container, path)
         context = stream.codec_context
         if context is None or context.width * context.height > _MOST_PIXELS:
             raise InputError(
                 f"{path} cannot be decoded: its codec is unknown or its frames too large"
             )
         yield container, stream
+
+
+def _film(container: Any, path: Path) -> Any:
+    """Return the stream of pictures that is the film.
+
+    Cover pictures and thumbnails are none. Of several films it is the one that lasts longest, then
+    the one that players show, then the largest; a warning says which.
+
+    Raises:
+        InputError: there is no film.
+    """
+    if not container.streams.video:
+        raise InputError(f"{path} has no pictures: it is no video")
+    films = [stream for stream in container.streams.video if not _is_still(container, stream)]
+    if not films:
+        raise InputError(f"{path} has a picture and no film: give the video that the drone wrote")
+    longest = max(_seconds(stream) for stream in films)
+    film = max(
+        films,
+        key=lambda stream: (
+            _seconds(stream) >= _AS_LONG * longest,
+            bool(stream.disposition & stream.disposition.default),
+            stream.width * stream.height,
+            -stream.index,
+        ),
+    )
+    # A video is opened more than once in a run.
+    if len(films) > 1:
+        others = ", ".join(str(stream.index) for stream in films if stream is not film)
+        _say_once(
+            f"{path} has {len(films)} films: stream {film.index} ({film.width} x {film.height}) is "
+            f"taken, and {others} left out"
+        )
+    return film
+
+
+def _is_still(container: Any, stream: Any) -> bool:
+    """Return whether a stream is a picture: a cover, a thumbnail, or a single frame of a codec of
+    pictures."""
+    disposition = stream.disposition
+    flags = ("attached_pic", "timed_thumbnails", "still_image")
+    if any(disposition & getattr(disposition, flag, 0) for flag in flags):
+        return True
+    context = stream.codec_context
+    codec = "" if context is None else str(context.name)
+    if str(container.format.name).endswith("_pipe") or container.format.name == "image2":
+        return True
+    return codec in _OF_PICTURES and _count(stream) == 1
+
+
+def _count(stream: Any) -> float:
+    """Return the number of frames that a stream states or its times tell; infinite if unknown."""
+    if stream.frames:
+        return int(stream.frames)
+    rate = stream.average_rate or stream.guessed_rate
+    return max(1.0, round(_seconds(stream) * float(rate))) if rate and stream.duration else math.inf
+
+
+def _seconds(stream: Any) -> float:
+    """Return how long a stream lasts, seconds; that of the file where the stream does not say."""
+    if stream.duration:
+        return float(stream.duration * stream.time_base)
+    whole = stream.container.duration
+    return 0.0 if whole is None else whole / 1e6
+
+
+@lru_cache(maxsize=64)
+def _say_once(text: str) -> None:
+    log.warning("%s", text)
 
 
 def _decoded(container: Any, stream: Any, path: Path) -> Iterator[Any]:
