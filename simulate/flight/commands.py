@@ -85,6 +85,7 @@ CAPTURES: Final = (
     Mav.START_CAPTURE,
     Mav.TRIGGER_CONTROL,
 )
+"""Commands that release a camera; a plan without any takes a photograph at every waypoint."""
 
 HARMLESS: Final = frozenset(
     {95, 159, 188, 189, 200, 202, 207, 208, 211, 212, 222, 223, 240, 241, 242, 243, 245}
@@ -167,11 +168,11 @@ class Command(BaseModel):
         if told := check_mode(self.mode, above):
             raise self.fault(f"contradicts itself: {told}", "save the plan in QGroundControl again")
         height, said = self.params[6], self.height
-        calculated = self.mode == 3
-        if None not in (said, height, self.mode) and not calculated:
-            if abs(float(said or 0) - float(height or 0)) > _SAME_HEIGHT_M:
-                raise self.fault(
-                    f"contradicts itself: Altitude is {said:g} m, params[6] is {height:g} m",
-                    "save the plan in QGroundControl again",
-                )
+        if self.mode in (None, 3) or said is None or height is None:
+            return above
+        if abs(said - height) > _SAME_HEIGHT_M:
+            raise self.fault(
+                f"contradicts itself: Altitude is {said:g} m, params[6] is {height:g} m",
+                "save the plan in QGroundControl again",
+            )
         return above

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from scene.quantities.mission_heights import Above
 from simulate.flight.commands import (
     CAPTURES,
@@ -40,45 +39,16 @@ from simulate.flight.pointing import (
     mount_target,
     towards_next,
 )
-from simulate.flight.site import MAX_PHOTOGRAPHS, GroundHeight
+from simulate.flight.positions import Positions
+from simulate.flight.site import MAX_PHOTOGRAPHS
 from simulate.flight.trigger import Triggers, too_many
 from simulate.flight.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_HIGHEST_M = 20_000
 _SAME_M = 1e-6
 _SAME_S = 1e-6
 _AT_HOME_M = 1.0
-
-
-class Surroundings:
-    """The ground and the heights around a mission's home."""
-
-    def __init__(self, origin: Geodetic, ground_height: GroundHeight, geoid_m: float | None):
-        """Take the origin of the world, its ground, and the geoid above the ellipsoid, metres.
-
-        Where the geoid is unknown, heights above the sea are taken for heights above the ellipsoid.
-        """
-        self._origin, self._height_at, self._geoid_m = origin, ground_height, geoid_m
-
-    def ground(self, place: Array) -> float:
-        """Return the height of the ground at a place, world metres."""
-        return float(self._height_at(place[:1], place[1:2])[0])
-
-    def place(
-        self, latitude: float, longitude: float, height: float, above: Above, home_m: float
-    ) -> Array:
-        """Return east, north, up of a height above something; ``home_m`` is the height of home."""
-        altitude = self._origin.altitude
-        if above is Above.SEA:
-            altitude = height + (self._geoid_m or 0.0)
-        place = enu_from_geodetic(Geodetic(latitude, longitude, altitude), self._origin)
-        if above is Above.HOME:
-            place[2] = home_m + height
-        elif above is Above.GROUND:
-            place[2] = self.ground(place) + height
-        return place
 
 
 class Aircraft:
@@ -91,11 +61,10 @@ class Aircraft:
         doubts: What the user should know of the flight, one phrase each.
     """
 
-    def __init__(self, vehicle: Vehicle, pitch_deg: float, around: Surroundings) -> None:
+    def __init__(self, vehicle: Vehicle, pitch_deg: float, positions: Positions) -> None:
         """Place an aircraft at its home with the camera at ``pitch_deg`` along the nose."""
-        self._vehicle, self._around = vehicle, around
-        self._at = around.place(*vehicle.home, 0.0, Above.HOME, 0.0)
-        self._home_m = self._at[2] = around.ground(self._at)
+        self._vehicle, self._positions = vehicle, positions
+        self._at = positions.home.copy()
         self._nose = 0.0
         self._held_nose: float | None = None  # set by a command, for one way
         self._gimbal, self._triggers = Gimbal(pitch_deg), Triggers()
@@ -125,7 +94,7 @@ class Aircraft:
             goal, rest = next(iter(rest[len(todo) :]), None), rest[len(todo) + 1 :]
             waits = [k for k, command in enumerate(todo) if command.command in CONDITIONS]
             first = waits[0] if waits else len(todo)
-            self._next = self._goal(goal)
+            self._next = self._positions.goal(goal, self._at)
             for command in todo[:first]:
                 self._obey(command)
             if goal is None:
@@ -142,13 +111,13 @@ class Aircraft:
 
     def places(self, commands: Sequence[Command]) -> Array:
         """Return the positions of the mission's waypoints, (K, 3) metres."""
-        positions = [self._goal(c) for c in commands if c.command in PLACES]
+        positions = [self._positions.goal(c, self._at) for c in commands if c.command in PLACES]
         return np.array([p for p in positions if p is not None]).reshape(-1, 3)
 
     def _obey(self, command: Command) -> None:
         """Do a command that does not fly anywhere."""
         number = command.command
-        if number in CAPTURES:
+        if number in CAPTURES or number == Mav.STOP_CAPTURE:
             self._release(command)
         elif number == Mav.CHANGE_SPEED:
             self._vehicle.change_speed(command)
@@ -159,7 +128,7 @@ class Aircraft:
         elif number in (Mav.ROI, Mav.ROI_OF_OLD, Mav.ROI_LOCATION, Mav.ROI_NEXT, Mav.ROI_NONE):
             self._look(command)
         elif number == Mav.MOUNT_CONTROL and mount_target(command) is not None:
-            self._gimbal.look_at(Region(self._mount_region(command)))
+            self._gimbal.look_at(Region(self._positions.of_mount(command)))
         elif number in (Mav.MOUNT_CONFIGURE, Mav.MOUNT_CONTROL, Mav.GIMBAL_PITCHYAW):
             self._gimbal.turn(command)
             self._turning_s = self._gimbal.turning_s
@@ -198,7 +167,7 @@ class Aircraft:
             mode = ROI_NONE  # ArduPilot's own way to cancel
         self._turning_s = 0.0
         if mode == ROI_LOCATION:
-            self._gimbal.look_at(Region(self._place(command)))
+            self._gimbal.look_at(Region(self._positions.of(command)))
         elif mode == ROI_NEXT:
             self._gimbal.look_at(towards_next(command))
         elif mode == ROI_NONE:
@@ -209,21 +178,6 @@ class Aircraft:
                 )
         else:
             raise command.fault(f"has mode {mode} (params[0]), which is not understood", "set 3")
-
-    def _mount_region(self, command: Command) -> Array:
-        """Return the place of MAV_CMD_DO_MOUNT_CONTROL, whose order of parameters is its own."""
-        height = command.number(3, "altitude")
-        # The frame of a mission has no heights: autopilots differ in what they read.
-        if command.frame not in (None, 2):
-            above = command.above()
-        elif self._vehicle.is_px4 or self._vehicle.is_ardupilot:
-            above = Above.SEA if self._vehicle.is_px4 else Above.HOME
-        else:
-            raise command.fault(
-                f"has an altitude in frame {command.frame}, whose reference is unknown",
-                "use DO_SET_ROI_LOCATION",
-            )
-        return self._place_at(command, height, above)
 
     def _turn_nose(self, command: Command) -> None:
         """Obey MAV_CMD_CONDITION_YAW, which holds up to the next waypoint."""
@@ -279,7 +233,7 @@ class Aircraft:
 
     def _take_off(self, goal: Command) -> None:
         """Climb to the height of a takeoff, and fly on to its place where it has one."""
-        target = self._goal(goal)
+        target = self._positions.goal(goal, self._at)
         assert target is not None
         away = float(np.hypot(*(target - self._at)[:2])) > _AT_HOME_M
         if goal.params[3] is not None:
@@ -310,13 +264,13 @@ class Aircraft:
 
     def _arrive(self, goal: Command, unsure: str | None) -> None:
         """Be at the place of a command; ``unsure`` says why that is not quite known."""
-        target = self._goal(goal)
+        target = self._positions.goal(goal, self._at)
         self._at = self._at if target is None else target
         self._way, self._held_nose, self._unsure = None, None, unsure
 
     def _fly_to(self, goal: Command, waiting: list[Command]) -> None:
         """Fly straight to a position. In a frame above the ground, the height follows it."""
-        target = self._goal(goal)
+        target = self._positions.goal(goal, self._at)
         assert target is not None
         start, way = self._at, target - self._at
         length = float(np.linalg.norm(way))
@@ -328,14 +282,14 @@ class Aircraft:
         elif np.linalg.norm(way[:2]) > 0.01:
             self._nose = math.atan2(way[0], way[1])
         self._way = way if length > 0.01 else self._way
-        above = start[2] - self._around.ground(start), target[2] - self._around.ground(target)
+        above = start[2] - self._positions.ground(start), target[2] - self._positions.ground(target)
         follow = goal.above() is Above.GROUND
 
         def place(flown: float) -> Array:
             share = flown / length if length else 0.0
             here = start + share * way
             if follow:
-                here[2] = self._around.ground(here) + (1 - share) * above[0] + share * above[1]
+                here[2] = self._positions.ground(here) + (1 - share) * above[0] + share * above[1]
             return np.asarray(here)
 
         if self._unsure and self._triggers.command:
@@ -373,7 +327,7 @@ class Aircraft:
         if condition.command == Mav.CONDITION_DISTANCE:
             left = condition.number(0, "distance")
             return max(length * (1 - left / level), flown)
-        gate = self._place(condition)
+        gate = self._positions.of(condition)
         return float((gate - start)[:2] @ way[:2]) / level**2 * length
 
     def _advance(self, place: Callable[[float], Array], flown: float, until: float) -> None:
@@ -434,47 +388,6 @@ class Aircraft:
                     f"{repeater.command.title} has {repeater.count} photographs left when the "
                     "flight ends"
                 )
-
-    def _goal(self, goal: Command | None) -> Array | None:
-        """Return where a command flies to; None where it flies nowhere that the plan tells."""
-        if goal is None or goal.command in (Mav.DELAY, Mav.RETURN_TO_LAUNCH):
-            return None
-        latitude, longitude = goal.params[4:6]
-        here = not latitude and not longitude
-        if goal.command in (Mav.TAKEOFF, Mav.VTOL_TAKEOFF) and here:
-            height, above = goal.number(6, "altitude"), goal.above()
-            up = self._around.place(*self._vehicle.home, height, above, self._home_m)
-            return np.array([*self._at[:2], up[2]])
-        if goal.command in LANDINGS:
-            place = self._at.copy() if here else self._place_at(goal, 0.0, Above.HOME)
-            place[2] = self._around.ground(place)
-            return place
-        if goal.command == Mav.LOITER_TO_ALT and latitude == longitude == 0:
-            place = self._around.place(
-                *self._vehicle.home, goal.number(6, "altitude"), goal.above(), self._home_m
-            )
-            return np.array([*self._at[:2], place[2]])
-        return self._place(goal)
-
-    def _place(self, command: Command) -> Array:
-        """Return east, north, up of the last three parameters of a command."""
-        # QGroundControl knows what is above the ground where it has not computed it above the sea.
-        uncomputed = command.mode == 3 and command.params[6] is None and command.height is not None
-        height = command.height if uncomputed else command.number(6, "altitude")
-        above = Above.GROUND if uncomputed else command.above()
-        assert height is not None
-        return self._place_at(command, height, above)
-
-    def _place_at(self, command: Command, height: float, above: Above) -> Array:
-        """Return east, north, up of the coordinates of a command at a height."""
-        latitude, longitude = command.number(4, "latitude"), command.number(5, "longitude")
-        nowhere = abs(latitude) > 90 or abs(longitude) > 180 or abs(height) > _HIGHEST_M
-        if nowhere or latitude == longitude == 0:
-            raise InputError(
-                f"{command.title} lies at latitude {latitude:g}, longitude {longitude:g}, height "
-                f"{height:g} m: correct it"
-            )
-        return self._around.place(latitude, longitude, height, above, self._home_m)
 
 
 def _require_nothing(waiting: Sequence[Command], before: str) -> None:

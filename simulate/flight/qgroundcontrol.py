@@ -22,7 +22,8 @@ from scene.geometry.geodesy import Geodetic
 from scene.quantities.mission_heights import Above, above_of_survey
 from simulate.flight.commands import HARMLESS, Command, Mav
 from simulate.flight.gimbal import Aims
-from simulate.flight.mission import Aircraft, Surroundings
+from simulate.flight.mission import Aircraft
+from simulate.flight.positions import Positions
 from simulate.flight.site import GroundHeight
 from simulate.flight.vehicle import Vehicle
 
@@ -117,7 +118,7 @@ def read_plan(
         mission.cruise_m_s,
     )
     geoid_m = geoid_undulation(origin) if undulation_m is None else undulation_m
-    aircraft = Aircraft(vehicle, pitch_deg, Surroundings(origin, ground_height, geoid_m))
+    aircraft = Aircraft(vehicle, pitch_deg, Positions(vehicle, origin, ground_height, geoid_m))
     try:
         commands = list(_commands(mission))
         _require_near(aircraft, commands, origin, 0.5 * area_m)

@@ -88,9 +88,9 @@ class Triggers:
             case Mav.OBLIQUE_SURVEY:
                 self._oblique(command)
             case Mav.TRIGGER_INTERVAL:
-                self._by_cycle(command)
+                return self._by_cycle(command)
             case Mav.TRIGGER_CONTROL:
-                self._control(command)
+                return self._control(command)
             case Mav.START_CAPTURE:
                 return self._capture(command)
             case Mav.STOP_CAPTURE:
@@ -168,20 +168,25 @@ class Triggers:
             )
         self._stop(command, Mav.TRIGGER_DISTANCE)
 
-    def _by_cycle(self, command: Command) -> None:
-        """Obey MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, whose cycle is in milliseconds."""
+    def _by_cycle(self, command: Command) -> bool:
+        """Obey MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, whose cycle is in milliseconds.
+
+        The first cycle begins with a photograph.
+        """
         cycle_ms = command.number(0, "cycle")
         if cycle_ms > 0:
             self._start(command, _PER_MILLISECOND * cycle_ms)
-        elif cycle_ms not in (0, -1):
+            return True
+        if cycle_ms not in (0, -1):
             raise command.fault(f"has a cycle of {cycle_ms:g} ms (params[0])", "set it")
-        elif (other := self.command) is not None:
+        if (other := self.command) is not None:
             self.doubts.append(
                 f"{command.title} with a cycle of {cycle_ms:g} ms changes nothing, so "
                 f"{other.title} goes on"
             )
+        return False
 
-    def _control(self, command: Command) -> None:
+    def _control(self, command: Command) -> bool:
         """Obey MAV_CMD_DO_TRIGGER_CONTROL, whose parameters are ignored where they are -1."""
         start, pause = (command.params[k] for k in (0, 2))
         if start not in (None, -1, 0, 1) or pause not in (None, -1, 0, 1):
@@ -199,6 +204,8 @@ class Triggers:
             for repeater in self.paused.values():
                 repeater.left = repeater.every
             self.paused = {}
+            return Mav.TRIGGER_INTERVAL in self.running
+        return False
 
     def _capture(self, command: Command) -> bool:
         """Obey MAV_CMD_IMAGE_START_CAPTURE, whose interval is in seconds."""
