@@ -28,17 +28,17 @@ def unroll(commands: Sequence[Command]) -> list[Command]:
         if command.command not in (Mav.JUMP, Mav.JUMP_TO_TAG):
             if command.command != Mav.JUMP_TAG:
                 done.append(command)
-            if len(done) > _LONGEST:
-                raise command.fault(f"is command {_LONGEST} of a mission", "repeat less often")
             row += 1
             continue
-        target, repeats = _target(commands, command), _repeats(command)
+        repeats, target = _repeats(command), _target(commands, command)
         if jumped[row] >= repeats:
             row += 1
             continue
         jumped[row] += 1
-        if sum(jumped.values()) > _LONGEST:
-            raise command.fault(f"is jump {_LONGEST} of a mission", "repeat less often")
+        if len(done) + sum(jumped.values()) > _LONGEST:
+            raise command.fault(
+                f"makes the mission longer than {_LONGEST} commands", "repeat less often"
+            )
         row = target
     return done
 

@@ -100,8 +100,10 @@ class Aircraft:
             if goal is None:
                 _require_nothing(todo[first:], "the mission ends")
                 break
-            if goal.command in LANDINGS and self._land(goal, rest):
-                break
+            if goal.command in LANDINGS:
+                _require_nothing(todo[first:], f"{goal.title} begins")
+                if self._land(goal, rest):
+                    break
             self._navigate(goal, todo[first:])
             if not triggered and goal.command in (Mav.WAYPOINT, Mav.SPLINE_WAYPOINT):
                 self._photograph(self._at)
@@ -236,8 +238,7 @@ class Aircraft:
         target = self._positions.goal(goal, self._at)
         assert target is not None
         away = float(np.hypot(*(target - self._at)[:2])) > _AT_HOME_M
-        if goal.params[3] is not None:
-            self._nose = math.radians(goal.params[3])
+        self._nose = self._nose if goal.params[3] is None else math.radians(goal.params[3])
         self._unsure = None
         if goal.command == Mav.VTOL_TAKEOFF:
             self._vehicle.enter(forward=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from scene.errors import InputError
@@ -11,6 +12,8 @@ from simulate.flight.site import MAX_PHOTOGRAPHS
 # A photograph is due when it lacks no more than this way, metres, or time, seconds.
 _DUE = 1e-6
 _PER_MILLISECOND = 0.001
+# No camera is released again by a distance after so short a way, metres.
+_ONE_PLACE_M = 0.1
 
 
 @dataclass
@@ -23,7 +26,7 @@ class Repeater:
         timed: Whether these are seconds.
         count: How many photographs are still to be taken; None for all that there are.
         command: The command that started it.
-        just: Whether it has released the camera where the aircraft is now.
+        since_m: The way since it has released the camera last, metres.
     """
 
     every: float
@@ -31,20 +34,20 @@ class Repeater:
     timed: bool
     count: int | None
     command: Command
-    just: bool = False
+    since_m: float = math.inf
 
     def advance(self, way_m: float, time_s: float) -> None:
         """Note a way and the time that it took."""
         passed = time_s if self.timed else way_m
         self.left -= passed
-        self.just = self.just and passed <= _DUE
+        self.since_m += way_m
 
     def is_due(self) -> bool:
         """Return whether a photograph is due, and count it if so."""
         if self.left > _DUE or self.count == 0:
             return False
         self.left += self.every
-        self.just = True
+        self.since_m = 0.0
         if self.count is not None:
             self.count -= 1
         return True
@@ -149,15 +152,18 @@ class Triggers:
         if at_once not in (0, 1):
             raise command.fault(f"has params[2] {at_once:g}", "set it to 0 or 1")
         repeater = self.running.get(Mav.TRIGGER_DISTANCE)
-        taken = repeater is not None and repeater.just
+        since_m = math.inf if repeater is None else repeater.since_m
         if every > 0:
             self._start(command, every)
-            self.running[Mav.TRIGGER_DISTANCE].just = taken
+            self.running[Mav.TRIGGER_DISTANCE].since_m = since_m
         elif every in (0, -1):
             self._stop(command, Mav.TRIGGER_DISTANCE)
         else:
             raise command.fault(f"has the distance {every:g} m (params[0])", "set it")
-        return at_once == 1 and not taken
+        now = at_once == 1 and since_m > _ONE_PLACE_M
+        if now and every > 0:
+            self.running[Mav.TRIGGER_DISTANCE].since_m = 0.0
+        return now
 
     def _oblique(self, command: Command) -> None:
         every = command.number(0, "distance")

@@ -1,7 +1,7 @@
-"""Random legal plans: the reader finds the photographs, or names the command that it cannot follow.
+"""Random legal plans: the reader finds the photographs, or names a command that it cannot follow.
 
-Each plan is written from a flight whose photographs are computed here, on straight lines in time and
-distance, without the reader's own steps.
+Each plan is written from a flight whose photographs are computed here, on straight lines in time
+and distance, without the reader's own steps.
 """
 
 from __future__ import annotations
