@@ -103,7 +103,12 @@ def _plan_mission(
     if plan_digest(flight.file) != flight.sha256:
         raise InputError(f"mission plan {flight.file} is no longer the scene's: restore it")
     aims: Aims = read_plan(
-        flight.file, site.origin, site.area_m, site.ground_height, flight.pitch_deg
+        flight.file,
+        site.origin,
+        site.area_m,
+        site.ground_height,
+        flight.pitch_deg,
+        flight.undulation_m,
     )
     return perturbed_poses(aims, site.wind, rng)
 

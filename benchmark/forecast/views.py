@@ -150,6 +150,7 @@ def _check_plan(views: SimulateConfig, config: ForecastConfig) -> None:
             views.area,
             lambda x, y: np.zeros(np.shape(x)),
             flight.pitch_deg,
+            flight.undulation_m,
         )
         count = len(aims.centres)
         off = np.abs(np.asarray(aims.centres)[:, :2]).max(1) > 0.5 * views.area

@@ -235,13 +235,17 @@ class PlanFlight(_Flight):
         file: The ``.plan`` file, relative to the working directory.
         sha256: Digest of the file. It is computed when left out, so that a scene records the very
             flight it was made with.
-        pitch_deg: Pitch of the gimbal until the plan changes it.
+        pitch_deg: Pitch of the gimbal until the plan changes it, and after a region of interest.
+        undulation_m: Height of the geoid above the ellipsoid at the place, for heights above the
+            sea. None takes it from the grid of PROJ; without the grid, such heights are taken for
+            heights above the ellipsoid, with a warning.
     """
 
     kind: Literal["plan"] = "plan"
     file: Path
     sha256: str
     pitch_deg: Pitch = -90
+    undulation_m: float | None = Field(None, ge=-150, le=150)
 
     @model_validator(mode="before")
     @classmethod

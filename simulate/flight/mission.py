@@ -1,201 +1,400 @@
 """An aircraft that follows the commands of a mission and takes photographs when commanded.
 
-Commands and frames are MAVLink's: https://mavlink.io/en/messages/common.html.
+Commands and frames are MAVLink's: https://mavlink.io/en/messages/common.html. A command between two
+waypoints is done where the first one is reached, as all autopilots do it; one that a condition
+delays is done on the way to the second. What a plan does not tell, such as the way of a landing or
+the curve of a spline, may not have photographs: a command that asks for them there is an error.
 """
 
 from __future__ import annotations
 
-from enum import IntEnum
+import math
+from collections.abc import Callable, Sequence
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic, enu_from_geodetic
+from scene.quantities.mission_heights import Above
+from simulate.flight.commands import (
+    CAPTURES,
+    CONDITIONS,
+    DOUBTFUL,
+    HARMLESS,
+    LANDINGS,
+    NAVIGATION,
+    PLACES,
+    Command,
+    Mav,
+)
 from simulate.flight.gimbal import Aims
-from simulate.flight.site import MAX_PHOTOGRAPHS, GroundHeight
+from simulate.flight.jumps import unroll
+from simulate.flight.pointing import (
+    ROI_LOCATION,
+    ROI_NEXT,
+    ROI_NONE,
+    Gimbal,
+    Region,
+    mount_target,
+    towards_next,
+)
+from simulate.flight.positions import Positions
+from simulate.flight.site import MAX_PHOTOGRAPHS
+from simulate.flight.trigger import Triggers, too_many
+from simulate.flight.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-
-class Mav(IntEnum):
-    """The commands that are interpreted. Other commands do not move the camera."""
-
-    WAYPOINT = 16
-    TAKEOFF = 22
-    SPLINE_WAYPOINT = 82
-    CHANGE_SPEED = 178
-    DIGICAM_CONTROL = 203
-    MOUNT_CONTROL = 205
-    TRIGGER_DISTANCE = 206
-    TRIGGER_INTERVAL = 214
-    GIMBAL_PITCHYAW = 1000
-    START_CAPTURE = 2000
-    STOP_CAPTURE = 2001
-
-
-# Values of MAV_FRAME, each with its variant for integer coordinates.
-ABSOLUTE, RELATIVE, TERRAIN = (0, 5), (3, 6), (10, 11)
-
-_PLACES = (Mav.WAYPOINT, Mav.SPLINE_WAYPOINT, Mav.TAKEOFF)
-_TRIGGERS = (Mav.DIGICAM_CONTROL, Mav.TRIGGER_DISTANCE, Mav.TRIGGER_INTERVAL, Mav.START_CAPTURE)
-_YAW_LOCK = 16  # flag of the gimbal manager: yaw counts from north, not from the vehicle's nose
-_HIGHEST_M = 20_000
-
-
-class Command(BaseModel):
-    """A command, its MAV_FRAME and its seven parameters, which are None where unused."""
-
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
-
-    command: int
-    frame: int = 2
-    params: tuple[float | None, ...] = Field(min_length=7, max_length=7)
-
-    def number(self, index: int) -> float:
-        """Return a parameter, counted from 0. Its value is 0 where it is unused."""
-        return self.params[index] or 0.0
+_SAME_M = 1e-6
+_SAME_S = 1e-6
+_AT_HOME_M = 1.0
 
 
 class Aircraft:
     """Flies commands one after the other and collects the exposures.
 
-    The aircraft starts on the ground at home. Relative heights are above the ground at home, and
-    absolute heights are treated as ellipsoidal. Where a waypoint has no yaw, the nose points along
+    The aircraft starts on the ground at home. Where a waypoint has no yaw, the nose points along
     the way.
+
+    Attributes:
+        doubts: What the user should know of the flight, one phrase each.
     """
 
-    def __init__(
-        self,
-        home: tuple[float, float],
-        speed_m_s: float,
-        pitch_deg: float,
-        origin: Geodetic,
-        ground_height: GroundHeight,
-    ) -> None:
-        """Place the aircraft at ``home`` (latitude, longitude) with the gimbal at ``pitch_deg``."""
-        self._origin, self._height_at = origin, ground_height
-        self._at = enu_from_geodetic(Geodetic(*home, origin.altitude), origin)
-        self._home_m = self._at[2] = self._ground(self._at)
-        self._speed = speed_m_s
-        self._nose, self._pitch = 0.0, np.radians(pitch_deg)
-        self._yaw, self._locked = 0.0, False
-        # Intervals between photographs, infinite where none is set.
-        self._every_m = self._every_s = np.inf
-        self._since_m = 0.0  # distance flown since the last photograph
-        self._shots: list[tuple[float, float, float, float, float]] = []
+    def __init__(self, vehicle: Vehicle, pitch_deg: float, positions: Positions) -> None:
+        """Place an aircraft at its home with the camera at ``pitch_deg`` along the nose."""
+        self._vehicle, self._positions = vehicle, positions
+        self._at = positions.home.copy()
+        self._nose = 0.0
+        self._held_nose: float | None = None  # set by a command, for one way
+        self._gimbal, self._triggers = Gimbal(pitch_deg), Triggers()
+        self._turning_s = 0.0  # until the camera has turned
+        # Why the plan does not tell where the aircraft is; None where it does.
+        self._unsure: str | None = "the aircraft is not at its first waypoint"
+        self._next: Array | None = None  # where it flies to, or will
+        self._way: Array | None = None  # the way (3,) that it flew last
+        self._shots: list[tuple[float, ...]] = []
 
-    def fly(self, commands: list[Command]) -> Aims:
+    @property
+    def doubts(self) -> list[str]:
+        return self._triggers.doubts
+
+    def fly(self, commands: Sequence[Command]) -> Aims:
         """Fly a mission and return its exposures.
 
         A mission without camera triggers takes a photograph at every waypoint.
 
         Raises:
-            InputError: a position or frame is invalid, or there are too many photographs.
+            InputError: A command cannot be followed, or there are too many photographs.
         """
-        triggered = any(command.command in _TRIGGERS for command in commands)
-        for command in commands:
-            self._obey(command)
-            if not triggered and command.command in (Mav.WAYPOINT, Mav.SPLINE_WAYPOINT):
+        triggered = any(command.command in CAPTURES for command in commands)
+        rest = unroll(commands)
+        while rest:
+            todo = list(takewhile(lambda c: c.command not in NAVIGATION, rest))
+            goal, rest = next(iter(rest[len(todo) :]), None), rest[len(todo) + 1 :]
+            waits = [k for k, command in enumerate(todo) if command.command in CONDITIONS]
+            first = waits[0] if waits else len(todo)
+            self._next = self._positions.goal(goal, self._at)
+            for command in todo[:first]:
+                self._obey(command)
+            if goal is None:
+                _require_nothing(todo[first:], "the mission ends")
+                break
+            if goal.command in LANDINGS:
+                _require_nothing(todo[first:], f"{goal.title} begins")
+                if self._land(goal, rest):
+                    break
+            self._navigate(goal, todo[first:])
+            if not triggered and goal.command in (Mav.WAYPOINT, Mav.SPLINE_WAYPOINT):
                 self._photograph(self._at)
+        self._note_the_end()
         shots = np.array(self._shots).reshape(-1, 5)
         return Aims(shots[:, :3], shots[:, 3], shots[:, 4])
 
-    def places(self, commands: list[Command]) -> Array:
+    def places(self, commands: Sequence[Command]) -> Array:
         """Return the positions of the mission's waypoints, (K, 3) metres."""
-        positions = [self._place(c) for c in commands if c.command in _PLACES[:2]]
-        return np.array(positions).reshape(-1, 3)
+        positions = [self._positions.goal(c, self._at) for c in commands if c.command in PLACES]
+        return np.array([p for p in positions if p is not None]).reshape(-1, 3)
 
     def _obey(self, command: Command) -> None:
-        number = command.number
-        match command.command:
-            case Mav.WAYPOINT | Mav.SPLINE_WAYPOINT | Mav.TAKEOFF:
-                self._go(self._place(command), command.params[3], command.frame in TERRAIN)
-            case Mav.CHANGE_SPEED if number(1) > 0:
-                self._speed = number(1)
-            case Mav.MOUNT_CONTROL:
-                self._pitch, self._yaw = np.radians([number(0), number(2)])
-                self._locked = False
-            case Mav.GIMBAL_PITCHYAW:
-                self._pitch, self._yaw = np.radians([number(0), number(1)])
-                self._locked = bool(int(number(4)) & _YAW_LOCK)
-            case Mav.DIGICAM_CONTROL if number(4) == 1:
-                self._photograph(self._at)
-            case Mav.TRIGGER_DISTANCE:
-                self._trigger(every_m=number(0))
-                if number(0) > 0 and number(2) == 1:
-                    self._photograph(self._at)
-            case Mav.TRIGGER_INTERVAL:
-                self._trigger(every_s=number(0))
-            case Mav.START_CAPTURE:
-                self._photograph(self._at)
-                if number(2) != 1:
-                    self._trigger(every_s=number(1))
-            case Mav.STOP_CAPTURE:
-                self._trigger()
+        """Do a command that does not fly anywhere."""
+        number = command.command
+        if number in CAPTURES or number == Mav.STOP_CAPTURE:
+            self._release(command)
+        elif number == Mav.CHANGE_SPEED:
+            self._vehicle.change_speed(command)
+        elif number == Mav.VTOL_TRANSITION:
+            self._vehicle.transition(command)
+        elif number == Mav.CONDITION_YAW:
+            self._turn_nose(command)
+        elif number in (Mav.ROI, Mav.ROI_OF_OLD, Mav.ROI_LOCATION, Mav.ROI_NEXT, Mav.ROI_NONE):
+            self._look(command)
+        elif number == Mav.MOUNT_CONTROL and mount_target(command) is not None:
+            self._gimbal.look_at(Region(self._positions.of_mount(command)))
+        elif number in (Mav.MOUNT_CONFIGURE, Mav.MOUNT_CONTROL, Mav.GIMBAL_PITCHYAW):
+            self._gimbal.turn(command)
+            self._turning_s = self._gimbal.turning_s
+        elif number == Mav.GUIDED_ENABLE and not command.params[0]:
+            pass
+        elif number in DOUBTFUL:
+            self.doubts.append(f"{command.title} is left out")
+        elif number not in HARMLESS:
+            raise command.fault("is not understood", "plan without it")
 
-    def _trigger(self, every_m: float = 0.0, every_s: float = 0.0) -> None:
-        """Set the intervals between photographs from here on. 0 stands for no photographs."""
-        self._every_m = every_m if every_m > 0 else np.inf
-        self._every_s = every_s if every_s > 0 else np.inf
-        self._since_m = 0.0
+    def _release(self, command: Command) -> None:
+        """Obey a command that releases the camera or will."""
+        now = self._triggers.obey(command)
+        if self._unsure and (now or self._triggers.command):
+            raise command.fault(
+                f"releases the camera while {self._unsure}", "release it after a waypoint"
+            )
+        if now:
+            self._photograph(self._at)
 
-    def _go(self, target: Array, yaw_deg: float | None, follow: bool) -> None:
-        """Fly straight to a position. With ``follow``, the height follows the ground."""
+    def _look(self, command: Command) -> None:
+        """Obey a command of a region of interest."""
+        mode = {Mav.ROI_LOCATION: ROI_LOCATION, Mav.ROI_NEXT: ROI_NEXT, Mav.ROI_NONE: ROI_NONE}.get(
+            Mav(command.command)
+        )
+        anywhere = any(command.params[k] for k in (4, 5, 6))
+        if mode is None:
+            mode = int(command.number(0, "mode"))
+            if mode == ROI_NONE and anywhere:
+                if not (self._vehicle.is_ardupilot or self._vehicle.is_px4):
+                    raise command.fault(
+                        "has mode 0, none (params[0]), and a place", "set mode 3 for a place"
+                    )
+                mode = ROI_LOCATION if self._vehicle.is_ardupilot else ROI_NONE
+        if mode == ROI_LOCATION and not anywhere and self._vehicle.is_ardupilot:
+            mode = ROI_NONE  # ArduPilot's own way to cancel
+        self._turning_s = 0.0
+        if mode == ROI_LOCATION:
+            self._gimbal.look_at(Region(self._positions.of(command)))
+        elif mode == ROI_NEXT:
+            self._gimbal.look_at(towards_next(command))
+        elif mode == ROI_NONE:
+            if self._gimbal.cancel():
+                self.doubts.append(
+                    f"{command.title} turns the camera to the pitch that it started with, not to "
+                    "that before the region"
+                )
+        else:
+            raise command.fault(f"has mode {mode} (params[0]), which is not understood", "set 3")
+
+    def _turn_nose(self, command: Command) -> None:
+        """Obey MAV_CMD_CONDITION_YAW, which holds up to the next waypoint."""
+        angle = math.radians(command.number(0, "angle"))
+        if relative := command.number(3, "relative"):
+            if relative != 1:
+                raise command.fault(f"has params[3] {relative:g}", "set 0 or 1")
+            direction = command.number(2, "direction")
+            angle = self._nose + (-angle if direction < 0 else angle)
+        self._nose = self._held_nose = angle
+
+    def _navigate(self, goal: Command, waiting: list[Command]) -> None:
+        """Do a command that flies or waits; ``waiting`` is done on the way."""
+        hovers = goal.command == Mav.LOITER_TIME and not self._vehicle.glides
+        if goal.command == Mav.WAYPOINT or hovers:
+            if goal.command == Mav.WAYPOINT:
+                self._check_waypoint(goal)
+            self._fly_to(goal, waiting)
+            if not self._vehicle.glides:
+                self._hold(goal)
+            return
+        _require_nothing(waiting, f"{goal.title} begins")
+        if goal.command == Mav.DELAY and not self._vehicle.glides:
+            self._hold(goal)
+            return
+        if (trigger := self._triggers.command) is not None:
+            raise goal.fault(
+                f"flies a way that the plan does not tell, while {trigger.title} releases the "
+                "camera",
+                "stop the camera before it",
+            )
+        match goal.command:
+            case Mav.LOITER_UNLIMITED:
+                raise goal.fault("never ends", "set a time by NAV_LOITER_TIME")
+            case Mav.TAKEOFF | Mav.VTOL_TAKEOFF:
+                self._take_off(goal)
+            case Mav.SPLINE_WAYPOINT:
+                self._fly_to(goal, [])
+            case Mav.LAND | Mav.VTOL_LAND:
+                self._arrive(goal, f"the aircraft is down after {goal.title}")
+                self._vehicle.enter(forward=False)
+            case _:
+                circles = goal.command == Mav.LOITER_TURNS or self._vehicle.glides
+                self._arrive(goal, f"the aircraft circles after {goal.title}" if circles else None)
+
+    def _check_waypoint(self, goal: Command) -> None:
+        if goal.params[2]:
+            raise goal.fault(
+                f"is passed at a radius of {goal.params[2]:g} m (params[2])", "set it to 0"
+            )
+        if self._vehicle.is_ardupilot and goal.params[3]:
+            self.doubts.append(f"{goal.title} has a yaw, to which ArduPilot does not turn")
+
+    def _take_off(self, goal: Command) -> None:
+        """Climb to the height of a takeoff, and fly on to its place where it has one."""
+        target = self._positions.goal(goal, self._at)
+        assert target is not None
+        away = float(np.hypot(*(target - self._at)[:2])) > _AT_HOME_M
+        self._nose = self._nose if goal.params[3] is None else math.radians(goal.params[3])
+        self._unsure = None
+        if goal.command == Mav.VTOL_TAKEOFF:
+            self._vehicle.enter(forward=True)
+        if self._vehicle.glides or (away and not self._vehicle.is_px4):
+            self._unsure = f"the aircraft climbs after {goal.title}"
+        if self._vehicle.is_ardupilot and not self._vehicle.glides:
+            target[:2], self._unsure = self._at[:2], None
+        self._at, self._way, self._held_nose = target, None, None
+
+    def _land(self, goal: Command, rest: Sequence[Command]) -> bool:
+        """Land, and return whether the flight is over."""
+        flies_on = goal.command != Mav.RETURN_TO_LAUNCH and any(
+            c.command in NAVIGATION for c in rest
+        )
+        if not flies_on:
+            if self._triggers.command is not None:
+                self.doubts.append(
+                    f"{goal.title} is where photographs end: the plan does not tell the way that "
+                    f"follows, on which {self._triggers.command.title} goes on"
+                )
+            if any(c.command in (*CAPTURES, *PLACES) for c in rest):
+                self.doubts.append(f"what follows {goal.title} is left out")
+        return not flies_on
+
+    def _arrive(self, goal: Command, unsure: str | None) -> None:
+        """Be at the place of a command; ``unsure`` says why that is not quite known."""
+        target = self._positions.goal(goal, self._at)
+        self._at = self._at if target is None else target
+        self._way, self._held_nose, self._unsure = None, None, unsure
+
+    def _fly_to(self, goal: Command, waiting: list[Command]) -> None:
+        """Fly straight to a position. In a frame above the ground, the height follows it."""
+        target = self._positions.goal(goal, self._at)
+        assert target is not None
         start, way = self._at, target - self._at
         length = float(np.linalg.norm(way))
-        if yaw_deg is not None:
-            self._nose = np.radians(yaw_deg)
+        yaw = goal.params[3] if goal.command == Mav.WAYPOINT else None
+        if yaw is not None and not (self._vehicle.is_ardupilot or self._vehicle.glides):
+            self._nose = math.radians(yaw)
+        elif self._held_nose is not None:
+            self._nose = self._held_nose
         elif np.linalg.norm(way[:2]) > 0.01:
-            self._nose = np.arctan2(way[0], way[1])
-        every = min(self._every_m, self._every_s * self._speed)
-        if len(self._shots) + length / every > MAX_PHOTOGRAPHS:
-            raise InputError(
-                f"it takes more than {MAX_PHOTOGRAPHS} photographs: trigger less often"
-            )
-        above = start[2] - self._ground(start), target[2] - self._ground(target)
-        flown = max(every - self._since_m, 0.0)
-        while flown <= length:
+            self._nose = math.atan2(way[0], way[1])
+        self._way = way if length > 0.01 else self._way
+        above = start[2] - self._positions.ground(start), target[2] - self._positions.ground(target)
+        follow = goal.above() is Above.GROUND
+
+        def place(flown: float) -> Array:
             share = flown / length if length else 0.0
-            place = start + share * way
+            here = start + share * way
             if follow:
-                place[2] = self._ground(place) + (1 - share) * above[0] + share * above[1]
-            self._photograph(place)
-            self._since_m = (
-                -flown
-            )  # the addition below then leaves the distance since this photograph
-            flown += every
-        self._since_m += length
-        self._at = target
+                here[2] = self._positions.ground(here) + (1 - share) * above[0] + share * above[1]
+            return np.asarray(here)
+
+        if self._unsure and self._triggers.command:
+            raise self._triggers.command.fault(
+                f"releases the camera while {self._unsure}", "release it after a waypoint"
+            )
+        flown = 0.0
+        while waiting:
+            condition, waiting = waiting[0], waiting[1:]
+            todo = list(takewhile(lambda c: c.command not in CONDITIONS, waiting))
+            waiting = waiting[len(todo) :]
+            if not todo:
+                continue
+            met = self._met_after(condition, start, target, flown)
+            if not flown - _SAME_M <= met <= length + _SAME_M:
+                raise condition.fault(
+                    f"is not met on the way to {goal.where}, so that {todo[0].title} is not done",
+                    "correct it",
+                )
+            self._advance(place, flown, met)
+            flown, self._at = met, place(met)
+            for command in todo:
+                self._obey(command)
+        self._advance(place, flown, length)
+        self._at, self._held_nose, self._unsure = target, None, None
+
+    def _met_after(self, condition: Command, start: Array, target: Array, flown: float) -> float:
+        """Return how much of a way has been flown when a condition is met, metres."""
+        way = target - start
+        length, level = float(np.linalg.norm(way)), float(np.hypot(way[0], way[1]))
+        if condition.command == Mav.CONDITION_DELAY:
+            return flown + condition.number(0, "delay") * self._vehicle.speed(condition)
+        if level < 0.01:
+            raise condition.fault("is on a way straight up or down", "remove it")
+        if condition.command == Mav.CONDITION_DISTANCE:
+            left = condition.number(0, "distance")
+            return max(length * (1 - left / level), flown)
+        gate = self._positions.of(condition)
+        return float((gate - start)[:2] @ way[:2]) / level**2 * length
+
+    def _advance(self, place: Callable[[float], Array], flown: float, until: float) -> None:
+        """Fly on along a way, from ``flown`` to ``until`` metres of it, and take photographs."""
+        timed = self._triggers.timed
+        speed = self._vehicle.known_speed() if timed is None else self._vehicle.speed(timed)
+        left = max(until - flown, 0.0)
+        self._triggers.require_few(left, left / speed if speed else 0.0)
+        while True:
+            step = min(self._triggers.next_way_m(speed), left)
+            time_s = step / speed if speed else 0.0
+            due = self._triggers.advance(step, time_s)
+            self._turning_s -= time_s
+            flown, left = flown + step, left - step
+            for _ in range(due):
+                self._photograph(place(flown))
+            if left <= 0 and not due:
+                break
+
+    def _hold(self, command: Command) -> None:
+        """Stay for the time that a command says in its first parameter; photographs go on."""
+        timed = self._triggers.timed
+        if timed is None and self._turning_s <= 0:
+            return
+        left = command.number(0, "time")
+        if left < 0:
+            raise command.fault(f"waits for {left:g} s (params[0])", "set the time in seconds")
+        if left and self._vehicle.kind is None:
+            raise command.fault("waits, but vehicleType is missing", "save the plan again")
+        self._triggers.require_few(0.0, left)
+        while True:
+            step = min(self._triggers.next_time_s(), left)
+            due = self._triggers.advance(0.0, step)
+            self._turning_s, left = self._turning_s - step, left - step
+            for _ in range(due):
+                self._photograph(self._at)
+            if left <= 0 and not due:
+                break
 
     def _photograph(self, place: Array) -> None:
-        heading = self._yaw if self._locked else self._nose + self._yaw
-        self._shots.append((*place, heading, self._pitch))
-        self._since_m = 0.0
-
-    def _place(self, command: Command) -> Array:
-        """Return east, north, up of a command. A takeoff without coordinates is straight up."""
-        latitude, longitude, height = (command.number(k) for k in (4, 5, 6))
-        if abs(latitude) > 90 or abs(longitude) > 180 or abs(height) > _HIGHEST_M:
+        if self._turning_s > _SAME_S:
             raise InputError(
-                f"a waypoint lies at latitude {latitude:g}, longitude {longitude:g}, height "
-                f"{height:g} m: correct it"
+                f"a photograph is taken while the camera turns, {self._turning_s:.1f} s before it "
+                "stands: turn it earlier, or give no rate"
             )
-        if command.frame not in ABSOLUTE + RELATIVE + TERRAIN:
-            raise InputError(
-                f"a waypoint has MAV_FRAME {command.frame}, which is not understood: make its "
-                "height relative, absolute or above terrain"
-            )
-        if latitude == longitude == 0 and command.command == Mav.TAKEOFF:
-            return np.array([*self._at[:2], self._home_m + height])
-        altitude = height + (0 if command.frame in ABSOLUTE else self._origin.altitude)
-        place = enu_from_geodetic(Geodetic(latitude, longitude, altitude), self._origin)
-        if command.frame in RELATIVE:
-            place[2] = self._home_m + height
-        elif command.frame in TERRAIN:
-            place[2] = self._ground(place) + height
-        return place
+        if len(self._shots) >= MAX_PHOTOGRAPHS:
+            raise too_many()
+        ahead = None if self._next is None else self._next - place
+        if ahead is None or np.linalg.norm(ahead) < 0.01:
+            ahead = self._way
+        heading, pitch = self._gimbal.direction(place, self._nose, ahead)
+        self._shots.append((*place, heading, pitch))
 
-    def _ground(self, place: Array) -> float:
-        return float(self._height_at(place[:1], place[1:2])[0])
+    def _note_the_end(self) -> None:
+        for repeater in self._triggers.running.values():
+            if repeater.count:
+                self.doubts.append(
+                    f"{repeater.command.title} has {repeater.count} photographs left when the "
+                    "flight ends"
+                )
+
+
+def _require_nothing(waiting: Sequence[Command], before: str) -> None:
+    """Require that no command waits for a condition."""
+    done = [c for c in waiting if c.command not in CONDITIONS and c.command not in HARMLESS]
+    if done:
+        raise waiting[0].fault(
+            f"is not met before {before}, so that {done[0].title} is not done", "correct it"
+        )

@@ -7,6 +7,7 @@ their transects where they contain none.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,14 +17,23 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scene.bundle.manifest import read_json
 from scene.errors import InputError
+from scene.geo.crs import geoid_undulation
 from scene.geometry.geodesy import Geodetic
+from scene.quantities.mission_heights import Above, above_of_survey
+from simulate.flight.commands import HARMLESS, Command, Mav
 from simulate.flight.gimbal import Aims
-from simulate.flight.mission import RELATIVE, TERRAIN, Aircraft, Command, Mav
+from simulate.flight.mission import Aircraft
+from simulate.flight.positions import Positions
 from simulate.flight.site import GroundHeight
+from simulate.flight.vehicle import Vehicle
+
+log = logging.getLogger(__name__)
 
 _Latitude = Annotated[float, Field(ge=-90, le=90)]
 _Longitude = Annotated[float, Field(ge=-180, le=180)]
 _Length = Annotated[float, Field(gt=0)]
+
+_FRAMES = {Above.SEA: 0, Above.HOME: 3, Above.GROUND: 10}
 
 
 class _Part(BaseModel):
@@ -31,31 +41,42 @@ class _Part(BaseModel):
 
 
 class _SimpleItem(Command):
-    type: Literal["SimpleItem"]
+    type: Literal["SimpleItem", "missionItem"]
 
 
 class _CameraCalc(_Part):
-    distance_m: _Length | None = Field(None, alias="DistanceToSurface")
+    distance_m: float | None = Field(None, alias="DistanceToSurface")
     trigger_m: _Length | None = Field(None, alias="AdjustedFootprintFrontal")
+    mode: float | None = Field(None, alias="DistanceMode")
+    relative: bool | None = Field(None, alias="DistanceToSurfaceRelative")
 
 
 class _Transects(_Part):
     items: tuple[_SimpleItem, ...] = Field((), alias="Items")
     points: tuple[tuple[_Latitude, _Longitude], ...] = Field((), alias="VisualTransectPoints")
     camera: _CameraCalc = Field(_CameraCalc(), alias="CameraCalc")
-    follows_terrain: bool = Field(False, alias="FollowTerrain")
+    follows_terrain: bool | None = Field(None, alias="FollowTerrain")
+    hovers: bool = Field(False, alias="HoverAndCapture")
+    # QGroundControl, too, takes photographs in turns where a file does not say.
+    in_turns: bool = Field(True, alias="CameraTriggerInTurnAround")
+    turn_m: float = Field(0.0, alias="TurnAroundDistance")
 
 
 class _ComplexItem(_Part):
     type: Literal["ComplexItem"]
     kind: str = Field("ComplexItem", alias="complexItemType")
     transects: _Transects | None = Field(None, alias="TransectStyleComplexItem")
+    polyline: tuple[tuple[float, ...], ...] = ()
+    stops_photographs: bool = Field(False, alias="stopTakingPhotos")
 
 
 class _Mission(_Part):
     items: tuple[Annotated[_SimpleItem | _ComplexItem, Field(discriminator="type")], ...]
     home: tuple[_Latitude, _Longitude, float | None] = Field(alias="plannedHomePosition")
-    speed_m_s: _Length = Field(5.0, alias="hoverSpeed")
+    autopilot: int | None = Field(None, alias="firmwareType")
+    vehicle: int | None = Field(None, alias="vehicleType")
+    hover_m_s: _Length | None = Field(None, alias="hoverSpeed")
+    cruise_m_s: _Length | None = Field(None, alias="cruiseSpeed")
 
 
 class _Plan(_Part):
@@ -69,8 +90,11 @@ def read_plan(
     area_m: float,
     ground_height: GroundHeight,
     pitch_deg: float,
+    undulation_m: float | None = None,
 ) -> Aims:
     """Read a mission plan and return its exposures.
+
+    What a plan leaves open is said in one warning each.
 
     Args:
         path: The ``.plan`` file.
@@ -78,13 +102,23 @@ def read_plan(
         area_m: Side of the square place around the origin, metres.
         ground_height: Height of the ground in metres at world x, y in metres.
         pitch_deg: Pitch of the gimbal until the plan changes it.
+        undulation_m: Height of the geoid above the ellipsoid at the place, for heights above the
+            sea; None takes it from the grid of PROJ where that is installed.
 
     Raises:
         InputError: The file cannot be read or interpreted, the plan takes no photographs or too
             many, or it lies outside the place.
     """
     mission = read_json(path, _Plan, "mission plan").mission
-    aircraft = Aircraft(mission.home[:2], mission.speed_m_s, pitch_deg, origin, ground_height)
+    vehicle = Vehicle(
+        mission.home[:2],
+        mission.autopilot,
+        mission.vehicle,
+        mission.hover_m_s,
+        mission.cruise_m_s,
+    )
+    geoid_m = geoid_undulation(origin) if undulation_m is None else undulation_m
+    aircraft = Aircraft(vehicle, pitch_deg, Positions(vehicle, origin, ground_height, geoid_m))
     try:
         commands = list(_commands(mission))
         _require_near(aircraft, commands, origin, 0.5 * area_m)
@@ -93,38 +127,94 @@ def read_plan(
         raise InputError(f"mission plan {path}: {error}") from None
     if not len(aims.centres):
         raise InputError(f"mission plan {path} takes no photographs: give it camera triggers")
+    doubts = list(aircraft.doubts)
+    if geoid_m is None and any(c.frame in (0, 5) and c.command not in HARMLESS for c in commands):
+        doubts.append(
+            "its heights above the sea are taken for heights above the ellipsoid: give the geoid's "
+            "height by the flight's undulation_m"
+        )
+    for doubt in doubts:
+        log.warning("mission plan %s: %s", path, doubt)
     return aims
 
 
 def _commands(mission: _Mission) -> Iterator[Command]:
     """Yield all commands in flying order, including those of surveys."""
     for number, item in enumerate(mission.items):
+        where = f"item {number}"
         if isinstance(item, _SimpleItem):
-            yield item
+            yield item.model_copy(update={"where": where})
         elif item.transects is not None:
-            yield from item.transects.items or _along(item.transects, number)
-        elif "landing" not in item.kind.lower():
+            inner = item.transects.items
+            for row, command in enumerate(inner or _along(item, item.transects, where)):
+                yield command.model_copy(update={"where": f"{where}.Items[{row}]"})
+        elif "landing" in item.kind.lower():
+            yield from _landing(item, f"{where}, {item.kind}")
+        else:
             raise InputError(
-                f"item {number} is a {item.kind}, which is not understood: fly it by waypoints"
+                f"{where} is a {item.kind}, which is not understood: fly it by waypoints"
             )
 
 
-def _along(transects: _Transects, number: int) -> Iterator[Command]:
+def _landing(item: _ComplexItem, where: str) -> Iterator[Command]:
+    """Yield the commands of a landing pattern, with which photographs end."""
+    nothing = (0.0,) * 7
+    if item.stops_photographs:
+        for stop in (Mav.TRIGGER_DISTANCE, Mav.STOP_CAPTURE):
+            yield Command(command=stop, params=nothing, where=where)
+    yield Command(command=Mav.LAND, params=nothing, where=where)
+
+
+def _along(item: _ComplexItem, transects: _Transects, where: str) -> Iterator[Command]:
     """Yield the commands of a survey that was saved without them, made from its transects."""
-    height, trigger = transects.camera.distance_m, transects.camera.trigger_m
+    camera, remedy = transects.camera, "save it again in QGroundControl"
+    height, trigger = camera.distance_m, camera.trigger_m
     if not transects.points or height is None or trigger is None:
         raise InputError(
-            f"item {number} has neither Items nor transects with a distance to the surface and "
-            "between photographs: save it again in QGroundControl"
+            f"{where} has neither Items nor transects with a distance to the surface and "
+            f"between photographs: {remedy}"
         )
-    frame = (TERRAIN if transects.follows_terrain else RELATIVE)[0]
-    for k, (latitude, longitude) in enumerate(transects.points):
+    above = above_of_survey(camera.mode, camera.relative, transects.follows_terrain).require(
+        where, remedy
+    )
+    intervals = _intervals(item, transects, trigger)
+    if intervals is None:
+        raise InputError(
+            f"{where} has no Items, and its transects do not tell where its camera is released: "
+            f"{remedy}"
+        )
+    for row, (latitude, longitude) in enumerate(transects.points):
         place = (0.0, 0.0, 0.0, None, latitude, longitude, height)
-        yield Command(command=Mav.WAYPOINT, frame=frame, params=place)
-        if k == 0:
-            start = (trigger, 0.0, 1.0, None, None, None, None)
+        yield Command(command=Mav.WAYPOINT, frame=_FRAMES[above], params=place)
+        if transects.hovers:
+            once = (0.0, 0.0, 1.0, 0.0, None, None, None)
+            yield Command(command=Mav.START_CAPTURE, params=once)
+        elif row in intervals:
+            start = (intervals[row], 0.0, 1.0, None, None, None, None)
             yield Command(command=Mav.TRIGGER_DISTANCE, params=start)
-    yield Command(command=Mav.TRIGGER_DISTANCE, params=(0.0,) * 7)
+
+
+def _intervals(
+    item: _ComplexItem, transects: _Transects, trigger_m: float
+) -> dict[int, float] | None:
+    """Return the distance between photographs from each point on at which it is set.
+
+    QGroundControl sets it where each transect begins, and takes it back where each ends, or where
+    the last does if photographs are taken in turns. The result is None where the points do not tell
+    which they are.
+    """
+    turn = 1 if transects.turn_m else 0
+    if transects.hovers:
+        return None if turn else {}
+    inner = len(item.polyline) if item.kind.lower() == "corridorscan" else 2
+    each, count = inner + 2 * turn, len(transects.points)
+    if item.kind.lower() not in ("survey", "corridorscan") or inner < 2 or count % each:
+        return None
+    starts = [row for row in range(count) if row % each == turn]
+    ends = [row for row in range(count) if row % each == turn + inner - 1]
+    if transects.in_turns:
+        starts, ends = [0, *starts], [count - 1]
+    return dict.fromkeys(starts, trigger_m) | dict.fromkeys(ends, 0.0)
 
 
 def _require_near(

@@ -158,7 +158,12 @@ def survey(items: list[Item] | None) -> Item:
     corners = [(-60, -40), (-60, 40), (20, 40), (20, -40)]
     points = [geodetic_from_enu(np.array([*c, 0.0]), ORIGIN)[:2] for c in corners]
     transects = {
-        "CameraCalc": {"AdjustedFootprintFrontal": 8, "DistanceToSurface": 50, "version": 2},
+        "CameraCalc": {
+            "AdjustedFootprintFrontal": 8,
+            "DistanceMode": 1,
+            "DistanceToSurface": 50,
+            "version": 2,
+        },
         "FollowTerrain": False,
         "VisualTransectPoints": points,
         "version": 2,

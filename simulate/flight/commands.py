@@ -1,0 +1,178 @@
+"""Commands of missions: MAVLink's numbers and names, and which of them move a camera.
+
+The meanings are those of https://mavlink.io/en/messages/common.html.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from scene.errors import InputError
+from scene.quantities.mission_heights import Above, above_of_frame, check_mode
+from simulate.flight.command_names import NAMES
+
+# Heights that a plan says twice are one when they differ by no more, metres.
+_SAME_HEIGHT_M = 0.05
+
+
+class Mav(IntEnum):
+    """The commands that are followed."""
+
+    WAYPOINT = 16
+    LOITER_UNLIMITED = 17
+    LOITER_TURNS = 18
+    LOITER_TIME = 19
+    RETURN_TO_LAUNCH = 20
+    LAND = 21
+    TAKEOFF = 22
+    LOITER_TO_ALT = 31
+    ROI_OF_OLD = 80
+    SPLINE_WAYPOINT = 82
+    VTOL_TAKEOFF = 84
+    VTOL_LAND = 85
+    GUIDED_ENABLE = 92
+    DELAY = 93
+    CONDITION_DELAY = 112
+    CONDITION_DISTANCE = 114
+    CONDITION_YAW = 115
+    JUMP = 177
+    CHANGE_SPEED = 178
+    ROI_LOCATION = 195
+    ROI_NEXT = 196
+    ROI_NONE = 197
+    ROI = 201
+    DIGICAM_CONTROL = 203
+    MOUNT_CONFIGURE = 204
+    MOUNT_CONTROL = 205
+    TRIGGER_DISTANCE = 206
+    TRIGGER_INTERVAL = 214
+    OBLIQUE_SURVEY = 260
+    JUMP_TAG = 600
+    JUMP_TO_TAG = 601
+    GIMBAL_PITCHYAW = 1000
+    START_CAPTURE = 2000
+    STOP_CAPTURE = 2001
+    TRIGGER_CONTROL = 2003
+    VTOL_TRANSITION = 3000
+    CONDITION_GATE = 4501
+
+
+PLACES: Final = (
+    Mav.WAYPOINT,
+    Mav.SPLINE_WAYPOINT,
+    Mav.LOITER_UNLIMITED,
+    Mav.LOITER_TURNS,
+    Mav.LOITER_TIME,
+    Mav.LOITER_TO_ALT,
+)
+"""Commands that fly to a position and go on from there."""
+
+LANDINGS: Final = (Mav.RETURN_TO_LAUNCH, Mav.LAND, Mav.VTOL_LAND)
+NAVIGATION: Final = (*PLACES, *LANDINGS, Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.DELAY)
+"""Commands that end before the next begins; the others are done on the way."""
+
+CONDITIONS: Final = (Mav.CONDITION_DELAY, Mav.CONDITION_DISTANCE, Mav.CONDITION_GATE)
+"""Commands that delay those after them, up to the next navigation command."""
+
+CAPTURES: Final = (
+    Mav.DIGICAM_CONTROL,
+    Mav.TRIGGER_DISTANCE,
+    Mav.TRIGGER_INTERVAL,
+    Mav.OBLIQUE_SURVEY,
+    Mav.START_CAPTURE,
+    Mav.TRIGGER_CONTROL,
+)
+"""Commands that release a camera; a plan without any takes a photograph at every waypoint."""
+
+HARMLESS: Final = frozenset(
+    {95, 159, 188, 189, 200, 202, 207, 208, 211, 212, 222, 223, 240, 241, 242, 243, 245}
+    | {300, 400, 401, 405, 406, 410, 500, 510, 511, 512, 519, 520, 521, 522, 525, 526, 527, 528}
+    | {529, 530, 532, 533, 1001, 2002, 2010, 2500, 2501, 2502, 2503, 2504, 2505, 2510, 2511, 2520}
+    | {2600, 3001, 5000, 5001, 5002, 5003, 5004, 5100, 5300, 10001, 42600}
+)
+"""Commands that change neither where nor when photographs are taken: fences, video, storage."""
+
+DOUBTFUL: Final = frozenset({181, 182, 183, 184, 187, 531, 534})
+"""Commands that are left out with a word: relays and servos may move or release a camera, and a
+zoom changes what photographs show."""
+
+
+class Command(BaseModel):
+    """A command of a plan.
+
+    Attributes:
+        command: MAV_CMD.
+        frame: MAV_FRAME; None where the plan has none.
+        params: The seven parameters, None where a plan has null.
+        jump_id: The number by which jumps name the command.
+        mode: QGroundControl's AltitudeMode.
+        height: QGroundControl's Altitude, metres in that mode.
+        where: The place in the file, for messages.
+    """
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
+
+    command: int
+    frame: int | None = None
+    params: tuple[float | None, ...] = Field(min_length=7, max_length=7)
+    jump_id: int | None = Field(None, alias="doJumpId")
+    mode: float | None = Field(None, alias="AltitudeMode")
+    height: float | None = Field(None, alias="Altitude")
+    where: str = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_params(cls, values: Any) -> Any:
+        """Read the older forms: ``param1`` to ``param4``, and ``coordinate`` for the last three."""
+        if not isinstance(values, dict) or "coordinate" not in values:
+            return values
+        first = values.get("params", [values.get(f"param{k}") for k in range(1, 5)])
+        last = values["coordinate"]
+        if isinstance(first, list) and isinstance(last, list) and len(first) == 4:
+            return values | {"params": [*first, *last]}
+        return values
+
+    @property
+    def title(self) -> str:
+        """Return place, number and name of the command, for messages."""
+        name = NAMES.get(self.command, "no command that is known")
+        return f"{self.where or 'a command'} ({self.command}, {name})"
+
+    def fault(self, what: str, remedy: str) -> InputError:
+        """Return the error of a command that cannot be followed."""
+        return InputError(f"{self.title} {what}: {remedy}")
+
+    def number(self, index: int, meaning: str) -> float:
+        """Return a parameter, counted from 0.
+
+        Raises:
+            InputError: It is null, so that the meaning is unknown.
+        """
+        value = self.params[index]
+        if value is None:
+            raise self.fault(f"has no {meaning} (params[{index}] is null)", "set it in the plan")
+        return value
+
+    def above(self) -> Above:
+        """Return what the height of the command, its last parameter, is above.
+
+        Raises:
+            InputError: The frame has no heights, or the plan contradicts itself.
+        """
+        above = above_of_frame(self.frame).require(
+            self.title, "make its height relative, absolute or above terrain"
+        )
+        if told := check_mode(self.mode, above):
+            raise self.fault(f"contradicts itself: {told}", "save the plan in QGroundControl again")
+        height, said = self.params[6], self.height
+        if self.mode in (None, 3) or said is None or height is None:
+            return above
+        if abs(said - height) > _SAME_HEIGHT_M:
+            raise self.fault(
+                f"contradicts itself: Altitude is {said:g} m, params[6] is {height:g} m",
+                "save the plan in QGroundControl again",
+            )
+        return above

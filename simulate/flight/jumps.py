@@ -1,0 +1,68 @@
+"""Jumps of missions, which repeat a part of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from simulate.flight.commands import Command, Mav
+
+_LONGEST = 100_000
+
+
+def unroll(commands: Sequence[Command]) -> list[Command]:
+    """Return the commands in the order in which they are done, without jumps.
+
+    A jump is done as often as it says, over the whole mission; then it is passed.
+
+    Raises:
+        InputError: A jump has no target or several, does not end, or makes the mission too long.
+    """
+    if not any(c.command in (Mav.JUMP, Mav.JUMP_TO_TAG) for c in commands):
+        return [c for c in commands if c.command != Mav.JUMP_TAG]
+    done: list[Command] = []
+    jumped: Counter[int] = Counter()
+    row = 0
+    while row < len(commands):
+        command = commands[row]
+        if command.command not in (Mav.JUMP, Mav.JUMP_TO_TAG):
+            if command.command != Mav.JUMP_TAG:
+                done.append(command)
+            row += 1
+            continue
+        repeats, target = _repeats(command), _target(commands, command)
+        if jumped[row] >= repeats:
+            row += 1
+            continue
+        jumped[row] += 1
+        if len(done) + sum(jumped.values()) > _LONGEST:
+            raise command.fault(
+                f"makes the mission longer than {_LONGEST} commands", "repeat less often"
+            )
+        row = target
+    return done
+
+
+def _repeats(command: Command) -> int:
+    repeats = command.number(1, "repeat count")
+    if repeats < 0:
+        raise command.fault("repeats without an end", "set how often it repeats")
+    if repeats != int(repeats):
+        raise command.fault(f"repeats {repeats:g} times (params[1])", "set a whole number")
+    return int(repeats)
+
+
+def _target(commands: Sequence[Command], jump: Command) -> int:
+    """Return the row of the command to which a jump leads."""
+    wanted = jump.number(0, "target")
+    if jump.command == Mav.JUMP_TO_TAG:
+        tags = (c.params[0] if c.command == Mav.JUMP_TAG else None for c in commands)
+        rows = [row for row, tag in enumerate(tags) if tag == wanted]
+    else:
+        rows = [row for row, c in enumerate(commands) if c.jump_id == wanted]
+    if len(rows) != 1:
+        raise jump.fault(
+            f"jumps to {wanted:g}, which {len(rows) or 'no'} commands are",
+            "save the plan in QGroundControl again",
+        )
+    return rows[0]
