@@ -39,7 +39,7 @@ SurfaceModel = Annotated[
     Path | None,
     typer.Option(
         metavar="GEOTIFF",
-        help="Surface model of the orthophoto: heights in metres, with buildings and trees.",
+        help="Surface model of the orthophoto: heights, with buildings and trees.",
     ),
 ]
 
@@ -48,7 +48,8 @@ Undulation = Annotated[
     typer.Option(
         metavar="METRES",
         help="Height of the geoid above the ellipsoid at the place, for a surface model with "
-        "heights above sea level. Without it, heights are above the ellipsoid.",
+        "heights above sea level; 0 says that they are above the ellipsoid, which is also what is "
+        "taken without it.",
         min=-200,
         max=200,
     ),
@@ -151,7 +152,7 @@ def build_map(
 
     given = {name: value for name, value in views.items() if value is not None}
     options = ViewOptions.model_validate(given)
-    made = photograph_orthophoto(ortho, dsm, out, undulation=undulation or 0.0, options=options)
+    made = photograph_orthophoto(ortho, dsm, out, undulation=undulation, options=options)
     report = run(out, method.value, cluster)
     summary = {"virtual": made.as_dict(), **report.as_dict()}
     emit(Summary(f"{made.text()}\n{report.text()}", summary), as_json)

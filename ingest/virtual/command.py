@@ -24,7 +24,7 @@ from scene.bundle.frames import Frames, Layer, write_frames
 from scene.bundle.manifest import Manifest, Objects, Session, Splits, write_json
 from scene.bundle.scene import COVISIBILITY, finish_scene
 from scene.errors import InputError
-from scene.geo.local import world_from
+from scene.geo.local import at_height, world_from
 from scene.geo.rasters import Grid, Patch, Raster
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
@@ -56,19 +56,22 @@ class VirtualReport:
         altitude_m: their height above the ground, metres.
         ground_pixel_m: side of a pixel of a view from above on the ground, metres.
         left_out: number of views that would show too little surface.
+        notes: what is to be known of the files; a line each.
     """
 
     views: int
     altitude_m: float
     ground_pixel_m: float
     left_out: int
+    notes: tuple[str, ...] = ()
 
     def text(self) -> str:
-        """Return the figures in one line."""
-        return (
+        """Return the figures in one line, and the notes."""
+        figures = (
             f"{self.views} virtual views from {self.altitude_m:.0f} m above the ground, "
             f"{100 * self.ground_pixel_m:.1f} cm a pixel; {self.left_out} left out at the edges"
         )
+        return "\n".join((figures, *self.notes))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures."""
@@ -81,7 +84,7 @@ def photograph_orthophoto(
     dsm: Path,
     out: Path,
     *,
-    undulation: float = 0.0,
+    undulation: float | None = None,
     options: ViewOptions = _DEFAULTS,
     origin: Geodetic | None = None,
 ) -> VirtualReport:
@@ -91,10 +94,10 @@ def photograph_orthophoto(
 
     Args:
         orthophoto: GeoTIFF of 8 bits in any reference system in metres.
-        dsm: GeoTIFF of heights in metres; it may have another reference system and resolution.
+        dsm: GeoTIFF of heights; it may have another reference system and resolution.
         out: new or empty folder.
         undulation: height of the geoid above the ellipsoid at the place, metres, for a surface
-            model with heights above sea level.
+            model with heights above sea level; 0 says that they are above the ellipsoid.
         options: where views are taken from.
         origin: origin of the world; by default in the middle of the orthophoto, on the ground.
 
@@ -105,7 +108,10 @@ def photograph_orthophoto(
     rasters = Raster.open(orthophoto, "orthophoto"), Raster.open(dsm, "surface model")
     require_empty(out)
     check_output_folder(out, [orthophoto, dsm])
-    survey = _survey(*rasters, undulation, options, origin)
+    survey = _survey(*rasters, undulation or 0.0, options, origin)
+    colours, heights = rasters
+    place = survey.surface.origin
+    notes = (*colours.notes(place), *heights.notes(place, undulation))
     camera = camera_of(options)
     planned = _planned(survey, camera, options)
     if len(planned.poses) < _FEWEST:
@@ -116,14 +122,18 @@ def photograph_orthophoto(
     config = {
         "orthophoto": {"file": orthophoto.name, "sha256": sha256_of(orthophoto)},
         "dsm": {"file": dsm.name, "sha256": sha256_of(dsm)},
-        "undulation": undulation,
+        "undulation": undulation or 0.0,
         "views": options.model_dump(mode="json"),
     }
     with atomic_folder(out) as folder:
         _write(folder, survey, camera, planned.poses, options.farthest * survey.altitude)
         finish_scene(folder, _manifest(survey.surface.origin, config))
     return VirtualReport(
-        len(planned.poses), survey.altitude, survey.altitude / camera.focal[0], planned.left_out
+        len(planned.poses),
+        survey.altitude,
+        survey.altitude / camera.focal[0],
+        planned.left_out,
+        notes,
     )
 
 
@@ -159,7 +169,7 @@ class _Survey:
         around = self.ground.values[0, rows, columns]
         around = around[np.isfinite(around)]
         heights = around if around.size else self.ground.values[np.isfinite(self.ground.values)]
-        point[2] = float(heights.mean()) + self.altitude - at.altitude
+        point[2] = float(heights.mean()) + self.altitude - coordinates[2]
         return point
 
 
@@ -178,14 +188,14 @@ def _survey(
         low, high = min(low, float(known.min())), max(high, float(known.max()))
     if not np.isfinite(low):
         raise InputError(f"surface model {heights.path} has no height")
-    altitude = options.altitude or max(colours.grid.pixel) * camera_of(options).focal[0]
+    altitude = options.altitude or max(colours.grid.ground_pixel) * camera_of(options).focal[0]
     ground = heights.patch(heights.grid.box, altitude / 4)
     ground = replace(ground, values=ground.values + np.float32(undulation))
     if origin is None:
         box = colours.grid.box
         middle = np.array([(box.left + box.right) / 2, (box.bottom + box.top) / 2, 0.0])
-        middle[2] = float(np.nanmean(ground.values))
-        origin = colours.grid.projection.to_geodetic(middle)
+        place = colours.grid.projection.to_geodetic(middle)
+        origin = at_height(heights.grid.projection, place, float(np.nanmean(ground.values)))
     ends = [
         _ends(raster.grid, origin, (low + high) / 2 + undulation) for raster in (colours, heights)
     ]

@@ -95,7 +95,7 @@ class Surface:
         heights: surface model.
         undulation: height of the geoid above the ellipsoid, metres, which is added to the heights.
         origin: origin of the world.
-        low: lowest height of the surface model above the ellipsoid, metres.
+        low: lowest height of the surface model with the undulation, metres.
         high: highest one.
     """
 
@@ -121,7 +121,8 @@ class Surface:
         local, _ = camera.unproject(camera.pixel_grid().reshape(-1, 2))
         nothing = np.zeros(len(local))
         rays = _Rays(start, local.numpy() @ cam_from_world[:3, :3], nothing, nothing)
-        above = geodetic_from_enu(start, self.origin).altitude
+        at = geodetic_from_enu(start, self.origin)
+        above = float(self.heights.grid.projection.from_geodetic(at)[2])
         rays = rays.between(above, self.low, self.high, farthest)
         depth = self._depth(camera, rays, above, farthest) if rays.meet.any() else nothing
         rgb = self._paint(camera, rays, depth)
@@ -249,7 +250,7 @@ def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float)
     first, last = (torch.from_numpy(d[which].astype(np.float32)) for d in (rays.first, rays.last))
     across = torch.from_numpy(np.linalg.norm(rays.directions[which, :2], axis=1)).float()
     # Depth in which a ray crosses a pixel; upright rays take a pixel of depth.
-    step = min(patch.grid.pixel) / across.clamp_min(0.2)
+    step = min(patch.grid.ground_pixel) / across.clamp_min(0.2)
     first = _before_surface(lines, image.ceiling(), first, last, step)
     shallow, deep = _step_of_entry(lines, image, first, last, step)
     hit = torch.nonzero(deep > 0)[:, 0]

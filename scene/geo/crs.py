@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.geometry.geodesy import Geodetic
+from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from scene.runtime.escaping import for_terminal
 from scene.runtime.extras import import_extra
 
@@ -22,6 +22,13 @@ _SEA_LEVEL = "EPSG:4326+5773"
 _WGS84 = "EPSG:4979"
 # How far beyond its area of use a system may be used, degrees.
 _BESIDE_DEG = 3.0
+# A way to WGS84 that is exact to less than this is worth a remark, metres. Systems that are in use
+# have ways of 1 to 4 m; the old ones of the last century have 8 to 50 m without their grids.
+_EXACT_M = 5.0
+# Side of the cross whose images tell the scale of a system, metres.
+_CROSS_M = 10.0
+# Descriptions that are longer than this are not repeated in messages.
+_SHORT = 60
 
 
 class Projection:
@@ -29,40 +36,49 @@ class Projection:
 
     Heights are passed through where the system has only two dimensions: they stay metres above the
     ellipsoid. Coordinates are in the order east, north (longitude, latitude), whatever order
-    the system's authority has.
+    the system's authority has. No conversion is a ballpark: PROJ calls one so that leaves out a
+    change of datum, or of what heights are above.
     """
 
-    def __init__(self, crs: str) -> None:
+    def __init__(self, crs: str, *, horizontal: bool = False, metric_heights: bool = False) -> None:
         """Look a system up.
 
         Args:
             crs: ``EPSG:n``, or another description that PROJ reads, such as WKT.
+            horizontal: leave the system's heights out.
+            metric_heights: have heights in metres, also where those of the system are not.
 
         Raises:
             InputError: pyproj is not installed, it knows no such system, the system has no
-                horizontal coordinates, or the grid of its heights is not installed.
+                horizontal coordinates, its heights point down, or PROJ has no conversion, for
+                example because a grid is not installed.
         """
         pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
+        label = for_terminal(crs) if len(crs) <= _SHORT else "the description"
         try:
             self._crs: Any = pyproj.CRS.from_user_input(crs)
-            if not (self._crs.is_projected or self._crs.is_geographic):
-                raise InputError(
-                    f"{for_terminal(crs)} ({self.name}) has no eastings and northings: give a "
-                    "projected or geographic system, such as EPSG:32632"
-                )
-            if self._crs.is_compound and (grid := _missing_grid(pyproj, self._crs)):
-                raise InputError(
-                    f"heights in {self.name} need the grid {grid}, which is not installed: run "
-                    f"'projsync --file {grid}', or give the horizontal system alone"
-                )
-            turned = {"always_xy": True}
-            self._from = pyproj.Transformer.from_crs(_WGS84, self._crs, **turned)
-            self._to = pyproj.Transformer.from_crs(self._crs, _WGS84, **turned)
         except pyproj.exceptions.ProjError:
             raise InputError(
-                f"{for_terminal(crs)} is no coordinate reference system that PROJ knows: give "
+                f"{label} is no coordinate reference system that PROJ knows: give "
                 "EPSG:n, such as EPSG:32632"
             ) from None
+        if horizontal:
+            self._crs = _without_heights(self._crs)
+        if not (self._crs.is_projected or self._crs.is_geographic):
+            raise InputError(
+                f"{label} ({self.name}) has no eastings and northings: give a "
+                "projected or geographic system, such as EPSG:32632"
+            )
+        if any(axis.direction == "down" for axis in self._crs.axis_info):
+            raise InputError(
+                f"heights in {self.name} point down: give a system with heights that point up"
+            )
+        self._up = (self.height_unit_m or 1.0) if metric_heights else 1.0
+        try:
+            self._from = _transformer(pyproj, _WGS84, self._crs)
+            self._to = _transformer(pyproj, self._crs, _WGS84)
+        except pyproj.exceptions.ProjError:
+            raise InputError(self._no_way(pyproj)) from None
 
     @property
     def name(self) -> str:
@@ -88,8 +104,53 @@ class Projection:
     @property
     def is_metric(self) -> bool:
         """Return whether all coordinates are metres: whether it is a map's grid, not degrees."""
-        return bool(self._crs.is_projected) and all(
-            axis.unit_name == "metre" for axis in self._crs.axis_info
+        grid = all(axis.unit_conversion_factor == 1 for axis in self._crs.axis_info[:2])
+        return bool(self._crs.is_projected) and grid and (self.height_unit_m or 1.0) == self._up
+
+    @property
+    def height_unit_m(self) -> float | None:
+        """Length of the unit of the system's heights, metres; None where it has no heights."""
+        units = [axis.unit_conversion_factor for axis in self._crs.axis_info[2:]]
+        return float(units[0]) if units else None
+
+    def scale_at(self, place: Geodetic) -> tuple[float, float]:
+        """Return how many units of the system a metre of ground is, along its east and north.
+
+        They are close to 1 in the grids of surveys, and 1 / cos(latitude) in Mercator's of the web.
+        """
+        ends = np.array([[_CROSS_M, 0, 0], [-_CROSS_M, 0, 0], [0, _CROSS_M, 0], [0, -_CROSS_M, 0]])
+        at = np.array([self.from_geodetic(geodetic_from_enu(x, place))[:2] for x in ends])
+        units = np.stack([at[0] - at[1], at[2] - at[3]], -1) / (2 * _CROSS_M)
+        if not np.isfinite(units).all() or not np.linalg.det(units):
+            raise InputError(f"{self.name} has no scale at {place.latitude:g}, {place.longitude:g}")
+        metres = np.linalg.norm(np.linalg.inv(units), axis=0)
+        return float(1 / metres[0]), float(1 / metres[1])
+
+    def doubt_at(self, place: Geodetic) -> str:
+        """Return a phrase on coordinates that are exact to 5 m or less at a place, or nothing."""
+        self.from_geodetic(place)
+        used = self._from.get_last_used_operation()
+        if used.accuracy <= _EXACT_M:
+            return ""
+        grid = _missing_grid(import_extra("pyproj", "geo", "a reference system"), self._crs)
+        remedy = f": the grid {grid} is not installed (projsync --file {grid})" if grid else ""
+        return f"positions in {self.name} are exact to {used.accuracy:g} m on earth{remedy}"
+
+    def _no_way(self, pyproj: Any) -> str:
+        """Return why there is no conversion."""
+        if not self._crs.axis_info[2:]:
+            return (
+                f"PROJ knows no conversion between {self.name} and WGS 84 but a ballpark, which "
+                "leaves out the change of datum: give the system of the datum, such as EPSG:n"
+            )
+        if grid := _missing_grid(pyproj, self._crs):
+            return (
+                f"heights in {self.name} need the grid {grid}, which is not installed: run "
+                f"'projsync --file {grid}', or give the horizontal system alone"
+            )
+        return (
+            f"PROJ knows no conversion between heights in {self.name} and the ellipsoid but a "
+            "ballpark: give the horizontal system alone"
         )
 
     def reaches(self, place: Geodetic) -> bool:
@@ -107,7 +168,8 @@ class Projection:
 
     def from_geodetic(self, place: Geodetic) -> NDArray[np.float64]:
         """Return east, north and height of a place, (3,) in the system's units."""
-        return np.array(self._from.transform(place.longitude, place.latitude, place.altitude))
+        x, y, h = self._from.transform(place.longitude, place.latitude, place.altitude)
+        return np.array([x, y, h * self._up])
 
     def to_geodetic(self, coordinates: NDArray[np.float64]) -> Geodetic:
         """Return the place of east, north and height, (3,) in the system's units.
@@ -115,7 +177,8 @@ class Projection:
         Raises:
             InputError: the system does not reach there.
         """
-        longitude, latitude, altitude = self._to.transform(*coordinates)
+        x, y, h = coordinates
+        longitude, latitude, altitude = self._to.transform(x, y, h / self._up)
         if not np.isfinite([longitude, latitude, altitude]).all():
             at = ", ".join(f"{value:g}" for value in coordinates)
             raise InputError(f"{at} is no position in {self.name}")
@@ -135,12 +198,24 @@ def geoid_undulation(place: Geodetic) -> float | None:
     return undulation if np.isfinite(undulation) else None
 
 
+def _transformer(pyproj: Any, start: Any, end: Any) -> Any:
+    return pyproj.Transformer.from_crs(start, end, always_xy=True, allow_ballpark=False)
+
+
+def _without_heights(crs: Any) -> Any:
+    """Return the horizontal part of a system."""
+    if crs.is_compound:
+        return crs.sub_crs_list[0].to_2d()
+    return crs.to_2d() if len(crs.axis_info) > 2 else crs
+
+
 def _missing_grid(pyproj: Any, crs: Any) -> str | None:
-    """Return the grid that the best conversion to a system lacks; without, heights are wrong."""
+    """Return the grid that the best conversion to a system lacks."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it says the same in many lines
         group = pyproj.transformer.TransformerGroup(_WGS84, crs, always_xy=True)
-    if group.best_available or not group.unavailable_operations:
-        return None
-    lacking = [grid for grid in group.unavailable_operations[0].grids if not grid.available]
-    return str(lacking[0].short_name) if lacking else None
+    for operation in group.unavailable_operations:
+        lacking = [grid for grid in operation.grids if not grid.available]
+        if lacking:
+            return str(lacking[0].short_name)
+    return None

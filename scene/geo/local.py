@@ -94,3 +94,13 @@ def world_from(projection: Projection, origin: Geodetic, coordinates: Array) -> 
         InputError: the reference system does not reach there.
     """
     return np.stack([enu_from_geodetic(projection.to_geodetic(x), origin) for x in coordinates])
+
+
+def at_height(projection: Projection, place: Geodetic, height: float) -> Geodetic:
+    """Return the place above or below another that has a height of a reference system, metres.
+
+    Raises:
+        InputError: the reference system does not reach there.
+    """
+    east, north, _ = projection.from_geodetic(place)
+    return projection.to_geodetic(np.array([east, north, height]))

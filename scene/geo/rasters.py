@@ -14,90 +14,40 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError, WriteError
-from scene.geo.crs import Projection
+from scene.geo.grids import Box as Box
+from scene.geo.grids import Grid as Grid
+from scene.geo.grids import Patch as Patch
+from scene.geo.headers import (
+    REFERENCE_TAG,
+    Layout,
+    check_blocks,
+    check_undulation,
+    grid_of,
+    heights_note,
+    layout_of,
+)
+from scene.geo.headers import Kind as Kind
+from scene.geometry.geodesy import Geodetic
+from scene.quantities.holes import HIGHEST_M, LOWEST_M, ground_of
 from scene.runtime.extras import import_extra
 from scene.storage.files import require_readable
 
-Kind = Literal["orthophoto", "surface model"]
 NO_HEIGHT: Final = -9999.0
 """The height that stands for no data in the surface models that we write."""
 
-# Heights of no ground on earth (m): files often use such values for no data without saying so.
-_LOWEST, _HIGHEST = -1_000.0, 10_000.0
-# GDAL decodes a block as a whole, and a file of a few bytes may claim any size.
-_MOST_BLOCK_BYTES = 1 << 29
 _MOST_PATCH_PIXELS = 1 << 28
 # Pixels that are read at once to form means.
 _READ_PIXELS = 1 << 22
+# Rows of the strips that are looked at for no data that is not declared, and their most pixels.
+_SURVEYED_ROWS, _MOST_SURVEYED = 256, 1 << 26
 # Rows and columns of the tiles of the files that we write.
 _TILE = 256
-
-
-class Box(NamedTuple):
-    """A rectangle in the coordinates of a reference system, metres."""
-
-    left: float
-    bottom: float
-    right: float
-    top: float
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Where the pixels of a north-up raster lie.
-
-    Attributes:
-        projection: reference system of the coordinates.
-        left: east coordinate of the outer edge of the first column, metres.
-        top: north coordinate of the outer edge of the first row, metres.
-        pixel: width and height of a pixel, metres.
-        width: number of columns.
-        height: number of rows.
-    """
-
-    projection: Projection
-    left: float
-    top: float
-    pixel: tuple[float, float]
-    width: int
-    height: int
-
-    @property
-    def box(self) -> Box:
-        """Return the outline."""
-        right = self.left + self.width * self.pixel[0]
-        return Box(self.left, self.top - self.height * self.pixel[1], right, self.top)
-
-    def columns_rows(
-        self, east: NDArray[np.float64], north: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return columns and rows of coordinates; the centre of the first pixel is (0.5, 0.5)."""
-        return (east - self.left) / self.pixel[0], (self.top - north) / self.pixel[1]
-
-    def part(self, row: int, column: int, height: int, width: int) -> Grid:
-        """Return the grid of a rectangle of the pixels."""
-        left = self.left + column * self.pixel[0]
-        top = self.top - row * self.pixel[1]
-        return replace(self, left=left, top=top, width=width, height=height)
-
-
-@dataclass(frozen=True)
-class Patch:
-    """A piece of a raster in memory.
-
-    Attributes:
-        grid: where its pixels lie; they may be larger than those of the file.
-        values: (bands, H, W) float32, NaN where there is no data.
-    """
-
-    grid: Grid
-    values: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -108,31 +58,65 @@ class Raster:
         path: file.
         kind: what its values are.
         grid: where its pixels lie.
-        bands: numbers of the bands that are read, from 1.
+        layout: how its bands become values.
+        lowest: lower heights are no data, metres.
+        highest: higher heights are no data, metres.
+        holes: heights that stand for no data, metres.
+        doubts: what was found out that the file does not say; a line each.
     """
 
     path: Path
     kind: Kind
     grid: Grid
-    bands: tuple[int, ...]
+    layout: Layout
+    lowest: float = LOWEST_M
+    highest: float = HIGHEST_M
+    holes: tuple[float, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @staticmethod
     def open(path: Path, kind: Kind) -> Raster:
         """Read the header of a GeoTIFF.
 
         Args:
-            path: file. An orthophoto has 8 bits and 1 band (grey), 3 or 4 bands (colours, of which
-                the first three are read); a surface model has 1 band of heights in metres.
+            path: file. An orthophoto has 8 bits, and the file says which bands are red, green and
+                blue, or has one band of grey or of a palette. A surface model has one band of
+                heights, a class mask one of 8 bits. A surface model is read once as a whole.
             kind: what the file has to be.
 
         Raises:
             InputError: rasterio is not installed, or the file is missing, damaged, no GeoTIFF, has
-                no reference system in metres, is rotated, or has other bands.
+                no reference system in metres, is rotated, has other bands, or does not say what
+                they are.
         """
         with _opened(path, kind) as source:
-            grid = _grid(source, path, kind)
-            _check_blocks(source, path, kind)
-            return Raster(path, kind, grid, _bands(source, path, kind))
+            grid = grid_of(source, path, kind)
+            check_blocks(source, path, kind)
+            layout = layout_of(source, path, kind, grid.projection)
+            declared = any(value is not None for value in source.nodatavals)
+        raster = Raster(path, kind, grid, layout)
+        return _surveyed(raster, declared) if kind == "surface model" else raster
+
+    def notes(self, place: Geodetic, undulation: float | None = None) -> tuple[str, ...]:
+        """Return what a user has to know of the file; a line each.
+
+        Args:
+            place: where it is used.
+            undulation: height of the geoid that a person gave; None for none.
+
+        Raises:
+            InputError: ``undulation`` contradicts the file.
+        """
+        lines = [self.grid.projection.doubt_at(place), *self.doubts]
+        if self.kind == "surface model":
+            check_undulation(self.grid.projection, self.path, undulation or 0.0)
+            lines.append(heights_note(self.layout, self.path, undulation is not None) or "")
+        return tuple(line for line in lines if line)
+
+    @property
+    def bands(self) -> tuple[int, ...]:
+        """Return the numbers of the bands that are read, from 1."""
+        return self.layout.bands.colours
 
     def patch(self, box: Box, pixel: float = 0.0) -> Patch:
         """Read a rectangle of the raster.
@@ -140,19 +124,19 @@ class Raster:
         Args:
             box: rectangle in the raster's coordinates. The patch covers the part of it that lies in
                 the raster, and a pixel more; a patch beyond the raster is one pixel without data.
-            pixel: size of the pixels that are needed, metres. Where those of the file are at most
-                half as large, each pixel of the patch is the mean of several.
+            pixel: size on the ground of the pixels that are needed, metres. Where those of the file
+                are at most half as large, each pixel of the patch is the mean of several.
 
         Raises:
             InputError: the file is damaged there, or the patch has more than 268 million pixels.
         """
         grid = self.grid
-        factor = min(max(1, math.floor(pixel / max(grid.pixel))), grid.width, grid.height)
+        factor = min(max(1, math.floor(pixel / max(grid.ground_pixel))), grid.width, grid.height)
         ends = np.array([box.left, box.right]), np.array([box.top, box.bottom])
         across, down = grid.columns_rows(*ends)
         columns, rows = _span(across, grid.width, factor), _span(down, grid.height, factor)
         if columns.start >= columns.stop or rows.start >= rows.stop:
-            nothing = np.full((len(self.bands), 1, 1), np.nan, np.float32)
+            nothing = np.full((self.layout.channels, 1, 1), np.nan, np.float32)
             return Patch(grid.part(0, 0, 1, 1), nothing)
         height = math.ceil((rows.stop - rows.start) / factor)
         width = math.ceil((columns.stop - columns.start) / factor)
@@ -172,7 +156,7 @@ class Raster:
 
         The ranges are multiples of the factor and may reach beyond the raster.
         """
-        shape = (len(self.bands), len(rows) // factor, len(columns) // factor)
+        shape = (self.layout.channels, len(rows) // factor, len(columns) // factor)
         values = np.full(shape, np.nan, np.float32)
         at_once = max(1, _READ_PIXELS // (len(columns) * factor))
         with _opened(self.path, self.kind) as source:
@@ -186,27 +170,86 @@ class Raster:
     def _pixels(self, source: Any, rows: range, columns: range) -> NDArray[np.float32]:
         """Read pixels of the file, (bands, H, W); those beyond its edges are NaN."""
         windows = import_extra("rasterio.windows", "geo", "a GeoTIFF")
-        values = np.full((len(self.bands), len(rows), len(columns)), np.nan, np.float32)
+        values = np.full((self.layout.channels, len(rows), len(columns)), np.nan, np.float32)
         height = min(rows.stop, self.grid.height) - rows.start
         width = min(columns.stop, self.grid.width) - columns.start
         window = windows.Window(columns.start, rows.start, width, height)
-        read = source.read(list(self.bands), window=window, masked=True, out_dtype=np.float32)
-        values[:, :height, :width] = read.filled(np.nan)
-        if self.kind == "surface model":
-            values[~((values > _LOWEST) & (values < _HIGHEST))] = np.nan
+        read = self._heights if self.kind == "surface model" else self._colours
+        values[:, :height, :width] = np.where(
+            self._known(source, window), read(source, window), np.nan
+        )
         return values
 
-    def strips(self, rows: int = 1024) -> Iterator[Patch]:
+    def _known(self, source: Any, window: Any) -> NDArray[np.bool_]:
+        """Return which pixels have data by the file's own words, (H, W).
+
+        A colour has no data where all its bands have the value of no data: one band of 0 is a
+        colour.
+        """
+        known = source.read_masks(list(self.bands), window=window).any(0)
+        alpha = self.layout.bands.alpha
+        return known if alpha is None else known & (source.read(alpha, window=window) > 0)
+
+    def _heights(self, source: Any, window: Any) -> NDArray[np.float32]:
+        """Return heights in metres, (1, H, W); NaN where there is no ground."""
+        metres = self.layout.metres
+        exact = np.float32 if metres.is_plain else np.float64
+        values = source.read(list(self.bands), window=window, out_dtype=exact)
+        if not metres.is_plain:
+            values = (values * metres.factor + metres.offset).astype(np.float32)
+        values[~((values >= self.lowest) & (values < self.highest))] = np.nan
+        for height in self.holes:
+            values[values == np.float32(height)] = np.nan
+        return np.asarray(values)
+
+    def _colours(self, source: Any, window: Any) -> NDArray[np.float32]:
+        """Return colours in 0..255, or numbers of classes, (channels, H, W)."""
+        table = self.layout.table
+        values = source.read(list(self.bands), window=window)
+        if table is None:
+            return np.asarray(255 - values if self.layout.inverted else values, np.float32)
+        numbers = values[0]
+        found = table[np.minimum(numbers, len(table) - 1)]
+        found[(numbers >= len(table)) | (found[..., 3] == 0)] = np.nan
+        return np.moveaxis(found[..., :3], -1, 0)
+
+    def strips(self, rows: int = 1024, every: int = 1) -> Iterator[Patch]:
         """Read the whole raster from top to bottom, ``rows`` rows at a time.
+
+        Args:
+            rows: height of a strip, pixels.
+            every: read only each ``every``-th strip.
 
         Raises:
             InputError: the file is damaged.
         """
-        for first in range(0, self.grid.height, rows):
+        for first in range(0, self.grid.height, every * rows):
             count = min(rows, self.grid.height - first)
             part = self.grid.part(first, 0, count, self.grid.width)
             pixels = self._read(range(first, first + count), range(self.grid.width), 1)
             yield Patch(part, pixels)
+
+
+def _surveyed(raster: Raster, declared: bool) -> Raster:
+    """Return a surface model with what its heights tell of no data that the file does not declare.
+
+    Raises:
+        InputError: the file is damaged, or its heights do not tell.
+    """
+
+    def strips() -> Iterator[NDArray[np.float32]]:
+        return (strip.values[0] for strip in raster.strips(_SURVEYED_ROWS, every))
+
+    every = math.ceil(raster.grid.width * raster.grid.height / _MOST_SURVEYED)
+    pixel_m = max(raster.grid.ground_pixel)
+    ground = ground_of(strips, declared, pixel_m, f"{raster.kind} {raster.path}")
+    return replace(
+        raster,
+        lowest=ground.lowest,
+        highest=ground.highest,
+        holes=ground.holes,
+        doubts=tuple(f"{raster.path.name}: {doubt}" for doubt in ground.doubts),
+    )
 
 
 def _span(ends: NDArray[np.float64], size: int, factor: int) -> range:
@@ -247,58 +290,6 @@ def _opened(path: Path, kind: Kind) -> Iterator[Any]:
         raise InputError(
             f"{kind} {path} is damaged or no GeoTIFF: {reason or 'it cannot be decoded'}"
         ) from None
-
-
-def _grid(source: Any, path: Path, kind: Kind) -> Grid:
-    if source.crs is None:
-        raise InputError(
-            f"{kind} {path} has no coordinate reference system: gdal_edit -a_srs EPSG:n adds it"
-        )
-    projection = Projection(source.crs.to_wkt())
-    if not projection.is_metric:
-        raise InputError(
-            f"{kind} {path} is in {projection.name}, whose units are not metres: gdalwarp -t_srs "
-            "EPSG:n converts it, for example to UTM"
-        )
-    place = source.transform
-    if place.is_identity:
-        raise InputError(f"{kind} {path} has no place on earth: it has no geotransform")
-    numbers = (place.a, place.b, place.c, place.d, place.e, place.f)
-    if not all(math.isfinite(x) for x in numbers) or place.b or place.d:
-        raise InputError(f"{kind} {path} is rotated against north: gdalwarp turns it upright")
-    if place.a <= 0 or place.e >= 0:
-        raise InputError(f"{kind} {path} does not have north above: gdalwarp turns it upright")
-    return Grid(projection, place.c, place.f, (place.a, -place.e), source.width, source.height)
-
-
-def _check_blocks(source: Any, path: Path, kind: Kind) -> None:
-    size = max(np.dtype(name).itemsize for name in source.dtypes) * source.count
-    if max(math.prod(block) for block in source.block_shapes) * size > _MOST_BLOCK_BYTES:
-        raise InputError(
-            f"{kind} {path} is stored in pieces that do not fit in memory: gdal_translate -co "
-            "TILED=YES makes smaller ones"
-        )
-
-
-def _bands(source: Any, path: Path, kind: Kind) -> tuple[int, ...]:
-    types = set(source.dtypes)
-    if kind == "surface model":
-        if source.count != 1:
-            raise InputError(f"{kind} {path} has {source.count} bands, heights are one band")
-        if any(np.dtype(name).kind not in "iuf" for name in types):
-            raise InputError(f"{kind} {path} has values of type {source.dtypes[0]}, not heights")
-        return (1,)
-    if source.count not in (1, 3, 4):
-        raise InputError(
-            f"{kind} {path} has {source.count} bands: give 1 (grey), 3 or 4 (colours, of which the "
-            "first three are read)"
-        )
-    if types != {"uint8"}:
-        raise InputError(
-            f"{kind} {path} has values of type {source.dtypes[0]}: gdal_translate -ot Byte -scale "
-            "makes 8 bits"
-        )
-    return (1,) if source.count == 1 else (1, 2, 3)
 
 
 @contextmanager
@@ -347,6 +338,10 @@ def raster_writer(path: Path, kind: Kind, grid: Grid) -> Iterator[Callable[[Patc
 
     try:
         with rasterio.open(str(path), "w", **profile) as target:
+            if not coloured:
+                target.units = ["metre"]
+                if grid.projection.height_unit_m is None:
+                    target.update_tags(**{REFERENCE_TAG: "above the ellipsoid"})
             yield write
     except rasterio.errors.RasterioError as error:
         raise WriteError(f"cannot write {path}: {error.__cause__ or error}") from None

@@ -85,7 +85,7 @@ def _build(
     unknown = _finer(closed.astype(np.float32), n) > 0.5
     found = classify(rgb, fine, _finer(bare, n), texel_m, unknown)
     if site.classes is not None:
-        mask = labels(Raster.open(site.classes, "orthophoto"), origin, grids.texels)
+        mask = labels(Raster.open(site.classes, "class mask"), origin, grids.texels)
         found = from_mask(mask, found)
     report = SiteReport(
         texel_m=round(texel_m, 4),
@@ -127,7 +127,7 @@ def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
         known_m = known_reach(files.colours, origin)
     margin_m = float(np.clip(known_m - 0.5 * area_m, 0.0, MIRRORED_M))
     half_m = 0.5 * area_m + margin_m
-    pixel, step = max(files.colours.grid.pixel), max(files.heights.grid.pixel)
+    pixel, step = max(files.colours.grid.ground_pixel), max(files.heights.grid.ground_pixel)
     texels = round(2 * half_m / max(pixel, _LEAST_TEXEL_M, 2 * half_m / _MOST_TEXELS))
     nodes = round(2 * half_m / max(step, _LEAST_SPACING_M, 2 * half_m / (_MOST_NODES - 1))) + 1
     half_texel = half_m / texels
@@ -142,7 +142,7 @@ def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
 def _level(raster: Raster, origin: Geodetic) -> float:
     """Return the rough height of the surface above the origin, metres; heights are near enough."""
     box = raster.grid.box
-    coarse = raster.patch(box, max(box.right - box.left, box.top - box.bottom) / 32).values
+    coarse = raster.patch(box, raster.grid.longest_m / 32).values
     known = coarse[np.isfinite(coarse)]
     return float(np.median(known)) - origin.altitude if known.size else 0.0
 

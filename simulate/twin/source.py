@@ -13,6 +13,7 @@ import numpy as np
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.exports import ortho
+from scene.geo.local import at_height
 from scene.geo.rasters import Raster
 from scene.geometry.geodesy import Geodetic
 from scene.storage.scratch import scratch
@@ -61,7 +62,9 @@ def opened(site: SiteConfig, beside: Path) -> Iterator[Files]:
     """
     if site.scene is None:
         colours, heights = _rasters(site)
-        yield Files(colours, heights, site.taken)
+        middle = _middle(colours, heights, site.undulation)
+        notes = (*colours.notes(middle), *heights.notes(middle, site.undulation or None))
+        yield Files(colours, heights, site.taken, notes=notes)
         return
     scene = Scene.open(site.scene)
     notes, taken = _surveyed_by(scene)
@@ -109,8 +112,7 @@ def _rasters(site: SiteConfig) -> tuple[Raster, Raster]:
 def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
     """Return the middle of what two rasters cover, on the ground."""
     box = heights.grid.box
-    step = max(box.right - box.left, box.top - box.bottom) / _COARSE
-    coarse = heights.patch(box, step).values
+    coarse = heights.patch(box, heights.grid.longest_m / _COARSE).values
     known = coarse[np.isfinite(coarse)]
     if not known.size:
         raise InputError(f"surface model {heights.path} has no height")
@@ -124,7 +126,7 @@ def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
     if (low >= high).any():
         raise InputError(f"{colours.path} and {heights.path} do not overlap")
     middle = here.to_geodetic(np.array([*(low + high) / 2, height]))
-    return middle._replace(altitude=height + undulation)
+    return at_height(there, middle, height + undulation)
 
 
 def _side(scene: Scene) -> float:

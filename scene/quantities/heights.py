@@ -1,0 +1,61 @@
+"""Heights of a band: its numbers in metres, by its scale, its offset and its unit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from scene.quantities.lengths import metres_per
+from scene.quantities.reading import Reading, known, unknown
+
+NO_UNIT: Final = "no unit"
+"""The doubt on a band whose heights have no unit."""
+
+# Feet of the two kinds differ by less, and no two other units do.
+_SAME = 1e-5
+
+
+@dataclass(frozen=True)
+class MetresOfBand:
+    """Metres of the numbers of a band: ``factor * number + offset``."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def is_plain(self) -> bool:
+        """Return whether the numbers are metres."""
+        return (self.factor, self.offset) == (1.0, 0.0)
+
+
+def metres_of_band(
+    unit: str | None, scale: float, offset: float, system_unit_m: float | None
+) -> Reading[MetresOfBand]:
+    """Return how a band's numbers become metres.
+
+    Args:
+        unit: the band's unit, as ``US survey foot``; None or empty where the file names none.
+        scale: what numbers are multiplied with, which gives the unit after ``offset`` is added.
+        offset: what is added, in the unit.
+        system_unit_m: length of the unit of heights in the reference system, metres; None where it
+            has no heights. A band without a unit has this one.
+
+    Returns:
+        The metres. Where nothing names a unit, they are the file's numbers, with a doubt.
+    """
+    if not (math.isfinite(scale) and math.isfinite(offset)) or scale == 0:
+        return unknown("the height", f"the band's scale is {scale:g}, its offset {offset:g}")
+    named = (unit or "").strip()
+    length = metres_per(named) if named else system_unit_m
+    if named and length is None:
+        return unknown("the band's unit", f"{named[:40]!r} is no unit of length that is known")
+    if named and length and system_unit_m and abs(length / system_unit_m - 1) > _SAME:
+        return unknown(
+            "the band's unit",
+            f"it is {named[:40]!r}, but heights of the reference system have units of "
+            f"{system_unit_m:g} m",
+        )
+    if length is None:
+        return known(MetresOfBand(scale, offset), "the band", NO_UNIT)
+    return known(MetresOfBand(scale * length, offset * length), "the band's unit")
