@@ -9,7 +9,6 @@ latitude, and px and py are pixels with the centre of the top left one at (0, 0)
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,13 +18,12 @@ from numpy.typing import NDArray
 
 from ingest.photographs import Flight, reduced
 from scene.errors import InputError
-from scene.geo.crs import Projection
+from scene.geo.named_systems import named_system
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth
 from scene.imports.names import match_files
 from scene.storage.files import read_text
 
 _COLUMNS = "x y z px py photograph [name]"
-_UTM = re.compile(r"WGS84 UTM (\d{1,2}) ?([NS])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def read_control_points(
         for number, line in enumerate(lines, 2)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    system = _system(path, header)
+    system = named_system(header, f"{path}:1")
     images = {image.file: image for image in flight.images}
     listed = dict.fromkeys(row[5] for _, row in rows if len(row) > 5)
     of = {name: file for file, name in match_files(list(images), list(listed), path).items()}
@@ -85,7 +83,7 @@ def read_control_points(
         if coordinates.setdefault(name, xyz) != xyz:
             raise InputError(f"{where}: {name!r} has other coordinates than before")
         if name not in points:
-            place = system.to_geodetic(np.array(xyz))
+            place = system.to_geodetic(np.array(xyz), f"{path}:1")
             if not is_on_earth(place):
                 raise InputError(f"{where}: {name!r} is no place on earth")
             points[name] = ControlPoint(name, place, name in checks)
@@ -98,19 +96,6 @@ def read_control_points(
         points[name].marks[image.name] = (pixel + 0.5) * scale
     _require(path, points, listed, flight, checks)
     return list(points.values())
-
-
-def _system(path: Path, header: str) -> Projection:
-    words = " ".join(header.split()).strip("'\"")
-    utm = _UTM.fullmatch(words)
-    if utm is not None:
-        words = f"EPSG:{326 if utm[2].upper() == 'N' else 327}{int(utm[1]):02d}"
-    try:
-        return Projection(words)
-    except InputError as error:
-        if "pyproj" in str(error):
-            raise
-        raise InputError(f"{path}:1: {error}") from None
 
 
 def _parsed(where: str, row: list[str]) -> tuple[float, float, float, float, float, str, str]:
