@@ -1,8 +1,8 @@
 """Coordinate reference systems as the first lines of ODM's files name them.
 
-A line is ``EPSG:n``, ``WGS84 UTM 32N``, WKT or words of PROJ. The unit of heights is the system's own
-where it has heights. A system of two dimensions does not state it: heights are metres beside metres
-or degrees, and unknown beside feet, unless the line states ``+vunits`` or ``+vto_meter``.
+A line is ``EPSG:n``, ``WGS84 UTM 32N``, WKT or words of PROJ. The unit of heights is the system's
+own where it has heights. A system of two dimensions does not state it: heights are metres beside
+metres or degrees, and unknown beside feet, unless the line states ``+vunits`` or ``+vto_meter``.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ def _from_beside(path: Path, shots: Shots, beside: Shots) -> Shots | None:
 
 
 def _is_moved(projected: Array, there: Array) -> bool:
-    """Return whether one turn about the vertical, shift and scale near one maps one on the other."""
+    """Return whether a turn about the vertical, a shift and a scale near one map both."""
     left, _, right = np.linalg.svd(
         (projected[:, :3, :3] @ there[:, :3, :3].transpose(0, 2, 1)).sum(0)
     )
@@ -172,9 +172,7 @@ def _from_system(path: Path, shots: Shots, system: NamedSystem, offset: Array) -
     return _near(path, back)
 
 
-def _move(
-    path: Path, origin: Geodetic, system: NamedSystem, offset: Array
-) -> tuple[Array, Array]:
+def _move(path: Path, origin: Geodetic, system: NamedSystem, offset: Array) -> tuple[Array, Array]:
     """Return the linear part (3, 3) and shift (3,) of what export_geocoords does."""
     steps = np.vstack([np.zeros(3), np.eye(3)])
     places = [geodetic_from_enu(step, origin) for step in steps]

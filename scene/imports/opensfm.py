@@ -23,7 +23,6 @@ from scene.imports.lens import LARGEST_SIDE, BrownLens
 from scene.imports.odm_frame import TOPOCENTRIC, Shots, topocentric
 from scene.imports.poses import ForeignPoses, Format, begins_with, posed
 
-
 # Two files state one origin where its heights differ by no more (m).
 _SAME_UP_M = 0.01
 
