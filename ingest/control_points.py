@@ -1,6 +1,6 @@
 """The list of ground control points, in ODM's format ``gcp_list.txt``.
 
-The first line names the coordinate system: ``EPSG:n``, ``WGS84 UTM 32N`` or PROJ's words. Each
+The first line names the coordinate system, see ``scene.geo.named_systems``. Each
 other line is a mark: ``x y z px py photograph [name]``, where x is east or longitude, y north or
 latitude, and px and py are pixels with the centre of the top left one at (0, 0)
 (https://docs.opendronemap.org/gcp).
@@ -9,8 +9,7 @@ latitude, and px and py are pixels with the centre of the top left one at (0, 0)
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,13 +18,14 @@ from numpy.typing import NDArray
 
 from ingest.photographs import Flight, reduced
 from scene.errors import InputError
-from scene.geo.crs import Projection
+from scene.geo.named_systems import NamedSystem, named_system
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth
 from scene.imports.names import match_files
 from scene.storage.files import read_text
 
+# Surveyed points lie no further than this from the photographs' GPS positions, metres.
+_FARTHEST_M = 20_000.0
 _COLUMNS = "x y z px py photograph [name]"
-_UTM = re.compile(r"WGS84 UTM (\d{1,2}) ?([NS])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def read_control_points(
         for number, line in enumerate(lines, 2)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    system = _system(path, header)
+    system = named_system(header, f"{path}:1")
     images = {image.file: image for image in flight.images}
     listed = dict.fromkeys(row[5] for _, row in rows if len(row) > 5)
     of = {name: file for file, name in match_files(list(images), list(listed), path).items()}
@@ -85,7 +85,7 @@ def read_control_points(
         if coordinates.setdefault(name, xyz) != xyz:
             raise InputError(f"{where}: {name!r} has other coordinates than before")
         if name not in points:
-            place = system.to_geodetic(np.array(xyz))
+            place = system.to_geodetic(np.array(xyz), f"{path}:1")
             if not is_on_earth(place):
                 raise InputError(f"{where}: {name!r} is no place on earth")
             points[name] = ControlPoint(name, place, name in checks)
@@ -97,20 +97,8 @@ def read_control_points(
         scale = np.array(reduced(image, size)) / np.array(image.size)
         points[name].marks[image.name] = (pixel + 0.5) * scale
     _require(path, points, listed, flight, checks)
+    _require_near(path, coordinates, system, flight)
     return list(points.values())
-
-
-def _system(path: Path, header: str) -> Projection:
-    words = " ".join(header.split()).strip("'\"")
-    utm = _UTM.fullmatch(words)
-    if utm is not None:
-        words = f"EPSG:{326 if utm[2].upper() == 'N' else 327}{int(utm[1]):02d}"
-    try:
-        return Projection(words)
-    except InputError as error:
-        if "pyproj" in str(error):
-            raise
-        raise InputError(f"{path}:1: {error}") from None
 
 
 def _parsed(where: str, row: list[str]) -> tuple[float, float, float, float, float, str, str]:
@@ -144,3 +132,42 @@ def _require(
             raise InputError(
                 f"{path} has no point {name!r} for --gcp-check; it has {', '.join(points)[:200]}"
             )
+
+
+def _require_near(
+    path: Path,
+    coordinates: Mapping[str, tuple[float, ...]],
+    system: NamedSystem,
+    flight: Flight,
+) -> None:
+    """Refuse points that lie nowhere near the GPS positions of the photographs."""
+    there = [image.exif.position for image in flight.images if image.exif.position is not None]
+    if not there:
+        return
+    middle = Geodetic(
+        float(np.median([place.latitude for place in there])),
+        float(np.median([place.longitude for place in there])),
+        0.0,
+    )
+    listed = np.array(list(coordinates.values()))
+    off = _distance(listed, system, middle)
+    if not off > _FARTHEST_M:
+        return
+    remedy = f"check the system of line 1, {system.projection.name}, and the unit of x and y"
+    if _distance(listed[:, [1, 0, 2]], system, middle) <= _FARTHEST_M:
+        remedy = "x and y are exchanged: give east or longitude first"
+    raise InputError(
+        f"{path}: its points lie {off / 1000:.0f} km from the photographs' GPS positions: {remedy}"
+    )
+
+
+def _distance(coordinates: NDArray[np.float64], system: NamedSystem, middle: Geodetic) -> float:
+    """Return how far points (N, 3) are from a place in the median, metres; infinite if nowhere."""
+    off = []
+    for row in coordinates:
+        try:
+            place = system.projection.to_geodetic(row)
+        except InputError:
+            return math.inf
+        off.append(np.linalg.norm(enu_from_geodetic(place._replace(altitude=0.0), middle)))
+    return float(np.median(off))

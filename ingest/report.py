@@ -18,6 +18,8 @@ from scene.maps.photographs import Photograph
 from scene.maps.sparse_map import SparseMap
 
 _SHOWN = 6
+# GPS of a camera that is further off than this in the median gets a remark, metres.
+_FAR_FROM_GPS_M = 30.0
 
 
 class Residuals(BaseModel):
@@ -122,6 +124,7 @@ class IngestReport(BaseModel):
             f"{self.points} points in tracks of {self.track_length:.1f}, "
             f"{self.reprojection_error_px:.2f} px mean reprojection error",
             f"GPS residuals of {self.fixes} photographs: {gps}; {up[self.level]}",
+            *_contradicted(self.level, self.gps),
             *(
                 [f"GPS is {self.lag_s:.1f} s late; without that: {self.gps_without_lag.text()}"]
                 if self.gps_without_lag is not None
@@ -139,6 +142,21 @@ class IngestReport(BaseModel):
             *_listed("left out", self.left_out),
         ]
         return "\n".join(lines)
+
+
+def _contradicted(level: str, gps: Residuals | None) -> list[str]:
+    """Return a remark where GPS contradicts what places the scene on earth."""
+    if gps is None or level not in ("control", "given"):
+        return []
+    off = {"across": gps.horizontal_median, "in height": gps.vertical_median}
+    far = [f"{metres:.0f} m {way}" for way, metres in off.items() if metres > _FAR_FROM_GPS_M]
+    if not far:
+        return []
+    placed = "ground control points" if level == "control" else "the given poses"
+    return [
+        f"GPS contradicts {placed} by {' and '.join(far)}: check the system, the unit of heights "
+        "(feet?) and what they are above (ellipsoid or sea level)"
+    ]
 
 
 def _listed(what: str, reasons: Mapping[str, str]) -> list[str]:

@@ -22,6 +22,7 @@ from scene.geometry.geodesy import Geodetic
 from scene.imports.formats import read_foreign
 from scene.imports.names import match_files
 from scene.imports.poses import ForeignPoses
+from scene.imports.strangers import refuse_stranger
 from scene.maps.colmap_files import read_model
 from scene.storage.images import read_exif
 from scene.storage.listing import list_files
@@ -150,6 +151,7 @@ def _pose_file(path: Path) -> Path:
 
 
 def _of_foreign(path: Path, images: Path | None, camera: Camera | None) -> Stated:
+    refuse_stranger(path)
     table = path.suffix.lower() == ".csv" and path.is_file()
     places = _table_places(path) if table else None
     if places is not None:
@@ -200,7 +202,11 @@ def _kind(path: Path) -> str:
     }
     if path.suffix.lower() in kinds:
         return kinds[path.suffix.lower()]
-    return "nerfstudio transforms" if path.name == "transforms.json" else "ODM reconstruction"
+    names = {
+        "transforms.json": "nerfstudio transforms",
+        "cameras.json": "3D Gaussian splatting cameras",
+    }
+    return names.get(path.name, "ODM reconstruction")
 
 
 def _table_places(path: Path) -> dict[str, list[float]] | None:

@@ -97,6 +97,16 @@ class Projection:
         return str(vertical[0].name) if vertical else "ellipsoid"
 
     @property
+    def has_heights(self) -> bool:
+        """Whether the system states what heights are above and in which unit."""
+        return len(self._crs.axis_info) > 2
+
+    @property
+    def horizontal_units(self) -> tuple[str, ...]:
+        """Names of the units of the two horizontal axes, such as ``metre``."""
+        return tuple(str(axis.unit_name) for axis in self._crs.axis_info[:2])
+
+    @property
     def is_geographic(self) -> bool:
         """Whether coordinates are longitude and latitude in degrees."""
         return bool(self._crs.is_geographic)

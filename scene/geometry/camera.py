@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
+from scene.geometry.colmap_models import equal_model
 
 if TYPE_CHECKING:
     import torch
@@ -90,8 +91,10 @@ class Camera:
     def parse(words: Sequence[str]) -> Camera:
         """Parse ``MODEL width height params...``, the form of COLMAP's and hloc's text files.
 
+        A model that ``colmap_models`` knows becomes the equal one of ours.
+
         Raises:
-            InputError: a word is missing or is not a number.
+            InputError: a word is missing or is not a number, or no model of ours is equal.
 
         Example:
             >>> Camera.parse("SIMPLE_PINHOLE 640 480 500 320 240".split()).principal
@@ -104,6 +107,7 @@ class Camera:
             raise InputError(
                 f"expected 'MODEL width height params...', got {' '.join(words)!r}"
             ) from None
+        model, params = equal_model(model, params)
         return Camera(model, width, height, params)
 
     def __str__(self) -> str:

@@ -7,6 +7,7 @@ from typing import Final
 
 from scene.errors import InputError
 from scene.imports.poses import ForeignPoses, Format
+from scene.imports.strangers import refuse_stranger
 from scene.registry import Lazy, Registry
 
 # Formats are asked in this order.
@@ -15,6 +16,9 @@ FORMATS: Final[Registry[Format]] = Registry(
     "objconnect.imports",
     {
         "colmap": Lazy("scene.imports.colmap:FORMAT", "folder of a binary COLMAP model"),
+        "splatting": Lazy(
+            "scene.imports.splatting:FORMAT", "cameras.json of 3D Gaussian splatting"
+        ),
         "opensfm": Lazy("scene.imports.opensfm:FORMAT", "reconstruction.json of ODM or OpenSfM"),
         "nerfstudio": Lazy("scene.imports.nerfstudio:FORMAT", "transforms.json, or its folder"),
         "metashape": Lazy("scene.imports.metashape:FORMAT", "cameras.xml of Metashape"),
@@ -33,6 +37,7 @@ def read_foreign(path: Path) -> ForeignPoses:
     """
     if not path.exists():
         raise InputError(f"file of poses {path} does not exist")
+    refuse_stranger(path)
     known = []
     for name in FORMATS:
         form = FORMATS.load(name)

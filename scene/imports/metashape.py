@@ -2,60 +2,99 @@
 
 A camera's ``transform`` is a row-major matrix, chunk from camera, with OpenCV's camera axes. The
 transform of the component (or, in older files, of the chunk) leads from the chunk to geocentric
-metres, or to a local system. The principal point ``cx``, ``cy`` is in pixels from the middle of the
-picture, and pixels are COLMAP's: the centre of the top left one is (0.5, 0.5). ``b1`` is fx - fy,
-``b2`` the skew, and ``p1`` and ``p2`` are those of OpenCV in the other order (Metashape
-Professional's user manual, appendix "Camera models").
+metres, or to a local system. Components have frames of their own, and so have chunks.
+``metashape_lens`` reads calibrations.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene.errors import InputError
-from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_axes, geodetic_from_ecef
-from scene.imports.lens import LARGEST_SIDE, BrownLens
+from scene.imports.metashape_lens import camera_of, numbers_of
 from scene.imports.poses import ForeignPoses, Format, begins_with, posed
+from scene.quantities.flags import parse_flag
 from scene.storage.files import read_text
 
 Array = NDArray[np.float64]
 
 # Distances from the middle of the earth (m) between which geocentric coordinates lie.
 _ON_EARTH_M = (6.2e6, 6.6e6)
-# The reader of a fisheye cannot bend its axes: a smaller coefficient moves no point by a pixel.
-_NOTHING = 1e-9
 
 
 def _read(path: Path) -> ForeignPoses:
     """Read the photographs that are aligned and enabled."""
-    chunk = _parsed(path).find("chunk")
-    if chunk is None:
-        raise InputError(f"{path} has no chunk: export it with Metashape's Export Cameras")
-    cameras = {sensor.get("id"): _camera(path, sensor) for sensor in chunk.iter("sensor")}
-    world = {one.get("id"): _similarity(path, one) for one in chunk.iter("component")}
-    whole = _similarity(path, chunk)
-    names, lenses, matrices, placed = [], [], [], []
-    for camera in chunk.iter("camera"):
-        transform, name = camera.find("transform"), camera.get("label", "")
-        if transform is None or camera.get("enabled", "true") in ("false", "0"):
-            continue
-        chunk_from_cam = _numbers(path, transform.text, 16, f"transform of {name!r}")
-        similarity = world.get(camera.get("component_id"))
-        similarity = whole if similarity is None else similarity
+    chunk = _chunk(path)
+    sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
+    aligned = [camera for camera in chunk.iter("camera") if _is_aligned(camera)]
+    # A sensor that no photograph uses has an empty calibration.
+    used = dict.fromkeys(camera.get("sensor_id") for camera in aligned)
+    cameras = {name: camera_of(path, sensors[name]) for name in used if name in sensors}
+    worlds = _worlds(path, chunk, aligned)
+    names, lenses, matrices = [], [], []
+    for camera in aligned:
+        name = camera.get("label", "")
+        chunk_from_cam = numbers_of(path, camera.find("transform"), 16, f"transform of {name!r}")
+        chunk_from_cam = _with_last_row(path, chunk_from_cam.reshape(4, 4), name)
         names.append(name)
         lenses.append(cameras.get(camera.get("sensor_id")))
-        matrices.append(_moved(chunk_from_cam.reshape(4, 4), similarity))
-        placed.append(similarity is not None)
+        matrices.append(_moved(chunk_from_cam, worlds[camera.get("component_id")]))
+    world_from_cam, origin = _on_earth(np.array(matrices).reshape(-1, 4, 4))
+    if origin is None and len(worlds) > 1:
+        raise InputError(
+            f"{path}: its photographs are in {len(worlds)} components, which nothing places in one "
+            "frame: export one component, or align and reference them together"
+        )
+    return posed(path, names, lenses, world_from_cam, origin)
+
+
+def _chunk(path: Path) -> ET.Element:
+    """Return the one chunk that has photographs."""
+    chunks = list(_parsed(path).iter("chunk"))
+    if not chunks:
+        raise InputError(f"{path} has no chunk: export it with Metashape's Export Cameras")
+    full = [chunk for chunk in chunks if any(map(_is_aligned, chunk.iter("camera")))]
+    if len(full) > 1:
+        raise InputError(
+            f"{path} has {len(full)} chunks, each in a frame of its own: export the cameras of one"
+        )
+    return full[0] if full else chunks[0]
+
+
+def _is_aligned(camera: ET.Element) -> bool:
+    """Return whether a photograph has a pose and is enabled."""
+    enabled = parse_flag(camera.get("enabled", "true"))
+    return camera.find("transform") is not None and enabled is not False
+
+
+def _worlds(
+    path: Path, chunk: ET.Element, aligned: Sequence[ET.Element]
+) -> dict[str | None, Array | None]:
+    """Return world from chunk for each component that photographs are in; None if it is local.
+
+    Older files have one transform, that of the chunk.
+    """
+    own = {one.get("id"): _similarity(path, one) for one in chunk.iter("component")}
+    used = dict.fromkeys(camera.get("component_id") for camera in aligned)
+    worlds = {name: own.get(name) for name in used}
+    if not any(world is not None for world in own.values()) and len(worlds) == 1:
+        return dict.fromkeys(worlds, _similarity(path, chunk))
+    placed = [world is not None for world in worlds.values()]
     if any(placed) and not all(placed):
         raise InputError(f"{path}: some photographs are in a component without a transform")
-    world_from_cam, origin = _on_earth(np.array(matrices).reshape(-1, 4, 4))
-    return posed(path, names, lenses, world_from_cam, origin)
+    return worlds
+
+
+def _with_last_row(path: Path, matrix: Array, name: str) -> Array:
+    if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-6):
+        raise InputError(f"{path}: the transform of {name!r} does not end with the row 0 0 0 1")
+    return matrix
 
 
 def _parsed(path: Path) -> ET.Element:
@@ -68,30 +107,24 @@ def _parsed(path: Path) -> ET.Element:
         raise InputError(f"{path} is not valid XML: {error}") from None
 
 
-def _numbers(path: Path, text: str | None, count: int, what: str) -> Array:
-    """Return the numbers of an element's text, (count,)."""
-    try:
-        values = np.array([float(word) for word in (text or "").split()])
-    except ValueError:
-        values = np.zeros(0)
-    if len(values) != count or not np.isfinite(values).all():
-        raise InputError(f"{path}: the {what} must be {count} numbers")
-    return values
-
-
 def _similarity(path: Path, holder: ET.Element) -> Array | None:
     """Return world from chunk of a component or chunk as (4, 4): scale, rotation, translation."""
     transform = holder.find("transform")
-    if transform is None:
+    if transform is None or not len(transform):
         return None
-    rotation, shift, scale = (transform.find(part) for part in ("rotation", "translation", "scale"))
+    parts = {}
+    for part, count in (("rotation", 9), ("translation", 3), ("scale", 1)):
+        element = transform.find(part)
+        if element is None:
+            raise InputError(
+                f"{path}: the transform of {holder.tag} {holder.get('label', '')!r} has no {part}"
+            )
+        parts[part] = numbers_of(path, element, count, part)
+    if not parts["scale"][0] > 0:
+        raise InputError(f"{path}: the scale of {holder.tag} must be positive")
     matrix = np.eye(4)
-    if rotation is not None:
-        matrix[:3, :3] = _numbers(path, rotation.text, 9, "rotation").reshape(3, 3)
-    if scale is not None:
-        matrix[:3, :3] *= _numbers(path, scale.text, 1, "scale")[0]
-    if shift is not None:
-        matrix[:3, 3] = _numbers(path, shift.text, 3, "translation")
+    matrix[:3, :3] = parts["rotation"].reshape(3, 3) * parts["scale"][0]
+    matrix[:3, 3] = parts["translation"]
     return matrix
 
 
@@ -117,60 +150,6 @@ def _on_earth(world_from_cam: Array) -> tuple[Array, Geodetic | None]:
     enu_from_ecef[:3, :3] = enu_axes(origin)
     enu_from_ecef[:3, 3] = -enu_axes(origin) @ middle
     return np.asarray(enu_from_ecef @ world_from_cam), origin
-
-
-def _camera(path: Path, sensor: ET.Element) -> Camera | None:
-    """Return the camera of a sensor: its adjusted calibration, else its first one."""
-    found = sensor.findall("calibration")
-    if not found:
-        return None
-    calibration = next((one for one in found if one.get("class") == "adjusted"), found[0])
-    label = sensor.get("label", "")
-    size = _first(calibration.findall("resolution"), sensor.findall("resolution"))
-    try:
-        width, height = int(size.get("width", "0")), int(size.get("height", "0"))
-    except ValueError:
-        width = height = 0
-    part = {
-        name: _numbers(path, text, 1, f"{name} of sensor {label!r}")[0]
-        for name in ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-        if (text := calibration.findtext(name)) is not None
-    }
-    try:
-        if "f" not in part:
-            raise InputError("no focal length f")
-        if max(width, height) > LARGEST_SIDE:
-            raise InputError(f"no picture is {width} x {height} pixels")
-        if part.get("p3") or part.get("p4"):
-            raise InputError("the coefficients p3 and p4 are not supported")
-        return _lens(calibration.get("type", "frame"), (width, height), part)
-    except InputError as error:
-        raise InputError(f"{path}: sensor {label!r}: {error}") from None
-
-
-def _first(*found: Iterable[ET.Element]) -> ET.Element:
-    return next((element for part in found for element in part), ET.Element("resolution"))
-
-
-def _lens(kind: str, size: tuple[int, int], part: dict[str, np.float64]) -> Camera:
-    """Return the camera of a calibration.
-
-    Raises:
-        InputError: the kind is not supported, or the numbers are those of no camera.
-    """
-    f, b1, b2, p1, p2 = (float(part.get(name, 0.0)) for name in ("f", "b1", "b2", "p1", "p2"))
-    k1, k2, k3, k4 = (float(part.get(name, 0.0)) for name in ("k1", "k2", "k3", "k4"))
-    cx, cy = (
-        float(part.get(name, 0.0)) + side / 2 for name, side in zip(("cx", "cy"), size, strict=True)
-    )
-    if kind == "frame":
-        radial = (k1, k2, k3, k4)
-        return BrownLens(size, (f + b1, f), (cx, cy), radial, (p2, p1), b2).camera()
-    if kind != "fisheye":
-        raise InputError(f"cameras of type {kind!r} are not supported")
-    if max(abs(b2), abs(p1), abs(p2)) > _NOTHING:
-        raise InputError("a fisheye with b2, p1 or p2 is not supported: fix them at 0")
-    return Camera("OPENCV_FISHEYE", *size, (f + b1, f, cx, cy, k1, k2, k3, k4))
 
 
 FORMAT = Format(

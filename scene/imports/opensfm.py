@@ -3,7 +3,8 @@
 A shot's rotation is the axis-angle vector of cam_from_world and its translation that of
 cam_from_world; camera axes are OpenCV's. The world is east, north, up in metres from
 ``reference_lla``. Pixels are in units of the longer side, from the middle of the picture
-(https://opensfm.org/docs/geometry.html).
+(https://opensfm.org/docs/geometry.html). ODM leaves a file in a projected system under the same
+name: see ``odm_frame``.
 """
 
 from __future__ import annotations
@@ -17,9 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel
 from scene.bundle.manifest import Vector, read_json
 from scene.errors import InputError
 from scene.geometry.camera import Camera
-from scene.geometry.geodesy import Geodetic, is_on_earth
+from scene.geometry.geodesy import Geodetic, is_on_earth, is_same_place
 from scene.imports.lens import LARGEST_SIDE, BrownLens
+from scene.imports.odm_frame import TOPOCENTRIC, Shots, topocentric
 from scene.imports.poses import ForeignPoses, Format, begins_with, posed
+
+# Two files state one origin where its heights differ by no more (m).
+_SAME_UP_M = 0.01
 
 
 class _Part(BaseModel):
@@ -69,12 +74,18 @@ class _Shot(_Part):
     rotation: Vector
     translation: Vector
     camera: str
+    gps_position: Vector | None = None
 
 
 class _Reference(_Part):
     latitude: FiniteFloat
     longitude: FiniteFloat
     altitude: FiniteFloat
+
+    @property
+    def place(self) -> Geodetic:
+        """Return the reference as a place."""
+        return Geodetic(self.latitude, self.longitude, self.altitude)
 
 
 class _Reconstruction(_Part):
@@ -103,14 +114,46 @@ def _read(path: Path) -> ForeignPoses:
             cameras[name] = best.cameras[name].camera()
         except InputError as error:
             raise InputError(f"{path}: camera {name!r}: {error}") from None
-    matrices = [_world_from_cam(shot) for shot in best.shots.values()]
+    shots, matrices, origin = _shots(path, best), _matrices(best), None
+    if shots is not None:
+        shots = topocentric(path, shots, _beside(path))
+        matrices, origin = shots.world_from_cam, shots.origin
     return posed(
         path,
         list(best.shots),
         [cameras[shot.camera] for shot in best.shots.values()],
-        np.array(matrices).reshape(-1, 4, 4),
-        _origin(path, best.reference_lla),
+        matrices,
+        origin,
     )
+
+
+def _matrices(reconstruction: _Reconstruction) -> NDArray[np.float64]:
+    matrices = [_world_from_cam(shot) for shot in reconstruction.shots.values()]
+    return np.array(matrices).reshape(-1, 4, 4)
+
+
+def _shots(path: Path, reconstruction: _Reconstruction) -> Shots | None:
+    """Return the shots as the file has them; None where nothing places them on earth."""
+    origin = _origin(path, reconstruction.reference_lla)
+    if origin is None:
+        return None
+    nowhere = (np.nan, np.nan, np.nan)
+    measured = [shot.gps_position or nowhere for shot in reconstruction.shots.values()]
+    return Shots(
+        tuple(reconstruction.shots),
+        _matrices(reconstruction),
+        np.array(measured, np.float64).reshape(-1, 3),
+        origin,
+    )
+
+
+def _beside(path: Path) -> Shots | None:
+    """Return the shots of ODM's topocentric file in the same folder; None without one."""
+    other = path.parent / TOPOCENTRIC
+    if path.name == TOPOCENTRIC or not other.is_file():
+        return None
+    found = read_json(other, _Reconstructions, "reconstruction").root
+    return _shots(other, max(found, key=lambda one: len(one.shots))) if found else None
 
 
 def _world_from_cam(shot: _Shot) -> NDArray[np.float64]:
@@ -125,12 +168,21 @@ def _world_from_cam(shot: _Shot) -> NDArray[np.float64]:
     return matrix
 
 
-def _origin(path: Path, reference: _Reference | None) -> Geodetic | None:
+def _origin(path: Path, stated: _Reference | None) -> Geodetic | None:
+    """Return the origin that the reconstruction states, or else the file beside it."""
+    file = path.parent / "reference_lla.json"
+    other = read_json(file, _Reference, "reference") if file.is_file() else None
+    reference = stated or other
     if reference is None:
         return None
-    origin = Geodetic(reference.latitude, reference.longitude, reference.altitude)
+    origin = reference.place
     if not is_on_earth(origin):
         raise InputError(f"{path}: reference_lla is no place on earth")
+    if other is not None and not is_same_place(origin, other.place, _SAME_UP_M):
+        raise InputError(
+            f"{path}: its reference_lla is not that of {file.name} beside it: "
+            "move the file that is of another reconstruction away"
+        )
     return origin
 
 

@@ -10,6 +10,7 @@ image in ``images.bin`` also when rigs and frames are written beside it.
 
 from __future__ import annotations
 
+import math
 import struct
 from pathlib import Path
 from typing import Final
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
+from scene.geometry.colmap_models import MODEL_IDS, READ, equal_model, parameter_count
 from scene.geometry.geodesy import FARTHEST_M
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.storage.files import is_safe_path, require_readable
@@ -29,15 +31,6 @@ MODEL_FILES: Final = ("cameras.bin", "images.bin", "points3D.bin")
 RIG_FILES: Final = ("rigs.bin", "frames.bin")
 """The files that COLMAP writes beside them from version 3.12 on."""
 
-# Camera model identifiers of the binary format.
-_MODEL_IDS = {
-    0: "SIMPLE_PINHOLE",
-    1: "PINHOLE",
-    2: "SIMPLE_RADIAL",
-    3: "RADIAL",
-    4: "OPENCV",
-    5: "OPENCV_FISHEYE",
-}
 # The point identifier of a keypoint that observes no point.
 _NO_POINT = np.uint64(2**64 - 1)
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<u8")])
@@ -148,19 +141,25 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
     cameras = {}
     for _ in range(reader.count(_CAMERA.size)):
         camera_id, model_id, width, height = (int(v) for v in reader.unpack(_CAMERA))
-        if model_id not in _MODEL_IDS:
-            raise InputError(
-                f"{path}: camera {camera_id} has model {model_id}, which is not supported; "
-                f"supported: {', '.join(MODELS)}"
-            )
-        model = _MODEL_IDS[model_id]
-        n = len(MODELS[model])
-        params = struct.unpack_from(f"<{n}d", reader.data, reader.take(8 * n))
         try:
-            cameras[camera_id] = Camera(model, width, height, params)
+            cameras[camera_id] = _camera(reader, model_id, width, height)
         except InputError as error:
             raise InputError(f"{path}: camera {camera_id}: {error}") from None
     return cameras
+
+
+def _camera(reader: _Reader, model_id: int, width: int, height: int) -> Camera:
+    """Read the parameters of a camera."""
+    model = MODEL_IDS.get(model_id, f"number {model_id}")
+    count = len(MODELS[model]) if model in MODELS else parameter_count(model)
+    if count is None:
+        supported = ", ".join((*MODELS, *READ))
+        raise InputError(f"its model {model} is not supported; supported: {supported}")
+    params = struct.unpack_from(f"<{count}d", reader.data, reader.take(8 * count))
+    if not all(map(math.isfinite, params)):
+        raise InputError(f"camera parameters must be finite, got {params}")
+    model, params = equal_model(model, params)
+    return Camera(model, width, height, params)
 
 
 def _read_images(
