@@ -17,17 +17,19 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.accuracy import EarthAccuracy, combine_accuracies
 from benchmark.cameras import CameraSource
 from benchmark.datasets.textfiles import pose_line
 from benchmark.fixes import Fix
 from benchmark.mavlink import dialect, telemetry_log
 from benchmark.ros import bag, library
 from ingest.attitude import gimbal_angles
+from scene.bundle.georeference import Georeference
 from scene.errors import InputError
 from scene.geo.crs import Projection
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
-from scene.localizer import Estimate, Status
+from scene.localizer import Estimate, Prior, Status
 from scene.runtime.escaping import for_terminal
 from scene.storage.names import quote_cell
 from scene.storage.outputs import OutputFile
@@ -54,10 +56,12 @@ class Geography:
     Attributes:
         undulation_m: height of the geoid above the ellipsoid; None leaves sea level out.
         projection: a coordinate reference system; None for none.
+        georeference: how exactly the map is placed on earth; None if unknown.
     """
 
     undulation_m: float | None = None
     projection: Projection | None = None
+    georeference: Georeference | None = None
 
     def values(self, place: Geodetic) -> dict[str, str | float]:
         """Return the height above sea level and the coordinates of a place."""
@@ -84,6 +88,7 @@ class Located:
         camera: its camera; None if it cannot be read.
         source: where the camera comes from.
         seconds: time from the start of its sequence; None outside one.
+        gps: position that a receiver measured, in the map's frame; None without one.
     """
 
     name: str
@@ -93,6 +98,7 @@ class Located:
     camera: Camera | None = None
     source: CameraSource | None = None
     seconds: float | None = None
+    gps: Prior | None = None
 
     @property
     def found(self) -> bool:
@@ -112,14 +118,20 @@ class Located:
 
     @property
     def sigmas(self) -> tuple[float, float] | None:
-        """Return the horizontal and the vertical standard deviation, metres; None if unknown."""
+        """Return the horizontal and the vertical standard deviation within the map, metres.
+
+        None if they are unknown.
+        """
         if self.covariance is None:
             return None
         east, north, up = self.covariance.diagonal()[:3].tolist()
         return math.sqrt(east + north), math.sqrt(up)
 
-    @property
-    def fix(self) -> Fix | None:
+    def accuracy(self, geography: Geography) -> EarthAccuracy:
+        """Return how exact the position on earth is."""
+        return combine_accuracies(self.covariance, geography.georeference)
+
+    def fix(self, geography: Geography) -> Fix | None:
         """Return the answer at its time, which is taken to be UTC; None if one is unknown."""
         pose, centre = self.estimate.cam_from_world, self.centre
         if not self.found or pose is None or centre is None or self.place is None:
@@ -128,7 +140,7 @@ class Located:
             return None
         since = (time - _EPOCH) // timedelta(microseconds=1)
         rotation = pose.rotation.numpy().T
-        return Fix(since, self.place, centre, rotation, self.covariance, self.sigmas)
+        return Fix(since, self.place, centre, rotation, self.covariance, self.accuracy(geography))
 
     def values(self, geography: Geography) -> dict[str, str | float]:
         """Return what is known of time, heights, coordinates, attitude, uncertainty and camera."""
@@ -143,8 +155,11 @@ class Located:
         if pose is not None:
             angles = gimbal_angles(pose)
             known |= dict(zip(_LATER[2:5], (round(angle, 4) for angle in angles), strict=True))
-        if self.sigmas is not None:
-            known |= {"eph_m": round(self.sigmas[0], 4), "epv_m": round(self.sigmas[1], 4)}
+        accuracy = self.accuracy(geography)
+        if accuracy.eph_m is not None:
+            known["eph_m"] = round(accuracy.eph_m, 4)
+        if accuracy.epv_m is not None:
+            known["epv_m"] = round(accuracy.epv_m, 4)
         if self.camera is not None and self.source is not None:
             known["camera"] = self.source.value
             if self.found or self.source is not CameraSource.ESTIMATED:
@@ -238,6 +253,8 @@ def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
         if item.estimate.reason:
             values["reason"] = for_terminal(item.estimate.reason)
         if place is not None:
+            sigma = item.estimate.sigma_position()
+            values |= {} if sigma is None else {"sigma_m": round(sigma, 4)}
             values |= item.values(geography)
         at = None if place is None else [place.longitude, place.latitude, place.altitude]
         geometry = None if at is None else {"type": "Point", "coordinates": at}
@@ -295,17 +312,17 @@ def _geometry(
 
 
 def _tlog(located: Sequence[Located], geography: Geography) -> bytes:
-    return telemetry_log(_fixes(located), geography.undulation_m, _MARK)
+    return telemetry_log(_fixes(located, geography), geography.undulation_m, _MARK)
 
 
 def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
-    return bag(_fixes(located), _MARK)
+    return bag(_fixes(located, geography), _MARK)
 
 
-def _fixes(located: Sequence[Located]) -> list[Fix]:
+def _fixes(located: Sequence[Located], geography: Geography) -> list[Fix]:
     """Return what was found, sorted by time."""
     found = [item for item in located if item.found]
-    fixes = [fix for item in found if (fix := item.fix) is not None]
+    fixes = [fix for item in found if (fix := item.fix(geography)) is not None]
     if len(fixes) < len(found):
         log.warning(
             "%d of %d photographs have no time: logs and bags lack them",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.accuracy import EarthAccuracy
 from scene.geometry.geodesy import Geodetic
 
 
@@ -19,9 +20,9 @@ class Fix:
         place: the camera on earth.
         centre: the camera in the map's frame, (3,) metres east, north and up.
         world_from_cam: rotation (3, 3) from the camera's axes (right, down, forward) to the map's.
-        covariance: (6, 6) of centre (m) and attitude (rad), about east, north and up; None if
-            unknown.
-        sigmas: horizontal and vertical standard deviation, metres; None if unknown.
+        covariance: (6, 6) of centre (m) and attitude (rad) within the map, about east, north and
+            up; None if unknown.
+        accuracy: how exact ``place`` is, with the map's own place on earth.
     """
 
     microseconds: int
@@ -29,4 +30,4 @@ class Fix:
     centre: NDArray[np.float64]
     world_from_cam: NDArray[np.float64]
     covariance: NDArray[np.float64] | None
-    sigmas: tuple[float, float] | None
+    accuracy: EarthAccuracy

@@ -14,6 +14,7 @@ from pydantic import Field
 
 from benchmark.answers import Geography, Located, contents, outputs
 from benchmark.datasets.simulated import is_scene
+from benchmark.disagreement import warn_of_disagreement
 from benchmark.journal import Journal, journal_path
 from benchmark.photographs import (
     PhotographReader,
@@ -54,7 +55,9 @@ def open_place(path: Path) -> Place:
     """
     if is_scene(path):
         scene = Scene.open(path)
-        return Place(scene.sparse_map(), scene.images_root, scene.manifest.origin)
+        manifest = scene.manifest
+        images = scene.images_root
+        return Place(scene.sparse_map(), images, manifest.origin, manifest.on_earth)
     if (path / "sparse" / "map").is_dir():
         return Place(read_model(path / "sparse" / "map"), path / "images", _origin(path))
     raise InputError(f"{path} is no map: it is neither a scene nor a folder with sparse/map")
@@ -135,6 +138,7 @@ def localize(
                 partial_file.write_bytes(content)
     warn_of_rolling_shutter(reader.said.values())
     warn_of_doubts(reader.said)
+    warn_of_disagreement(located, geography)
     return located
 
 
@@ -246,7 +250,8 @@ def _localize_one(
     estimate = answer.estimate()
     place, time = on_earth(estimate, reader.place), photograph.exif.time
     camera, source = photograph.query.camera, photograph.calibration.source
-    return Located(name, estimate, place, time, camera, source)
+    gps = reader.gps(photograph.exif)
+    return Located(name, estimate, place, time, camera, source, gps=gps)
 
 
 def _localize_twice(reader: PhotographReader, localizer: Localizer, query: Query) -> Estimate:
@@ -313,7 +318,7 @@ def geography_of(
         raise InputError(f"the map lies outside {projection.name}: give the system of its zone")
     if undulation_m is None:
         undulation_m = geoid_undulation(place.origin)
-    return Geography(undulation_m, projection)
+    return Geography(undulation_m, projection, place.georeference)
 
 
 def on_earth(estimate: Estimate, place: Place) -> Geodetic | None:

@@ -40,7 +40,8 @@ def telemetry_log(fixes: Sequence[Fix], undulation_m: float | None, mark: str) -
     Each fix is a GLOBAL_POSITION_SENSOR, which PX4 takes as auxiliary global position, and an
     ODOMETRY, the local position from the map's origin in MAV_FRAME_LOCAL_NED. Its attitude is that
     of the camera (MAV_FRAME_BODY_FRD: forward is the optical axis), not that of the vehicle, and
-    its covariance is about the axes of the local frame.
+    its covariance is about the axes of the local frame and within the map. ``eph`` and ``epv`` are
+    those on earth, and NaN where the map's place on earth is not known as exactly as that.
 
     Args:
         fixes: sorted by time.
@@ -67,7 +68,7 @@ def telemetry_log(fixes: Sequence[Fix], undulation_m: float | None, mark: str) -
 
 
 def _global_position(common: ModuleType, fix: Fix, undulation_m: float | None) -> object:
-    horizontal, vertical = fix.sigmas or (math.nan, math.nan)
+    eph_m, epv_m = fix.accuracy.eph_m, fix.accuracy.epv_m
     return common.MAVLink_global_position_sensor_message(
         target_system=0,  # everyone
         target_component=0,
@@ -80,8 +81,8 @@ def _global_position(common: ModuleType, fix: Fix, undulation_m: float | None) -
         lon=round(fix.place.longitude * 1e7),
         alt_ellipsoid=fix.place.altitude,
         alt=math.nan if undulation_m is None else fix.place.altitude - undulation_m,
-        eph=horizontal,
-        epv=vertical,
+        eph=math.nan if eph_m is None else eph_m,
+        epv=math.nan if epv_m is None else epv_m,
     )
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from benchmark.cameras import Calibration, CameraSource, calibration_of, estimate_camera
 from benchmark.datasets.textfiles import read_priors, require_same_case
 from ingest.attitude import gimbal_pose
+from scene.bundle.georeference import Georeference
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
@@ -39,11 +40,19 @@ Lens = tuple[str, str, float | None, tuple[float, ...], tuple[int, int]]
 
 @dataclass(frozen=True)
 class Place:
-    """A map, its photographs, and the position of its origin on earth (None if unknown)."""
+    """A map, its photographs, and its place on earth.
+
+    Attributes:
+        sparse_map: the map.
+        images: folder of its photographs.
+        origin: position of its origin on earth; None if unknown.
+        georeference: how exactly that position is known; None if unknown.
+    """
 
     sparse_map: SparseMap
     images: Path
     origin: Geodetic | None
+    georeference: Georeference | None = None
 
     @cached_property
     def cameras(self) -> frozenset[Camera]:
@@ -134,6 +143,13 @@ class PhotographReader:
         if (estimate := self.estimated.get(lens_of(exif, size))) is not None:
             return Calibration(estimate, CameraSource.ESTIMATED)
         return calibration_of(size, exif, self.place.cameras)
+
+    def gps(self, exif: Exif) -> Prior | None:
+        """Return the position that the receiver of a photograph measured, in the map's frame.
+
+        None without one, or where the map has no position on earth.
+        """
+        return self._prior(exif)
 
     def without_gimbal(self, query: Query) -> Query | None:
         """Return the query without the attitude of its gimbal; None where it has none.

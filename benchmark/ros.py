@@ -39,10 +39,12 @@ def library() -> tuple[ModuleType, ModuleType]:
 def bag(fixes: Sequence[Fix], mark: str) -> bytes:
     """Return a bag (MCAP), for ``ros2 bag play``.
 
-    Each fix is a ``sensor_msgs/NavSatFix``, whose altitude is above the ellipsoid, and, where its
-    covariance is known, a ``geometry_msgs/PoseWithCovarianceStamped`` in the frame ``map``: metres
-    east, north and up from the map's origin, turned as REP 103 has bodies (x forward along the
-    optical axis, y left, z up), with rotations about the fixed axes of the map.
+    Each fix is a ``sensor_msgs/NavSatFix``, whose altitude is above the ellipsoid and whose
+    covariance is that on earth, of type unknown where the map's place on earth is not known so
+    exactly. Where the covariance within the map is known, it is a
+    ``geometry_msgs/PoseWithCovarianceStamped`` in the frame ``map``, too: metres east, north and up
+    from the map's origin, turned as REP 103 has bodies (x forward along the optical axis, y left, z
+    up), with rotations about the fixed axes of the map.
 
     Args:
         fixes: sorted by time.
@@ -90,18 +92,17 @@ def _header(types: Any, fix: Fix, frame: str) -> Any:
 def _position(types: Any, fix: Fix) -> Any:
     kind = types["sensor_msgs/msg/NavSatFix"]
     status = types["sensor_msgs/msg/NavSatStatus"]
-    known = fix.covariance is not None
-    covariance = np.zeros((3, 3)) if fix.covariance is None else fix.covariance[:3, :3]
+    covariance = fix.accuracy.covariance
     return kind(
         header=_header(types, fix, _CAMERA),
         status=status(status=status.STATUS_FIX, service=0),  # no satellites
         latitude=fix.place.latitude,
         longitude=fix.place.longitude,
         altitude=fix.place.altitude,
-        position_covariance=np.ascontiguousarray(covariance).ravel(),
-        position_covariance_type=kind.COVARIANCE_TYPE_KNOWN
-        if known
-        else kind.COVARIANCE_TYPE_UNKNOWN,
+        position_covariance=np.zeros(9) if covariance is None else covariance.ravel(),
+        position_covariance_type=kind.COVARIANCE_TYPE_UNKNOWN
+        if covariance is None
+        else kind.COVARIANCE_TYPE_KNOWN,
     )
 
 

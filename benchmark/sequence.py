@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.answers import Geography, Located, contents, outputs
+from benchmark.disagreement import warn_of_disagreement
 from benchmark.footage import Footage, cameras_of_frames
 from benchmark.journal import Journal, journal_path
 from benchmark.localize import (
@@ -241,13 +242,14 @@ def _localize(
                 estimate = _answer(shot, tracker, journal, asked)
                 where = on_earth(estimate, place)
                 camera = None if shot.query is None else shot.query.camera
-                seen = (shot.time, camera, shot.source, shot.seconds)
+                seen = (shot.time, camera, shot.source, shot.seconds, shot.gps)
                 located.append(Located(shot.name, estimate, where, *seen))
                 advance(min(len(located), count))
         for file, content in contents(located, job.files, job.geography):
             with atomic_write(file) as partial:
                 partial.write_bytes(content)
         write_text(output.record, _record(located, localizer, job))
+    warn_of_disagreement(located, job.geography)
     return located
 
 

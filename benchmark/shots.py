@@ -39,6 +39,7 @@ class Shot:
         query: the image with what the aircraft knows; None where it cannot be read.
         source: where the camera of the query comes from; None without a query.
         reason: why it cannot be read.
+        gps: position that a receiver measured, in the map's frame; None without one.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Shot:
     query: Query | None
     source: CameraSource | None = None
     reason: str = ""
+    gps: Prior | None = None
 
 
 @dataclass(frozen=True)
@@ -117,8 +119,9 @@ def frames_of(
             reason = f"{footage.srt} does not tell the focal length or zoom: give --camera"
             yield Shot(name, frame.seconds, time, None, None, reason)
             continue
-        query = Query(name, frame.image, calibration.camera, telemetry(said))
-        yield Shot(name, frame.seconds, time, query, calibration.source)
+        gps = telemetry(said)
+        query = Query(name, frame.image, calibration.camera, gps)
+        yield Shot(name, frame.seconds, time, query, calibration.source, gps=gps)
 
 
 def warn_of_far_telemetry(footage: Footage, telemetry: TelemetryReader) -> None:
@@ -158,9 +161,10 @@ def photographs_of(
         seconds = _seconds(times)
     # Those that cannot be read have no time: they come last.
     for name in sorted(paths, key=lambda name: seconds.get(name, math.inf)):
-        query, source, reason = None, None, ""
+        query, source, reason, gps = None, None, "", None
         try:
             photograph = reader.read(name, paths[name])
+            gps = reader.gps(photograph.exif)
             query, source = photograph.query, photograph.calibration.source
             if photograph.calibration.others:
                 query = None
@@ -169,7 +173,7 @@ def photographs_of(
             reason = str(error)
         except OSError as error:
             reason = f"cannot read {paths[name]}: {error.strerror}"
-        yield Shot(name, seconds.get(name), times.get(name), query, source, reason)
+        yield Shot(name, seconds.get(name), times.get(name), query, source, reason, gps)
 
 
 def _seconds(times: Mapping[str, datetime | None]) -> dict[str, float]:

@@ -205,7 +205,12 @@ def _build(out: Path, source: _Source) -> IngestReport:
     splits = _write_lists(out, source, model, [image.name for image in images])
     over = [image.file for image in images if image.name in turned]
     report = make_report(
-        source.taken, flight, adjusted, fixes, sparse_map, Findings(wrong, over)
+        source.taken,
+        flight,
+        adjusted,
+        fixes,
+        sparse_map,
+        Findings(wrong, over, georeference=base.manifest.on_earth),
     ).model_copy(
         update={
             "registered": len(images),

@@ -15,6 +15,7 @@ from ingest.adjustment import Adjusted, adjust
 from ingest.attitude import turned_over
 from ingest.control import fit_to_control
 from ingest.control_points import ControlPoint, read_control_points
+from ingest.georeference import Receiver, georeference_of
 from ingest.georegister import georegister
 from ingest.given import Given, read_given, triangulated
 from ingest.neighbours import choose_pairs
@@ -26,6 +27,7 @@ from ingest.photographs import (
     copy_photographs,
     photographs_of,
     read_flight,
+    stated_sigmas,
 )
 from ingest.picture import PICTURE, draw
 from ingest.plan import DATABASE, WORK, Plan, flight_manifest, make_scene
@@ -212,7 +214,9 @@ def _build(out: Path, source: _Source) -> IngestReport:
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE)
     write_lists(out, model, images, queries, options.covisibility_points)
     over = [image.file for image in images if image.name in turned]
-    findings = Findings(wrong_attitudes, over, residuals)
+    receiver = Receiver(fixes, {} if source.plan.gps is not None else stated_sigmas(images))
+    placed = georeference_of(model, adjusted.placed, receiver, residuals, options)
+    findings = Findings(wrong_attitudes, over, residuals, placed)
     report = make_report(taken, flight, adjusted, fixes, sparse_map, findings)
     write_json(out / REPORT, report)
     draw(

@@ -136,6 +136,30 @@ class ControlOptions(Config):
     )
 
 
+class GeoreferenceOptions(Config):
+    """What no photograph tells of how exactly a scene is placed on earth."""
+
+    receiver_sigma_m: float = Field(
+        3.3,
+        ge=0,
+        description="Standard deviation (m) to the east, and to the north, of what all positions "
+        "of a flight share, where the receiver does not state its own: 8 m for 95 % of positions "
+        "(GPS SPS Performance Standard, 2020).",
+    )
+    receiver_height_sigma_m: float = Field(
+        6.6,
+        ge=0,
+        description="The same of the height: 13 m for 95 % of positions.",
+    )
+    height_datum_sigma_m: float = Field(
+        30.6,
+        ge=0,
+        description="Standard deviation (m) of what altitudes of receivers are above, which is the "
+        "sea or the ellipsoid: the root mean square of the geoid's height over the earth. It does "
+        "not count where ground control points give heights.",
+    )
+
+
 class IngestOptions(Config):
     """The options of ingest. The manifest of the scene records these options."""
 
@@ -149,6 +173,9 @@ class IngestOptions(Config):
         AdjustmentOptions(), description="Parameters of the lenses that are adjusted."
     )
     control: ControlOptions = Field(ControlOptions(), description="Ground control points.")
+    georeference: GeoreferenceOptions = Field(
+        GeoreferenceOptions(), description="How exactly the scene is placed on earth."
+    )
     guessed_focal: float = Field(
         1.2,
         gt=0,

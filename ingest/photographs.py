@@ -75,6 +75,14 @@ class Flight:
         return replace(self, images=images, left_out=self.left_out | reasons)
 
 
+def stated_sigmas(images: Iterable[FlightImage]) -> dict[str, tuple[float, float, float]]:
+    """Return the standard deviations that receivers state of positions in EXIF, by name.
+
+    They are to the east, north and up, metres. Photographs whose receiver states none are missing.
+    """
+    return {i.name: i.exif.xmp.rtk_sigma for i in images if i.exif.xmp.rtk_sigma is not None}
+
+
 def read_flight(folder: Path, session: str = SESSION) -> Flight:
     """Read the metadata of every JPEG of a folder and of the folders in it.
 

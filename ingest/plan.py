@@ -112,7 +112,7 @@ def make_scene(
         plan: The request.
         build: Writes everything of the scene but its manifest.
         owned: Files that ``build`` may write, for ``remove_owned``.
-        manifest: The manifest, without digests.
+        manifest: The manifest, without digests and georeference, which the report knows.
 
     Raises:
         InputError: The folder holds something else, or as ``build``.
@@ -129,7 +129,7 @@ def make_scene(
         # These photographs make no scene, so nothing is kept for a later run.
         remove_owned(out, owned)
         raise
-    finish_scene(out, manifest)
+    finish_scene(out, manifest.model_copy(update={"georeference": report.georeference}))
     unfinished.end()
     return report
 

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from ingest.adjustment import Adjusted
 from ingest.control import ControlResidual, control_text
 from ingest.photographs import Flight
+from scene.bundle.georeference import Georeference
 from scene.geometry.camera import Camera
 from scene.maps.photographs import Photograph
 from scene.maps.sparse_map import SparseMap
@@ -83,6 +84,7 @@ class IngestReport(BaseModel):
         kept: number of frames of the scene that the photographs were added to; 0 without one. Map
             and queries are then those of the whole scene, and the other figures those of the new
             photographs.
+        georeference: how exactly the scene is placed on earth; None if unknown.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -107,6 +109,7 @@ class IngestReport(BaseModel):
     queries: int
     control: tuple[ControlResidual, ...] = ()
     kept: int = 0
+    georeference: Georeference | None = None
 
     def text(self) -> str:
         """Return the report as text."""
@@ -133,6 +136,8 @@ class IngestReport(BaseModel):
             f"map of {self.map_images} photographs and {self.map_points} points, "
             f"{self.queries} queries",
             *control_text(self.control),
+            "position on earth: "
+            + ("unknown" if self.georeference is None else self.georeference.text()),
             *(f"lens {x.name}: {x.photographs} photographs, {x.origin}" for x in self.lenses),
             *_listed("wrong GPS", {k: f"{v:.0f} m off" for k, v in self.blunders.items()}),
             *_listed(
@@ -222,17 +227,19 @@ def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the gimbals of a flight and ground control points show.
+    """What the gimbals of a flight, ground control points and fixes show.
 
     Attributes:
         wrong: degrees by which attitudes that were not used are off, by file.
         turned: files that someone had turned by 180 degrees.
         control: residuals of ground control points.
+        georeference: how exactly the scene is placed on earth; None if unknown.
     """
 
     wrong: Mapping[str, float]
     turned: Sequence[str]
     control: tuple[ControlResidual, ...] = ()
+    georeference: Georeference | None = None
 
 
 def make_report(
@@ -251,7 +258,7 @@ def make_report(
         adjusted: the model of all photographs in the world.
         fixes: measured positions by name, world metres.
         sparse_map: the map of the map's photographs.
-        findings: what gimbals and ground control points show.
+        findings: what gimbals, ground control points and fixes show.
     """
     model, placed = adjusted.model, adjusted.placed
     files = {image.name: image.file for image in flight.images}
@@ -284,6 +291,7 @@ def make_report(
         map_points=len(sparse_map.xyz),
         queries=len(model.images) - len(sparse_map.images),
         control=findings.control,
+        georeference=findings.georeference,
     )
 
 

@@ -89,6 +89,31 @@ Tilt = Annotated[
 ]
 
 
+Horizontal = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Standard deviation of the orthophoto's horizontal place on earth, east and north "
+        "together. Without it, how exact answers are on earth (eph_m, epv_m) is unknown.",
+        show_default="unknown",
+        min=0,
+        max=10_000,
+    ),
+]
+
+Vertical = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        help="Standard deviation of the surface model's heights above the ellipsoid; needs "
+        "--georeference.",
+        show_default="unknown",
+        min=0,
+        max=10_000,
+    ),
+]
+
+
 class MapMethod(StrEnum):
     """The ways to build a map."""
 
@@ -125,6 +150,8 @@ def build_map(
     altitude: Altitude = None,
     overlap: Overlap = None,
     tilt: Tilt = None,
+    georeference: Horizontal = None,
+    georeference_height: Vertical = None,
     cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:
@@ -137,8 +164,10 @@ def build_map(
     from mapping.build import build_map as run
 
     views = {"altitude": altitude, "overlap": overlap, "tilt": tilt}
+    placed = {"georeference": georeference, "georeference-height": georeference_height}
     if ortho is None:
-        for name, value in {"dsm": dsm, "out": out, "undulation": undulation, **views}.items():
+        others = {"dsm": dsm, "out": out, "undulation": undulation, **views, **placed}
+        for name, value in others.items():
             if value is not None:
                 raise InputError(f"--{name} describes the map of an orthophoto: give --ortho too")
         if scene is None:
@@ -147,12 +176,22 @@ def build_map(
         return
     if scene is not None or dsm is None or out is None:
         raise InputError("--ortho needs --dsm and --out, and no SCENE")
+    if georeference is None and georeference_height is not None:
+        raise InputError("--georeference-height needs --georeference, the horizontal one")
     from ingest.virtual.command import photograph_orthophoto
     from ingest.virtual.options import ViewOptions
+    from scene.bundle.georeference import Georeference
 
     given = {name: value for name, value in views.items() if value is not None}
     options = ViewOptions.model_validate(given)
-    made = photograph_orthophoto(ortho, dsm, out, undulation=undulation, options=options)
+    stated = None
+    if georeference is not None:
+        stated = Georeference(
+            horizontal_m=georeference, vertical_m=georeference_height, source="stated"
+        )
+    made = photograph_orthophoto(
+        ortho, dsm, out, undulation=undulation, options=options, georeference=stated
+    )
     report = run(out, method.value, cluster)
     summary = {"virtual": made.as_dict(), **report.as_dict()}
     emit(Summary(f"{made.text()}\n{report.text()}", summary), as_json)

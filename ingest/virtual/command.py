@@ -21,6 +21,7 @@ from scene.bundle.covisibility import (
     write_covisibility,
 )
 from scene.bundle.frames import Frames, Layer, write_frames
+from scene.bundle.georeference import Georeference
 from scene.bundle.manifest import Manifest, Objects, Session, Splits, write_json
 from scene.bundle.scene import COVISIBILITY, finish_scene
 from scene.errors import InputError
@@ -87,6 +88,7 @@ def photograph_orthophoto(
     undulation: float | None = None,
     options: ViewOptions = _DEFAULTS,
     origin: Geodetic | None = None,
+    georeference: Georeference | None = None,
 ) -> VirtualReport:
     """Make a scene of an orthophoto and a surface model: virtual photographs with exact depth.
 
@@ -100,6 +102,8 @@ def photograph_orthophoto(
             model with heights above sea level; 0 says that they are above the ellipsoid.
         options: where views are taken from.
         origin: origin of the world; by default in the middle of the orthophoto, on the ground.
+        georeference: how exactly both files are placed on earth; None if unknown, for they do not
+            say it.
 
     Raises:
         InputError: a raster cannot be used, they do not overlap, there is nothing to see, or
@@ -127,7 +131,7 @@ def photograph_orthophoto(
     }
     with atomic_folder(out) as folder:
         _write(folder, survey, camera, planned.poses, options.farthest * survey.altitude)
-        finish_scene(folder, _manifest(survey.surface.origin, config))
+        finish_scene(folder, _manifest(survey.surface.origin, config, georeference))
     return VirtualReport(
         len(planned.poses),
         survey.altitude,
@@ -284,13 +288,16 @@ def _write(folder: Path, survey: _Survey, camera: Camera, poses: Array, farthest
     write_covisibility(folder / COVISIBILITY, Covisibility(names, shares))
 
 
-def _manifest(origin: Geodetic, config: dict[str, Any]) -> Manifest:
+def _manifest(
+    origin: Geodetic, config: dict[str, Any], georeference: Georeference | None
+) -> Manifest:
     return Manifest(
         versions={n: version(n) for n in ("objconnect", "rasterio", "numpy", "pillow", "h5py")},
         preset=None,
         seed=None,
         config=config,
         origin=origin,
+        georeference=georeference,
         sessions={SESSION: Session(condition="orthophoto", flight="virtual", role="map")},
         sha256={},
     )

@@ -12,10 +12,13 @@ from pydantic import (
     BaseModel,
     Field,
     FiniteFloat,
+    SerializerFunctionWrapHandler,
     ValidationError,
     field_validator,
+    model_serializer,
 )
 
+from scene.bundle.georeference import EXACT, Georeference
 from scene.config import describe
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, is_on_earth
@@ -104,6 +107,8 @@ class Manifest(Record):
         origin: geodetic coordinates of the world's origin.
         reference: source of the frames' poses: "exact" for rendered frames; "sfm" for structure
             from motion of all photographs together, accurate to centimetres at best.
+        georeference: how exactly the origin is known on earth, as ``ingest`` measured it. None in
+            scenes that do not say so, where the file has no such key; see ``on_earth``.
         sessions: sessions by folder name.
         sha256: digest of every other file of the scene, by relative path.
         pixels_sha256: by image name, digests of the decoded "image" and of each of its layers, to
@@ -117,6 +122,7 @@ class Manifest(Record):
     config: dict[str, Any]
     origin: Geodetic
     reference: Literal["exact", "sfm"] = "exact"
+    georeference: Georeference | None = None
     sessions: dict[FolderName, Session] = Field(min_length=1)
     sha256: dict[str, str]
     pixels_sha256: dict[str, dict[str, str]] = Field(default_factory=dict)
@@ -127,6 +133,25 @@ class Manifest(Record):
         if not is_on_earth(origin):
             raise ValueError("latitude and longitude are degrees, altitude is metres")
         return origin
+
+    @model_serializer(mode="wrap")
+    def _without_unknown(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # Earlier versions refuse a key that they do not know, so it is there only where needed.
+        values: dict[str, Any] = write(self)
+        if self.georeference is None:
+            values.pop("georeference", None)
+        return values
+
+    @property
+    def on_earth(self) -> Georeference | None:
+        """Return how exactly the scene is placed on earth; None if unknown.
+
+        A world that was invented is where its origin says. The twin of a real site is where the
+        files of the site are, which is not known.
+        """
+        if self.georeference is None and self.preset is not None and self.reference == "exact":
+            return EXACT if self.config.get("site") is None else None
+        return self.georeference
 
 
 class SceneObject(Record):

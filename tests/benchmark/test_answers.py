@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import benchmark.registry
 from benchmark.answers import Geography, Located, contents, outputs
 from ingest.attitude import gimbal_angles, gimbal_pose
+from scene.bundle.georeference import EXACT
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from scene.geometry.pose import Pose
@@ -42,7 +43,7 @@ def looking(yaw: float, pitch: float, roll: float, covariance: bool = True) -> E
 
 def written(located: list[Located], out: Path, undulation: float | None = None) -> None:
     files = outputs(out / "poses.txt", [out / "poses.geojson", out / "poses.kml"])
-    for path, content in contents(located, files, Geography(undulation)):
+    for path, content in contents(located, files, Geography(undulation, None, EXACT)):
         path.write_bytes(content)
     check_outputs(files)  # all of them are recognized as files of ours
 

@@ -17,6 +17,7 @@ import pytest
 
 import benchmark.registry
 from benchmark.answers import Geography, Located, contents, outputs
+from scene.bundle.georeference import EXACT, Georeference
 from scene.geo.crs import Projection, geoid_undulation
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from scene.localizer import Estimate, Status
@@ -86,7 +87,7 @@ def messages(path: Path) -> list[Any]:
 
 
 def test_mavlink(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (path,) = written(tmp_path, Geography(UNDULATION), "tlog")
+    (path,) = written(tmp_path, Geography(UNDULATION, None, EXACT), "tlog")
     assert "1 of 3 photographs have no time" in caplog.text
     text, before, _, position, odometry = messages(path)
     assert text.text == "poses by objconnect localize"
@@ -119,6 +120,48 @@ def test_mavlink(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert math.isnan(odometry.vx) and math.isnan(odometry.velocity_covariance[0])
 
 
+def test_both_accuracies_in_mavlink(tmp_path: Path) -> None:
+    """The position on earth is as exact as the map's place there, the local one as before."""
+    covariance = located()[0].covariance
+    assert covariance is not None
+    for number, placed in enumerate([Georeference(horizontal_m=5, source="stated"), None]):
+        (tmp_path / str(number)).mkdir()
+        (path,) = written(tmp_path / str(number), Geography(georeference=placed), "tlog")
+        position, odometry = messages(path)[3:5]
+        if placed is None:
+            assert math.isnan(position.eph)
+        else:
+            across = covariance[0, 0] + covariance[1, 1] + 25
+            assert position.eph == pytest.approx(math.sqrt(across))
+        assert math.isnan(position.epv), "how exact the height of the map is on earth is unknown"
+        assert odometry.pose_covariance[0] == pytest.approx(covariance[1, 1]), "within the map"
+
+
+def test_both_accuracies_in_ros(tmp_path: Path) -> None:
+    covariance = located()[0].covariance
+    assert covariance is not None
+    placed = Georeference(horizontal_m=5, vertical_m=2, source="gps")
+    (tmp_path / "a").mkdir()
+    fixes = {}
+    for name, georeference in (("a", placed), ("b", None)):
+        (tmp_path / name).mkdir(exist_ok=True)
+        (path,) = written(tmp_path / name, Geography(georeference=georeference), "mcap")
+        with highlevel.AnyReader([path]) as reader:
+            for connection, _, data in reader.messages():
+                message = reader.deserialize(data, connection.msgtype)
+                fixes[f"{name}{connection.topic}"] = message  # the last one has a covariance
+    fix = fixes["a/objconnect/fix"]
+    assert fix.position_covariance_type == fix.COVARIANCE_TYPE_KNOWN
+    on_earth = covariance[:3, :3] + np.diag([12.5, 12.5, 4])
+    np.testing.assert_allclose(fix.position_covariance.reshape(3, 3), on_earth)
+    fix = fixes["b/objconnect/fix"]
+    assert fix.position_covariance_type == fix.COVARIANCE_TYPE_UNKNOWN
+    assert not fix.position_covariance.any()
+    for name in "ab":
+        within = fixes[f"{name}/objconnect/pose"].pose.covariance.reshape(6, 6)
+        np.testing.assert_allclose(within, covariance)
+
+
 def test_without_the_geoid_mavlink_has_the_ellipsoid_alone(tmp_path: Path) -> None:
     (path,) = written(tmp_path, Geography(), "tlog")
     position = messages(path)[3]
@@ -127,7 +170,7 @@ def test_without_the_geoid_mavlink_has_the_ellipsoid_alone(tmp_path: Path) -> No
 
 
 def test_ros(tmp_path: Path) -> None:
-    (path,) = written(tmp_path, Geography(UNDULATION), "mcap")
+    (path,) = written(tmp_path, Geography(UNDULATION, None, EXACT), "mcap")
     read: dict[str, list[tuple[int, Any]]] = {}
     with highlevel.AnyReader([path]) as reader:
         for connection, time, data in reader.messages():

@@ -21,6 +21,7 @@ from ingest.command import ingest
 from ingest.neighbours import alike
 from ingest.options import PairOptions
 from ingest.report import IngestReport
+from scene.bundle.georeference import EXACT
 from scene.bundle.scene import Scene, finish_scene
 from scene.checks.validate import validate
 from scene.colmap.options import MatchOptions, SiftOptions
@@ -335,6 +336,7 @@ def test_a_rendered_scene_can_be_added_to(rendered: Scene, old: Path, tmp_path: 
     both = Scene.open(tmp_path / "both")
     assert tuple(both.sessions) == (*rendered.sessions, "flight")
     assert both.objects == rendered.objects
+    assert both.manifest.on_earth == rendered.manifest.on_earth == EXACT
     made, truth = geocentric(both, "flight"), geocentric(rendered, SESSION)
     for name, pose in made.items():
         assert np.linalg.norm(pose[:, 3] - truth[name][:, 3]) < THIRD_OF_A_PIXEL
@@ -390,4 +392,6 @@ def test_a_real_flight_in_two_parts(photographs: Path, ingested: Ingested, tmp_p
     apart = aligned(centres(Scene.open(tmp_path / "both")), centres(ingested[0]))
     new: Collection[float] = [apart[path.name] for path in late]
     assert max(new) < 0.3
+    before = Scene.open(tmp_path / "scene").manifest.on_earth
+    assert before is not None and Scene.open(tmp_path / "both").manifest.on_earth == before
     assert validate(tmp_path / "both").ok

@@ -56,6 +56,12 @@ def test_a_real_flight(ingested: Ingested) -> None:
     assert report.map_points == len(scene.sparse_map().xyz) > 400
     assert "focal length 288.9 px of EXIF kept" in report.text()
     assert scene.manifest.reference == "sfm"
+    # One receiver without corrections, whose fixes fit within decimetres.
+    placed = scene.manifest.on_earth
+    assert placed == report.georeference and placed is not None and placed.source == "gps"
+    assert np.hypot(3.3, 3.3) < placed.horizontal_m < 4.8
+    assert placed.vertical_m is not None and placed.vertical_m > 30, "above the sea or ellipsoid"
+    assert f"position on earth: horizontal {placed.horizontal_m:.2f} m" in report.text()
     assert scene.changed_files() == []
     assert not list(scene.path.glob(".*"))
     assert (scene.path / "pictures" / "ingest.png").stat().st_size > 20_000

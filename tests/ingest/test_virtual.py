@@ -18,6 +18,7 @@ from ingest.virtual.command import photograph_orthophoto
 from ingest.virtual.options import ViewOptions
 from ingest.virtual.surface import Surface
 from mapping.build import build_map
+from scene.bundle.georeference import Georeference
 from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geo.rasters import Raster
@@ -203,7 +204,8 @@ def _moved(path: Path, out: Path) -> Path:
 def test_command(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
     ortho, dsm = files[SYSTEMS[0]]
     words = ["map", "--ortho", ortho, "--dsm", dsm, "--out", tmp_path / "out", "--json"]
-    words += ["--altitude", "34", "--overlap", "0.4"]
+    words += ["--altitude", "34", "--overlap", "0.4", "--georeference", "0.25"]
+    words += ["--georeference-height", "0"]
     result = CliRunner().invoke(app, [str(word) for word in words])
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
@@ -211,6 +213,8 @@ def test_command(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
     assert summary["virtual"]["views"] == len(scene.frames("virtual")) == summary["registered"]
     assert summary["virtual"]["altitude_m"] == 34.0
     assert summary["points"] == len(scene.sparse_map().xyz) > 100
+    stated = Georeference(horizontal_m=0.25, vertical_m=0, source="stated")
+    assert scene.manifest.on_earth == stated
 
 
 @pytest.mark.parametrize(
@@ -221,6 +225,11 @@ def test_command(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
         (["SCENE", "--tilt", "0"], "--tilt describes the map of an orthophoto"),
         (["--ortho", "o.tif", "--out", "x"], "--ortho needs --dsm and --out, and no SCENE"),
         (["SCENE", "--ortho", "o.tif", "--dsm", "d.tif", "--out", "x"], "and no SCENE"),
+        (["SCENE", "--georeference", "0"], "--georeference describes the map of an orthophoto"),
+        (
+            ["--ortho", "o", "--dsm", "d", "--out", "x", "--georeference-height", "1"],
+            "--georeference-height needs --georeference",
+        ),
     ],
 )
 def test_what_the_command_refuses(words: list[str], says: str) -> None:

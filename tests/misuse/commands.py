@@ -91,6 +91,8 @@ ORTHOPHOTO: dict[str, Argument] = {
     "altitude": real("30"),
     "overlap": real("0.5", "0"),
     "tilt": real("20", "0"),
+    "georeference": real("0.5", "0"),
+    "georeference_height": real("1", "0"),
 }
 
 SIMULATED = (

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from scene.bundle.georeference import EXACT, Georeference
 from scene.bundle.manifest import (
     Manifest,
     Objects,
@@ -153,3 +154,41 @@ def test_split_frames_lie_in_the_scene(splits: dict[str, Any], tmp_path: Path) -
     (tmp_path / "splits.json").write_text(json.dumps(splits))
     with pytest.raises(InputError, match=r"splits\.json: (it does not lie|a session is named)"):
         read_json(tmp_path / "splits.json", Splits, "split list")
+
+
+def test_how_exactly_a_scene_is_placed_is_kept(tmp_path: Path) -> None:
+    placed = Georeference(horizontal_m=4.2, vertical_m=None, source="gps")
+    flown = {"preset": None, "seed": None, "reference": "sfm"}
+    for georeference in (None, placed):
+        value = MANIFEST.model_copy(update={**flown, "georeference": georeference})
+        write_json(tmp_path / "scene.json", value)
+        read = read_json(tmp_path / "scene.json", Manifest, "scene")
+        assert read == value and read.on_earth == georeference
+        # Earlier versions read what they can.
+        assert ("georeference" in json.loads((tmp_path / "scene.json").read_text())) == (
+            georeference is not None
+        )
+
+
+def test_invented_worlds_are_where_their_origin_says() -> None:
+    assert MANIFEST.on_earth == EXACT
+    assert MANIFEST.model_copy(update={"config": {"site": {"dsm": "a.tif"}}}).on_earth is None
+    assert MANIFEST.model_copy(update={"preset": None}).on_earth is None, "of an orthophoto"
+    assert MANIFEST.model_copy(update={"reference": "sfm"}).on_earth is None
+
+
+@pytest.mark.parametrize(
+    "georeference",
+    [
+        {"horizontal_m": -1.0, "source": "gps"},
+        {"horizontal_m": float("nan"), "source": "gps"},
+        {"horizontal_m": 1.0, "vertical_m": float("inf"), "source": "gps"},
+        {"horizontal_m": 1.0, "source": "guess"},
+        {"horizontal_m": 1.0},
+        {"vertical_m": 1.0, "source": "gps"},
+        {"horizontal_m": 1.0, "source": "gps", "unit": "ft"},
+    ],
+)
+def test_a_bad_georeference_is_refused(tmp_path: Path, georeference: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="georeference"):
+        read_json(changed(tmp_path, georeference=georeference), Manifest, "scene manifest")

@@ -1,0 +1,103 @@
+"""Answers that contradict the positions that the photographs' own receiver measured."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from benchmark.answers import Geography, Located
+
+log = logging.getLogger(__name__)
+
+# Fewer photographs may all have a bad fix.
+_FEWEST: Final = 5
+# Standard deviations of one axis. Errors that all photographs share are larger by a chance of
+# 1 in 90 horizontally, and of 1 in 370 vertically.
+_FAR: Final = 3.0
+# A smaller standard deviation (m) is none that a receiver has.
+_LEAST: Final = 1e-3
+
+
+class Disagreement(NamedTuple):
+    """How far answers are from measured positions.
+
+    Attributes:
+        photographs: number of photographs that have both.
+        across_m: median horizontal distance, metres.
+        up_m: median height of the answers above the positions, metres; None where no height was
+            measured.
+        far_across: whether the horizontal distances are far larger than the sigmas.
+        far_up: the same of the heights.
+    """
+
+    photographs: int
+    across_m: float
+    up_m: float | None
+    far_across: bool
+    far_up: bool
+
+
+class _Compared(NamedTuple):
+    across_m: float
+    across_sigmas: float
+    up_m: float
+    up_sigmas: float
+
+
+def measure_disagreement(located: Sequence[Located], geography: Geography) -> Disagreement | None:
+    """Compare answers with measured positions; None where fewer than five photographs have both.
+
+    A distance is measured in standard deviations of position and answer together: that on earth
+    where the map's place on earth is known, else that within the map.
+    """
+    compared = np.array(list(_compared(located, geography))).reshape(-1, 4)
+    if len(compared) < _FEWEST:
+        return None
+    across, across_sigmas = np.median(compared[:, :2], axis=0).tolist()
+    heights = compared[np.isfinite(compared[:, 2])]
+    up, far_up = None, False
+    if len(heights) >= _FEWEST:
+        up, far_up = float(np.median(heights[:, 2])), bool(np.median(heights[:, 3]) > _FAR)
+    return Disagreement(len(compared), across, up, across_sigmas > _FAR, far_up)
+
+
+def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> None:
+    """Warn in one line where answers are much further from measured positions than the sigmas."""
+    found = measure_disagreement(located, geography)
+    if found is None or not (found.far_across or found.far_up):
+        return
+    parts = [f"{found.across_m:.1f} m beside"] if found.far_across else []
+    if found.far_up and found.up_m is not None:
+        parts.append(f"{abs(found.up_m):.1f} m {'above' if found.up_m > 0 else 'below'}")
+    log.warning(
+        "the answers lie %s the GPS positions of the photographs (median of %d), far more than "
+        "the sigmas of both: the map's place on earth is off, or the GPS is%s",
+        " and ".join(parts),
+        found.photographs,
+        ", or its altitudes are above another surface (sea or ellipsoid)" if found.far_up else "",
+    )
+
+
+def _compared(located: Sequence[Located], geography: Geography) -> Iterator[_Compared]:
+    """Yield distances, and what they are of the standard deviations; NaN for unknown heights."""
+    for item in located:
+        gps, centre = item.gps, item.centre
+        if not item.found or centre is None or gps is None or gps.position_sigma is None:
+            continue
+        if not gps.has_position or not np.isfinite(gps.position[:2]).all():
+            continue
+        accuracy, within = item.accuracy(geography), item.sigmas or (0.0, 0.0)
+        eph = within[0] if accuracy.eph_m is None else accuracy.eph_m
+        epv = within[1] if accuracy.epv_m is None else accuracy.epv_m
+        east, north, up = (centre - gps.position).tolist()
+        across = math.hypot(east, north)
+        across_sigma = math.hypot(eph / math.sqrt(2), gps.horizontal_sigma or 0.0)
+        up_sigma = math.hypot(epv, float(gps.position_sigma[2]))
+        up = up if math.isfinite(up_sigma) else math.nan
+        yield _Compared(
+            across, across / max(across_sigma, _LEAST), up, abs(up) / max(up_sigma, _LEAST)
+        )
