@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.options import TrackingOptions
 from baselines.views import warp_image
+from baselines.featuremetric.tracking import Tracking
 from benchmark.registry import create
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
@@ -109,7 +110,7 @@ def test_a_prior_that_lacks_a_part_is_no_track(
     def never(*_: object) -> None:
         raise AssertionError("it was followed")
 
-    monkeypatch.setattr(localizer, "_tracking", never)
+    monkeypatch.setattr(Tracking, "__call__", never)
     # As cheap as it can be: whatever comes of it.
     localizer.localize(replace(query_of(TRUTH), prior=unknown, tracked=True, references=("1.png",)))
     with pytest.raises(AssertionError, match="followed"):
