@@ -10,7 +10,7 @@ from pydantic import Field
 from baselines.retrieval import References, RetrievalOptions
 from baselines.starts import StartOptions, start_of, starts
 from scene.config import Config
-from scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
+from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 
 

@@ -74,9 +74,7 @@ class GlobalSearch:
     places: PlaceFinder | None
     other: OtherFinder | None
 
-    def __call__(
-        self, query: Query, matched: Estimate | None, clock: Stopwatch
-    ) -> Estimate | None:
+    def __call__(self, query: Query, matched: Estimate | None, clock: Stopwatch) -> Estimate | None:
         """Return the best pose that was found; None where nothing says where to look.
 
         Args:

@@ -203,9 +203,8 @@ class FeaturemetricLocalizer:
         if (followed := self._followed(query, clock)) is not None:
             return followed
         return_freed_above(self._most_bytes)
-        if self.config.multistart and query.references is None and not says_all(query.prior):
-            if (found := self._searched(query, clock)) is not None:
-                return found
+        if self._is_searched(query) and (found := self._searched(query, clock)) is not None:
+            return found
         refine = self._preparation.in_query(clock).refine
         with clock.stage("retrieval"):
             chosen = refine.photographs(query)
@@ -218,9 +217,13 @@ class FeaturemetricLocalizer:
             attempts = [each if is_found(each, options) else unclear(each) for each in attempts]
         return estimated(attempts, begin, start_of(query.prior), self.config.search, clock)
 
+    def _is_searched(self, query: Query) -> bool:
+        """Return whether the pose of an image is searched for, of which no prior says all."""
+        return self.config.multistart and query.references is None and not says_all(query.prior)
+
     def _searched(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the pose of an image of which no prior says all, by matches where they are sure,
-        else by a search; None where nothing says where to look."""
+        """Return the pose by matches where they are sure, else by a search; None where nothing says
+        where to look."""
         matched = None
         if self._matches is not None:
             with clock.stage("matches"):

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.options import TrackingOptions
-from baselines.views import warp_image
 from baselines.featuremetric.tracking import Tracking
+from baselines.views import warp_image
 from benchmark.registry import create
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
