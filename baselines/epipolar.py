@@ -25,7 +25,7 @@ from baselines.sift import Sift
 from scene.colmap.relative_pose import estimate_relative_pose
 from scene.config import Config
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.features import Features
 from scene.maps.sparse_map import MapImage, SparseMap
 from scene.storage.lru_cache import LruCache, room
@@ -144,6 +144,7 @@ class EpipolarLocalizer:
             inliers=sum(len(matches.query_rays) for matches in used),
             iterations=refined.iterations,
             seconds=clock.seconds,
+            by=By.MATCHES,
         )
 
     def _relate(

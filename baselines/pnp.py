@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from scene.config import Config
-from scene.localizer import Estimate, Query, Status, Stopwatch
+from scene.localizer import By, Estimate, Query, Status, Stopwatch
 
 MIN_MATCHES: Final = 4
 """Matches that PnP needs."""
@@ -63,4 +63,5 @@ def solve_pose(
         result.covariance,
         inliers=inliers,
         seconds=clock.seconds,
+        by=By.MATCHES,
     )

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from baselines.retrieval import References, RetrievalOptions
-from baselines.starts import StartOptions, starts
+from baselines.starts import StartOptions, start_of, starts
 from scene.config import Config
 from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
@@ -59,4 +59,5 @@ class PriorLocalizer:
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             start = starts(query.prior, self._map, chosen, self.config.starts)[0]
-        return Estimate(Status.OK, start, seconds=clock.seconds)
+        by = start_of(query.prior)
+        return Estimate(Status.OK, start, seconds=clock.seconds, by=by)

@@ -14,7 +14,7 @@ from pydantic import Field
 from baselines.views import north_angle
 from scene.config import Config
 from scene.geometry.pose import Pose
-from scene.localizer import Prior
+from scene.localizer import By, Prior
 from scene.maps.sparse_map import SparseMap
 
 
@@ -87,6 +87,11 @@ def starts(
         torch.tensor([*position[:2], altitude], dtype=torch.float64) for altitude in altitudes
     ]
     return [Pose(rotation, -rotation @ centre) for centre in centres for rotation in rotations]
+
+
+def start_of(prior: Prior | None) -> By:
+    """Return what ``starts`` takes the place of a query from: its prior or photographs."""
+    return By.PRIOR if prior is not None and prior.has_position else By.RETRIEVAL
 
 
 def _distinct_heights(heights: Sequence[float], same_ratio: float) -> list[int]:

@@ -29,6 +29,7 @@ from scene.geometry.pose import Pose
 from scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
 from scene.maps.features import FeatureFile, Features
 from scene.maps.sparse_map import SparseMap
+from scene.runtime.progress import progress_within
 from scene.storage.lru_cache import LruCache, room
 from scene.storage.scratch import scratch
 
@@ -196,11 +197,14 @@ class StructureLocalizer:
             return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
         if turned:
             return self._solved(query, as_taken(), chosen, clock)
-        estimates = []
-        for start in starts(query.prior, self._map, chosen, self.config.starts):
-            with clock.stage("features"):
-                features = self._seen(query, chosen, start)
-            estimates.append(self._solved(query, features, chosen, clock))
+        estimates: list[Estimate] = []
+        begin = starts(query.prior, self._map, chosen, self.config.starts)
+        with progress_within("starts matched", len(begin)) as advance:
+            for start in begin:
+                with clock.stage("features"):
+                    features = self._seen(query, chosen, start)
+                estimates.append(self._solved(query, features, chosen, clock))
+                advance(len(estimates))
         return max(estimates, key=lambda estimate: estimate.inliers)
 
     def similar(self, query: Query, count: int) -> NDArray[np.int64]:

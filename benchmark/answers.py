@@ -39,7 +39,7 @@ _HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
 _WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
 _FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
 _LATER: Final = ("time", "sea_level_m", "yaw_deg", "pitch_deg", "roll_deg", "eph_m", "epv_m")
-_LAST: Final = ("camera", "focal_px", "seconds")
+_LAST: Final = ("camera", "focal_px", "seconds", "by")
 _COORDINATES: Final = ("x", "y", "h", "crs", "h_above")
 _COLUMNS: Final = (*_FIRST, *_LATER, "covariance", *_LAST)
 _MARK: Final = "poses by objconnect localize"
@@ -143,7 +143,8 @@ class Located:
         return Fix(since, self.place, centre, rotation, self.covariance, self.accuracy(geography))
 
     def values(self, geography: Geography) -> dict[str, str | float]:
-        """Return what is known of time, heights, coordinates, attitude, uncertainty and camera."""
+        """Return what is known of time, heights, coordinates, attitude, uncertainty, camera and
+        method."""
         known: dict[str, str | float] = {}
         if self.time is not None:
             known["time"] = _stamp(self.time)
@@ -164,6 +165,8 @@ class Located:
             known["camera"] = self.source.value
             if self.found or self.source is not CameraSource.ESTIMATED:
                 known["focal_px"] = round(self.camera.focal[0], 2)
+        if self.estimate.by is not None:
+            known["by"] = self.estimate.by.value
         return known
 
 

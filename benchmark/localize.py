@@ -34,7 +34,7 @@ from scene.geo.crs import Projection, geoid_undulation
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Localizer, Query, Status
+from scene.localizer import By, Estimate, Localizer, Query, Status, prepare_first
 from scene.maps.colmap_files import read_model
 from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
@@ -127,7 +127,7 @@ def localize(
         # The disk of the output has room for what the method keeps per map.
         cache_or_scratch(cache, out.parent) as kept,
     ):
-        localizer.prepare(place.sparse_map, place.images, kept)
+        prepare_first(localizer, place.sparse_map, place.images, kept)
         reader = with_estimates(reader, paths, partial(_localize_twice, reader, localizer))
         with progress_bar(f"localize with {localizer.name}", len(paths)) as advance:
             for name, path in paths.items():
@@ -154,6 +154,7 @@ class Answer(Named):
         cam_from_world: estimated pose as qw qx qy qz tx ty tz; None without a pose.
         covariance: 36 numbers of the covariance by rows; None if unknown or not finite.
         inliers: number of inliers.
+        by: what gave the pose; None if unknown.
     """
 
     asked: str
@@ -162,6 +163,7 @@ class Answer(Named):
     cam_from_world: PoseNumbers | None
     covariance: tuple[float, ...] | None = Field(min_length=36, max_length=36)
     inliers: int
+    by: By | None = None
 
     @staticmethod
     def of(name: str, asked: str, estimate: Estimate) -> Answer:
@@ -180,6 +182,7 @@ class Answer(Named):
             if covariance is not None and known
             else None,
             inliers=estimate.inliers,
+            by=estimate.by,
         )
 
     def estimate(self) -> Estimate:
@@ -191,6 +194,7 @@ class Answer(Named):
             None if covariance is None else np.reshape(covariance, (6, 6)),
             inliers=self.inliers,
             reason=self.reason,
+            by=self.by,
         )
 
 

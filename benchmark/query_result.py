@@ -9,7 +9,7 @@ from pydantic import Field
 from scene.bundle.manifest import Condition
 from scene.geometry.geodesy import FARTHEST_M
 from scene.geometry.pose import Pose
-from scene.localizer import Status
+from scene.localizer import By, Status
 from scene.storage.records import Record
 
 # Larger numbers in a file are damage; sums of them could overflow.
@@ -51,6 +51,7 @@ class QueryResult(Named):
         iterations: number of iterations that the method reports.
         inliers: number of inliers that the method reports.
         seconds: wall-clock seconds by stage.
+        by: what gave the pose; None if unknown.
     """
 
     condition: Condition
@@ -66,6 +67,7 @@ class QueryResult(Named):
     iterations: _Count
     inliers: _Count
     seconds: dict[str, _Time]
+    by: By | None = None
 
 
 def pose_of(numbers: PoseNumbers) -> Pose:

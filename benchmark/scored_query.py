@@ -9,10 +9,11 @@ import torch
 from benchmark.datasets.dataset import BenchmarkQuery
 from benchmark.query_result import LARGEST_NEES, TOTAL, QueryResult, pose_of
 from benchmark.uncertainty import normalised_error
-from scene.errors import InputError
+from scene.errors import InputError, PreparationError
 from scene.geometry.geodesy import FARTHEST_M
 from scene.localizer import Estimate, Localizer, Query, Status
 from scene.maps.sparse_map import SparseMap
+from scene.runtime.progress import one_step
 
 log = logging.getLogger(__name__)
 
@@ -25,10 +26,12 @@ def localize_safely(localizer: Localizer, query: Query) -> Estimate:
 
     Raises:
         InputError: the method cannot read its input.
+        PreparationError: the method cannot prepare the map, which it had left until now.
     """
     try:
-        estimate = localizer.localize(query)
-    except InputError:
+        with one_step():
+            estimate = localizer.localize(query)
+    except (InputError, PreparationError):
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {error}"
@@ -84,4 +87,5 @@ def score_query(
         iterations=estimate.iterations,
         inliers=estimate.inliers,
         seconds=estimate.seconds | ({} if seconds is None else {TOTAL: seconds}),
+        by=estimate.by,
     )

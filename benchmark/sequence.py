@@ -42,7 +42,7 @@ from scene.config import Config, load_config
 from scene.errors import InputError
 from scene.geo.crs import Projection
 from scene.geometry.camera import Camera
-from scene.localizer import Estimate, Localizer, Query, Status
+from scene.localizer import Estimate, Localizer, Query, Status, prepare_first
 from scene.runtime.progress import progress_bar
 from scene.storage.atomic import atomic_write, write_text
 from scene.storage.names import quote_name
@@ -236,7 +236,7 @@ def _localize(
         with progress_bar(f"localize with {localizer.name}", count) as advance:
             for shot in shots:
                 if not prepared:  # what cannot be read is refused before the map is prepared
-                    localizer.prepare(place.sparse_map, place.images, kept)
+                    prepare_first(localizer, place.sparse_map, place.images, kept)
                     prepared = True
                 asked = _digest(asked, shot.seconds, *_words(shot))
                 estimate = _answer(shot, tracker, journal, asked)

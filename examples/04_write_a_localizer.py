@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmark.api import Estimate, Query, SparseMap, evaluate, open_datasets
 from scene.config import Config
-from scene.localizer import Status, Stopwatch
+from scene.localizer import By, Status, Stopwatch
 
 
 class NearestConfig(Config):
@@ -37,7 +37,8 @@ class Nearest:
             axes = 2 if self.config.ignore_altitude else 3
             away = self.map.centres[:, :axes] - query.prior.position[:axes]
             nearest = self.map.names[int(np.linalg.norm(away, axis=1).argmin())]
-        return Estimate(Status.OK, self.map.images[nearest].pose, seconds=clock.seconds)
+        pose = self.map.images[nearest].pose
+        return Estimate(Status.OK, pose, seconds=clock.seconds, by=By.RETRIEVAL)
 
 
 def main(

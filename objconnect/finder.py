@@ -22,6 +22,7 @@ from objconnect.object_map import MapObjects, ObjectFinder, map_ground
 from scene.config import Config
 from scene.geometry.pose import so3_exp
 from scene.localizer import MapPart, Prior, Query
+from scene.runtime.progress import progress_within
 
 
 class ObjectPlaceOptions(Config):
@@ -113,12 +114,14 @@ class ObjectPlaceFinder:
             return self._connect(found, query.camera, base, *rest)
         connect = self._connect
         places: list[Candidate] = []
-        for number, degrees in enumerate(options.tilts_deg):
-            # A camera that is tilted looks ahead: the ground is at the bottom of its picture.
-            up = so3_exp(torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64))
-            places += connect(found, query.camera, up @ base, *rest)
-            if number == 0 and (not places or _is_clear(places, options.clear_ratio)):
-                break
+        with progress_within("objects, tilts of camera", len(options.tilts_deg)) as advance:
+            for done, degrees in enumerate(options.tilts_deg, 1):
+                # A camera that is tilted looks ahead: the ground is at the bottom of its picture.
+                up = so3_exp(torch.tensor([-math.radians(degrees), 0.0, 0.0], dtype=torch.float64))
+                places += connect(found, query.camera, up @ base, *rest)
+                advance(done)
+                if done == 1 and (not places or _is_clear(places, options.clear_ratio)):
+                    break
         return sorted(places, key=lambda place: -place.score)[: options.connect.candidates]
 
 

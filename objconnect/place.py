@@ -14,7 +14,7 @@ from baselines.place.finder import PlaceFinder, PlaceOptions
 from objconnect.localizer import SHIPPED
 from objconnect.network import read_network
 from scene.config import Config
-from scene.localizer import Estimate, Query, Status, Stopwatch, query_error
+from scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 from scene.storage.scratch import scratch
 
@@ -68,4 +68,4 @@ class PlaceLocalizer:
             candidates = self._finder.find(query)
         if not candidates:
             return Estimate(Status.FAILED, seconds=clock.seconds, reason="no place looks like it")
-        return Estimate(Status.OK, candidates[0].pose, seconds=clock.seconds)
+        return Estimate(Status.OK, candidates[0].pose, seconds=clock.seconds, by=By.PLACE)

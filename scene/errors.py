@@ -14,6 +14,13 @@ class WriteError(InputError):
     """A place cannot be written or has no space left; what is finished there stays usable."""
 
 
+class PreparationError(Exception):
+    """What a query needed of the map could not be made, through no fault of the input.
+
+    No other query could be localized either, so it is no failure of one.
+    """
+
+
 # h5py has no exception of its own: these are what reading a damaged file may raise.
 HDF5_DAMAGE: Final = (
     AttributeError,

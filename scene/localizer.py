@@ -120,6 +120,17 @@ class Status(StrEnum):
     FAILED = "failed"
 
 
+class By(StrEnum):
+    """What gave the pose of an answer."""
+
+    MATCHES = "matches"  # local features, matched to those of the map's photographs
+    ALIGNMENT = "alignment"  # features of the image, aligned to those of the map's points
+    TRACKING = "tracking"  # an alignment where the images before lead, and nowhere else
+    PLACE = "place"  # the place of the map that looks most like the image, unrefined
+    RETRIEVAL = "retrieval"  # a photograph of the map that looks like the image or lies near it
+    PRIOR = "prior"  # the prior, which photographs of the map may have completed
+
+
 @dataclass(frozen=True)
 class Estimate:
     """The answer of a localizer.
@@ -133,7 +144,7 @@ class Estimate:
         iterations: number of iterations of the robust estimator or the optimizer.
         seconds: time per stage.
         reason: why there is no pose, in words.
-        tracked: whether only the prior of a tracked query was looked at, and confirmed.
+        by: what gave the pose; None without one, or where the method does not say.
     """
 
     status: Status
@@ -143,7 +154,12 @@ class Estimate:
     iterations: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     reason: str = ""
-    tracked: bool = False
+    by: By | None = None
+
+    @property
+    def tracked(self) -> bool:
+        """Whether only the prior of a tracked query was looked at, and confirmed."""
+        return self.by is By.TRACKING
 
     def world_covariance(self) -> NDArray[np.float64] | None:
         """Return the covariance (6, 6) of centre and attitude; None where it is unknown.
@@ -229,6 +245,38 @@ class Localizer(Protocol):
         exception.
         """
         ...
+
+
+@runtime_checkable
+class PreparesLater(Protocol):
+    """A localizer that can leave what not every query needs until one needs it."""
+
+    def prepare_first(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
+        """Build of the per-map state what a query needs first.
+
+        The rest is built by the first query that needs it, as its stage ``preparation``, and then
+        is that of ``Localizer.prepare``: answers are the same.
+
+        Args:
+            sparse_map: map; its image names are relative to ``images``.
+            images: folder of the map's photographs, there until the last query.
+            cache: folder as for ``Localizer.prepare``, there until the last query.
+
+        Raises:
+            InputError: the map is empty, or a photograph is missing or damaged.
+        """
+        ...
+
+
+def prepare_first(localizer: Localizer, sparse_map: SparseMap, images: Path, cache: Path) -> None:
+    """Prepare a method, and leave until a query needs it what the method can leave.
+
+    The arguments and errors are those of ``PreparesLater.prepare_first``.
+    """
+    if isinstance(localizer, PreparesLater):
+        localizer.prepare_first(sparse_map, images, cache)
+    else:
+        localizer.prepare(sparse_map, images, cache)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.problem import fit
 from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Status, Stopwatch
+from scene.localizer import By, Estimate, Status, Stopwatch
 
 _UNCLEAR: Final = "no place of the map fits the image clearly"
 
@@ -87,13 +87,18 @@ def judged(found: Found, options: SearchOptions) -> Attempt:
 
 
 def estimated(
-    attempts: Sequence[Attempt], begin: Sequence[Pose], options: SearchOptions, clock: Stopwatch
+    attempts: Sequence[Attempt],
+    begin: Sequence[Pose],
+    begun: By,
+    options: SearchOptions,
+    clock: Stopwatch,
 ) -> Estimate:
     """Return the best of some attempts; where none is accepted, the first start.
 
     Args:
         attempts: what was tried.
         begin: starts, ``cam_from_world``.
+        begun: what gave the first of them.
         options: how covariances are calibrated.
         clock: the time that was taken.
     """
@@ -108,6 +113,7 @@ def estimated(
             iterations=iterations,
             seconds=clock.seconds,
             reason=best.reason,
+            by=begun,
         )
     return Estimate(
         Status.OK,
@@ -116,6 +122,7 @@ def estimated(
         inliers=seen,
         iterations=iterations,
         seconds=clock.seconds,
+        by=By.ALIGNMENT,
     )
 
 

@@ -12,17 +12,25 @@ from typing import Protocol
 
 from baselines.align.options import SearchRadius
 from baselines.featuremetric.attempt import Attempt, estimated, is_found, stayed_near, unclear
+from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.priors import may_be_at, says_where
 from baselines.featuremetric.references import ReferenceSource, Watch
 from baselines.featuremetric.refiner import Refiner
 from baselines.place.finder import PlaceFinder
 from baselines.place.search import Candidate
-from baselines.starts import starts
+from baselines.starts import start_of, starts
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, MapPart, Query, Stopwatch
+from scene.localizer import By, Estimate, MapPart, Query, Stopwatch
 from scene.maps.sparse_map import SparseMap
+from scene.runtime.progress import progress_within
 
 _Find = Callable[[Query, Stopwatch], list[Candidate]]
+
+
+def is_answer(matched: Estimate, options: SearchOptions) -> bool:
+    """Return whether the pose of matches is the answer, without an alignment."""
+    enough = matched.inliers >= options.matched_answer_inliers
+    return matched.cam_from_world is not None and enough
 
 
 class OtherFinder(Protocol):
@@ -66,36 +74,44 @@ class GlobalSearch:
     places: PlaceFinder | None
     other: OtherFinder | None
 
-    def __call__(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the best pose that was found; None where nothing says where to look."""
+    def __call__(self, query: Query, matched: Estimate | None, clock: Stopwatch) -> Estimate | None:
+        """Return the best pose that was found; None where nothing says where to look.
+
+        Args:
+            query: the image.
+            matched: what matches say of it, which is no ``is_answer``; None without matches.
+            clock: takes the time.
+        """
         attempts: list[Attempt] = []
-        matched = self._matched(query, clock)
         if matched is not None and matched.cam_from_world is not None:
             answer, attempts = self._near_matches(query, matched, matched.cam_from_world, clock)
             if answer is not None:
                 return answer
         options = self.refine.config.search
-        begin: list[Pose] = []
-        for place in self._places(query, clock):
-            attempt = self.refine.near(query, place.pose, clock)
-            if is_found(attempt, options):
-                # Seen from there, the image is turned and scaled better.
-                again = self.refine.near(query, attempt.pose, clock)
-                return self._best([attempt, again], [place.pose], clock)
-            attempts.append(attempt)
-            begin.append(place.pose)
+        begin: list[Candidate] = []
+        for some in self._places(query, clock):
+            with progress_within("places aligned", len(some)) as advance:
+                for done, place in enumerate(some, 1):
+                    attempt = self.refine.near(query, place.pose, clock)
+                    if is_found(attempt, options):
+                        # Seen from there, the image is turned and scaled better.
+                        again = self.refine.near(query, attempt.pose, clock)
+                        return self._best([attempt, again], place, clock)
+                    attempts.append(attempt)
+                    begin.append(place)
+                    advance(done)
         if self.places is None or not begin:
             return None
-        return self._best([unclear(each) for each in attempts], begin, clock)
+        return self._best([unclear(each) for each in attempts], begin[0], clock)
 
-    def _places(self, query: Query, clock: Stopwatch) -> Iterator[Candidate]:
+    def _places(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
         """Yield places where the query may be: the best ones of each finder before all others."""
         further: list[Candidate] = []
         for find in self._finders(query):
             places = find(query, clock)
-            yield from places[: self.refine.config.search.first_places]
+            yield places[: self.refine.config.search.first_places]
             further += places[self.refine.config.search.first_places :]
-        yield from further
+        yield further
 
     def _finders(self, query: Query) -> Sequence[_Find]:
         """Return what finds places, the one that is asked first in front."""
@@ -104,33 +120,23 @@ class GlobalSearch:
         finders = [self._of_other, self._found_places]
         return finders if self.other.is_first else finders[::-1]
 
-    def _best(
-        self, attempts: Sequence[Attempt], begin: Sequence[Pose], clock: Stopwatch
-    ) -> Estimate:
-        return estimated(attempts, begin, self.refine.config.search, clock)
-
-    def _matched(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the pose that matches of local features give."""
-        if self.refine.matches is None:
-            return None
-        with clock.stage("matches"):
-            return self.refine.matches.localize(query)
+    def _best(self, attempts: Sequence[Attempt], begin: Candidate, clock: Stopwatch) -> Estimate:
+        return estimated(attempts, [begin.pose], begin.by, self.refine.config.search, clock)
 
     def _near_matches(
         self, query: Query, matched: Estimate, start: Pose, clock: Stopwatch
     ) -> tuple[Estimate | None, list[Attempt]]:
         """Refine the pose of matches: return the answer where it is sure, and what was tried."""
         options = self.refine.config.search
-        if matched.inliers >= options.matched_answer_inliers:
-            return replace(matched, seconds=clock.seconds), []
+        begin = Candidate(start, 0.0, By.MATCHES)
         around = SearchRadius(options.matched_radius_m, options.matched_radius_deg)
         attempt = self.refine.near(query, start, clock, around)
         if matched.inliers >= options.matched_accept_inliers:
             if attempt.reason or not stayed_near(attempt.pose, start, options):
                 return replace(matched, seconds=clock.seconds), []
-            return self._best([attempt], [start], clock), []
+            return self._best([attempt], begin, clock), []
         if is_found(attempt, options):
-            return self._best([attempt], [start], clock), []
+            return self._best([attempt], begin, clock), []
         return None, [attempt]
 
     def _of_other(self, query: Query, clock: Stopwatch) -> list[Candidate]:
@@ -153,4 +159,5 @@ class GlobalSearch:
         with clock.stage("retrieval"):
             chosen = self.refine.photographs(query)
             begin = starts(query.prior, self.sparse_map, chosen, config.starts)
-        return [Candidate(pose, 0.0) for pose in begin[: config.place.candidates]]
+        by = start_of(query.prior)
+        return [Candidate(pose, 0.0, by) for pose in begin[: config.place.candidates]]

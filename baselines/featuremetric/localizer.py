@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -20,10 +21,11 @@ from torch import nn
 
 from baselines.align.options import Options
 from baselines.featuremetric.attempt import Attempt, estimated, is_found, is_sure, unclear
-from baselines.featuremetric.global_search import GlobalSearch, OtherFinder
+from baselines.featuremetric.global_search import GlobalSearch, OtherFinder, is_answer
 from baselines.featuremetric.maps import MapExtractor, Network
 from baselines.featuremetric.matcher import matcher
 from baselines.featuremetric.options import FeaturemetricConfig
+from baselines.featuremetric.prepared import Preparation, Prepared
 from baselines.featuremetric.priors import says_all, says_where, search_radius
 from baselines.featuremetric.problem import LEAST_SIDE, Levelling, ProblemBuilder
 from baselines.featuremetric.quantized import quantized_extractor
@@ -34,9 +36,9 @@ from baselines.place.finder import PlaceFinder
 from baselines.quantization import require_quantizable
 from baselines.retrieval import OnDemand, References
 from baselines.sift import SiftLocalizer
-from baselines.starts import starts
+from baselines.starts import start_of, starts
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, MapPart, Query, Status, Stopwatch, query_error
+from scene.localizer import By, Estimate, MapPart, Query, Status, Stopwatch, query_error
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.memory import (
     resident_bytes,
@@ -44,6 +46,7 @@ from scene.runtime.memory import (
     return_freed_above,
     spare_collector,
 )
+from scene.runtime.progress import progress_within
 from scene.storage.lru_cache import MEGABYTE
 from scene.storage.scratch import scratch
 
@@ -86,14 +89,36 @@ class FeaturemetricLocalizer:
             with scratch() as folder:  # files stay open
                 self.prepare(sparse_map, images, folder)
             return
+        self.prepare_first(sparse_map, images, cache)
+        self._preparation()
+
+    @property
+    def prepared(self) -> Prepared:
+        """Return what alignment needs of the map, which is made now where it was left."""
+        return self._preparation()
+
+    def prepare_first(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
+        """Prepare matches, and leave alignment; see ``scene.localizer.PreparesLater``.
+
+        Without matches nothing is left: then every query is aligned.
+        """
         config = self.config
         self._map = sparse_map
         kept_mb = self._kept_mb(config.max_magnification)
-        matches = None  # first: it takes more memory than the rest
+        self._matches = None  # first: it takes more memory than the rest
         if config.multistart and config.matches is not None:
             least_mb = min(kept_mb, config.matches.memory_mb)
             of_matches = config.matches.model_copy(update={"memory_mb": least_mb})
-            matches = matcher(of_matches, sparse_map, images, cache)
+            self._matches = matcher(of_matches, sparse_map, images, cache)
+        self._preparation = Preparation(partial(self._prepare_rest, images, cache, kept_mb))
+        if self._matches is None:
+            self._preparation()
+            return
+        self._settle()
+
+    def _prepare_rest(self, images: Path, cache: Path, kept_mb: int) -> Prepared:
+        """Prepare what alignment needs; ``kept_mb`` is the memory beside a pass of the network."""
+        config, sparse_map = self.config, self._map
         source = self._source(sparse_map, images)
         other = self._other if config.multistart else None
         watch = None if other is None else other.watcher(source, cache)
@@ -112,17 +137,17 @@ class FeaturemetricLocalizer:
             Levelling.of(sparse_map, config.most_tilt_deg),
         )
         options = config.tracking
-        self._tracking = None if options is None else Tracking(problems, config.search, options)
+        tracking = None if options is None else Tracking(problems, config.search, options)
         # The coarsest features tell places apart: nothing else need be extracted to find similar
         # photographs.
         described = OnDemand(observations.coarse, len(observations))
         retrieval = References.build(sparse_map, described, config.retrieval)
-        self._refine = Refiner(
+        refine = Refiner(
             config,
             extract,
             problems,
             retrieval,
-            matches,
+            self._matches,
             self._kept_mb(1.0) * MEGABYTE,
             kept_mb * MEGABYTE,
         )
@@ -132,10 +157,14 @@ class FeaturemetricLocalizer:
             places.prepare(sparse_map, images, source.extractor_key, cache)
         if other is not None:
             other.prepare(source, cache)
-        self._search = GlobalSearch(self._refine, sparse_map, places, other)
+        self._settle()
+        return Prepared(refine, GlobalSearch(refine, sparse_map, places, other), tracking)
+
+    def _settle(self) -> None:
+        """Give back what preparing took, and note what memory queries begin with."""
         spare_collector()
         return_freed()
-        self._most_bytes = resident_bytes() + config.return_freed_mb * MEGABYTE
+        self._most_bytes = resident_bytes() + self.config.return_freed_mb * MEGABYTE
 
     def prepare_part(self, sparse_map: SparseMap, images: Path, cache: Path, part: MapPart) -> None:
         """Compute what the cache is to hold of a part; see ``scene.localizer.PreparesParts``."""
@@ -174,37 +203,52 @@ class FeaturemetricLocalizer:
         if (followed := self._followed(query, clock)) is not None:
             return followed
         return_freed_above(self._most_bytes)
-        unsaid = query.references is None and not says_all(query.prior)
-        if self.config.multistart and unsaid and (found := self._search(query, clock)) is not None:
+        if self._is_searched(query) and (found := self._searched(query, clock)) is not None:
             return found
+        refine = self._preparation.in_query(clock).refine
         with clock.stage("retrieval"):
-            chosen = self._refine.photographs(query)
+            chosen = refine.photographs(query)
             if not len(chosen):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             begin = starts(query.prior, self._map, chosen, self.config.starts)
-        attempts = self._attempts(query, chosen, begin, clock)
+        attempts = self._attempts(refine, query, chosen, begin, clock)
         if self._has_no_position(query):
             options = self.config.search
             attempts = [each if is_found(each, options) else unclear(each) for each in attempts]
-        return self._estimate(attempts, begin, clock)
+        return estimated(attempts, begin, start_of(query.prior), self.config.search, clock)
 
-    def _estimate(
-        self, attempts: Sequence[Attempt], begin: Sequence[Pose], clock: Stopwatch
-    ) -> Estimate:
-        """Return the best of some attempts; where none is accepted, the first start."""
-        return estimated(attempts, begin, self.config.search, clock)
+    def _is_searched(self, query: Query) -> bool:
+        """Return whether the pose of an image is searched for, of which no prior says all."""
+        return self.config.multistart and query.references is None and not says_all(query.prior)
+
+    def _searched(self, query: Query, clock: Stopwatch) -> Estimate | None:
+        """Return the pose by matches where they are sure, else by a search; None where nothing says
+        where to look."""
+        matched = None
+        if self._matches is not None:
+            with clock.stage("matches"):
+                matched = self._matches.localize(query)
+            if is_answer(matched, self.config.search):
+                return replace(matched, seconds=clock.seconds)
+        return self._preparation.in_query(clock).search(query, matched, clock)
 
     def _followed(self, query: Query, clock: Stopwatch) -> Estimate | None:
         """Return the pose near the one that the images before predict; None if unconfirmed."""
-        if self._tracking is None or not query.tracked or not says_all(query.prior):
+        if self.config.tracking is None or not query.tracked or not says_all(query.prior):
             return None
-        attempt = self._tracking(query, self._refine.photographs(query), clock)
+        prepared = self._preparation.in_query(clock)
+        assert prepared.tracking is not None
+        attempt = prepared.tracking(query, prepared.refine.photographs(query), clock)
         if attempt is None:
             return None
-        return replace(self._estimate([attempt], [attempt.pose], clock), tracked=True)
+        begin, options = [attempt.pose], self.config.search
+        found = estimated([attempt], begin, By.TRACKING, options, clock)
+        return replace(found, by=By.TRACKING)
 
+    # More than six parameters: they are what every way to refine a start takes.
     def _attempts(
         self,
+        refine: Refiner,
         query: Query,
         chosen: NDArray[np.int64],
         begin: Sequence[Pose],
@@ -216,11 +260,11 @@ class FeaturemetricLocalizer:
         if it fits well enough to stop there.
         """
         options = self.config.search
-        attempts = self._tried(self._refine, query, chosen, begin, clock)
+        attempts = self._tried(refine, query, chosen, begin, clock)
         enough = not self.config.multistart or options.again == 1
         if enough or any(is_sure(each, options) for each in attempts):
             return attempts
-        thorough = self._refine.searching(options.times(options.again))
+        thorough = refine.searching(options.times(options.again))
         if says_all(query.prior):
             return attempts + self._tried(thorough, query, chosen, begin, clock)
         best = min(attempts, key=lambda attempt: attempt.fit)
@@ -253,13 +297,16 @@ class FeaturemetricLocalizer:
         radius = search_radius(query.prior, options)
         attempts: list[Attempt] = []
         by_place = groupby(begin, lambda start: start.centre().round(decimals=6).tolist())
-        for _, at_place in by_place:
-            attempts += [refine(query, chosen, start, clock, radius) for start in at_place]
-            best = min(attempts, key=lambda attempt: attempt.fit)
-            if best.fit < options.stop_fit:
-                if len(begin) > 1 or self._has_no_position(query):
-                    attempts.append(refine.near(self._near_query(query), best.pose, clock))
-                break
+        with progress_within("starts aligned", len(begin)) as advance:
+            for _, at_place in by_place:
+                for start in at_place:
+                    attempts.append(refine(query, chosen, start, clock, radius))
+                    advance(len(attempts))
+                best = min(attempts, key=lambda attempt: attempt.fit)
+                if best.fit < options.stop_fit:
+                    if len(begin) > 1 or self._has_no_position(query):
+                        attempts.append(refine.near(self._near_query(query), best.pose, clock))
+                    break
         return attempts
 
     def _kept_mb(self, magnification: float) -> int:

@@ -16,6 +16,8 @@ from baselines.featuremetric.maps import FeatureMap
 from baselines.place.mosaic import Mosaic
 from baselines.views import WarpedImage
 from scene.geometry.pose import Pose, so3_exp
+from scene.localizer import By
+from scene.runtime.progress import progress_within
 from scene.storage.lru_cache import MEGABYTE, LruCache
 
 _UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
@@ -36,10 +38,12 @@ class Candidate:
     Attributes:
         pose: ``cam_from_world``.
         score: of the correlation with the mosaic, 1 at most.
+        by: what gave it.
     """
 
     pose: Pose
     score: float
+    by: By = By.PLACE
 
 
 @dataclass(frozen=True)
@@ -128,22 +132,28 @@ class PlaceSearch:
             count: of the candidates.
         """
         peaks: list[_Peak] = []
+        with progress_within("place search", len(hypotheses.passes)) as advance:
+            for done, rotation in enumerate(hypotheses.passes, 1):
+                peaks += self._peaks(look, rotation, hypotheses)
+                advance(done)
+        return [self._candidate(peak) for peak in self._distinct(peaks, count)]
+
+    def _peaks(self, look: Look, rotation: Tensor, hypotheses: Hypotheses) -> Iterator[_Peak]:
+        """Yield places at which the query may be, seen at one heading of the network."""
         middle = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
         turns = torch.tensor(hypotheses.turns, dtype=torch.float64)
-        for rotation in hypotheses.passes:
-            centre = torch.tensor([0.0, 0.0, middle], dtype=torch.float64)
-            view, level = look(Pose(rotation, -rotation @ centre))
-            reduced = FeatureMap(
-                self._mosaic.reduced_map(level.features), level.confidence, level.stride
-            )
-            turned = rotation @ so3_exp(turns[:, None] * _UP)
-            footprint = self._footprint(view, turned)
-            for altitude in hypotheses.altitudes:
-                laid = self._laid_out(view, reduced, turned, footprint, altitude)
-                if laid is not None:
-                    for score, x, y, turn in self._correlate(laid, hypotheses.within):
-                        peaks.append(_Peak(score, x, y, altitude, turned[turn]))
-        return [self._candidate(peak) for peak in self._distinct(peaks, count)]
+        centre = torch.tensor([0.0, 0.0, middle], dtype=torch.float64)
+        view, level = look(Pose(rotation, -rotation @ centre))
+        reduced = FeatureMap(
+            self._mosaic.reduced_map(level.features), level.confidence, level.stride
+        )
+        turned = rotation @ so3_exp(turns[:, None] * _UP)
+        footprint = self._footprint(view, turned)
+        for altitude in hypotheses.altitudes:
+            laid = self._laid_out(view, reduced, turned, footprint, altitude)
+            if laid is not None:
+                for score, x, y, turn in self._correlate(laid, hypotheses.within):
+                    yield _Peak(score, x, y, altitude, turned[turn])
 
     def _distinct(self, peaks: Sequence[_Peak], count: int) -> list[_Peak]:
         """Return the best of peaks that are apart, best first."""

@@ -96,6 +96,7 @@ def assert_answer(estimate: Estimate) -> None:
     else:
         assert estimate.cam_from_world is not None
         assert bool(estimate.cam_from_world.matrix().isfinite().all())
+    assert (estimate.by is None) == (estimate.cam_from_world is None)
     if estimate.status is not Status.OK:
         assert estimate.reason
     if estimate.covariance is not None:

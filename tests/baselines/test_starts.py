@@ -12,7 +12,7 @@ from baselines.starts import starts
 from baselines.views import north_angle
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose, so3_exp
-from scene.localizer import Prior, Query, Status
+from scene.localizer import By, Prior, Query, Status
 from scene.maps.sparse_map import MapImage, SparseMap
 
 CAMERA = Camera("PINHOLE", 64, 48, (60.0, 60.0, 32.0, 24.0))
@@ -106,10 +106,11 @@ def test_the_floor_is_the_first_start(sparse_map: SparseMap) -> None:
     query = Query("q", np.zeros((48, 64, 3), np.uint8), CAMERA, Prior(POSITION))
     answer = floor.localize(query)
     assert answer.status is Status.OK and answer.cam_from_world is not None
+    assert answer.by is By.PRIOR
     (begin, *_) = starts(query.prior, sparse_map, EVERY)
     np.testing.assert_array_equal(answer.cam_from_world.matrix(), begin.matrix())
     named = floor.localize(replace(query, prior=None, references=("2",)))
-    assert named.cam_from_world is not None
+    assert named.cam_from_world is not None and named.by is By.RETRIEVAL
     np.testing.assert_allclose(named.cam_from_world.centre(), [20, 0, FLOWN], atol=1e-9)
     assert floor.localize(replace(query, prior=None)).status is Status.FAILED
     assert floor.localize(replace(query, references=())).status is Status.FAILED

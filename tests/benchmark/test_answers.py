@@ -22,7 +22,7 @@ from scene.bundle.georeference import EXACT
 from scene.errors import InputError
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Status
+from scene.localizer import By, Estimate, Status
 from scene.storage.outputs import check_outputs
 from tests.benchmark.made_data import QUERY_NAMES, FakeLocalizer, pose_at, write_flight
 from tests.benchmark.test_cli import error_line, invoke
@@ -38,7 +38,8 @@ def looking(yaw: float, pitch: float, roll: float, covariance: bool = True) -> E
     centre = torch.tensor([10.0, 20.0, 30.0], dtype=torch.float64)
     spread = np.random.default_rng(1).normal(size=(6, 6)) * 1e-2
     known = spread @ spread.T if covariance else None
-    return Estimate(Status.OK, Pose(rotation, -rotation @ centre), known, inliers=40)
+    pose = Pose(rotation, -rotation @ centre)
+    return Estimate(Status.OK, pose, known, inliers=40, by=By.ALIGNMENT)
 
 
 def written(located: list[Located], out: Path, undulation: float | None = None) -> None:
@@ -95,11 +96,13 @@ def test_every_format_says_the_same(tmp_path: Path) -> None:
     numbers = np.array(rows[0]["covariance"].split(), float).reshape(6, 6)
     assert float(rows[0]["eph_m"]) == pytest.approx(math.sqrt(numbers[0, 0] + numbers[1, 1]), 1e-2)
     assert float(rows[0]["epv_m"]) == pytest.approx(math.sqrt(numbers[2, 2]), 1e-2)
+    assert [row["by"] for row in rows] == ["alignment", "alignment", ""]
     assert rows[2]["yaw_deg"] == rows[2]["eph_m"] == ""
 
     features = json.loads((tmp_path / "poses.geojson").read_text())["features"]
     assert features[0]["geometry"] == {"type": "Point", "coordinates": [8.2, 47.1, 500.0]}
     assert features[0]["properties"]["yaw_deg"] == 30
+    assert features[0]["properties"]["by"] == "alignment"
     assert features[1]["properties"]["name"] == "<c>.jpg"
     assert features[2]["geometry"] is None
     assert features[2]["properties"]["reason"] == "too dark"

@@ -15,7 +15,7 @@ from benchmark.cli import app
 from benchmark.datasets.textfiles import read_poses
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Query, Status
+from scene.localizer import By, Estimate, Query, Status
 from scene.storage.images import Exif, write_jpeg
 from tests.benchmark.made_data import CAMERA, QUERY_NAMES, FakeLocalizer, pose_at
 
@@ -35,8 +35,8 @@ def method(monkeypatch: pytest.MonkeyPatch) -> Remembering:
     covariance = np.diag([1e-6] * 3 + [0.04, 0.09, 0.36])
     localizer = Remembering(
         {
-            "b.jpg": Estimate(Status.OK, pose_at(1), covariance, inliers=50),
-            "d.jpg": Estimate(Status.FALLBACK, pose_at(3), reason="only the prior"),
+            "b.jpg": Estimate(Status.OK, pose_at(1), covariance, inliers=50, by=By.MATCHES),
+            "d.jpg": Estimate(Status.FALLBACK, pose_at(3), reason="only the prior", by=By.PRIOR),
             "f.jpg": Estimate(Status.FAILED, reason="3 matches, 4 are needed"),
         }
     )
@@ -74,6 +74,7 @@ def test_poses_and_places(
     with (tmp_path / "poses.csv").open() as stream:
         rows = {row["name"]: row for row in csv.DictReader(stream)}
     assert [rows[n]["status"] for n in QUERY_NAMES] == ["ok", "fallback", "failed"]
+    assert [rows[n]["by"] for n in QUERY_NAMES] == ["matches", "prior", ""]
     assert float(rows["b.jpg"]["sigma_m"]) == pytest.approx(0.7)
     assert rows["f.jpg"]["reason"] == "3 matches, 4 are needed"
     place = Geodetic(*(float(rows["b.jpg"][k]) for k in ("latitude", "longitude", "altitude")))

@@ -14,7 +14,7 @@ from benchmark.tracking import SequenceConfig, Tracker
 from scene.config import Config
 from scene.geometry.gimbal import gimbal_pose
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Prior, Query, Status
+from scene.localizer import By, Estimate, Prior, Query, Status
 from scene.maps.sparse_map import SparseMap
 from tests.benchmark.made_data import CAMERA
 
@@ -117,7 +117,8 @@ def test_a_track_that_contradicts_the_motion_is_localized_as_any_image_near_its_
 
     def answer(query: Query) -> Estimate:
         aside = 6.0 if frame_of(query) == 8 and query.tracked else 0.0
-        return replace(found(pose_at(frame_of(query), aside)), tracked=query.tracked)
+        by = By.TRACKING if query.tracked else By.ALIGNMENT
+        return replace(found(pose_at(frame_of(query), aside)), by=by)
 
     estimates, localizer, tracker = run(answer)
     assert tracker.searched == 1

@@ -55,7 +55,7 @@ def _places(localizer: Localizer, row: int) -> Iterator[_Places]:
         xyz = localizer._lifted(row).xyz
         yield _Places(xyz, np.ones(len(xyz)))
     elif isinstance(localizer, FeaturemetricLocalizer):
-        seen = localizer._refine.problems.observations[row]
+        seen = localizer.prepared.refine.problems.observations[row]
         yield _Places(seen.xyz, np.ones(len(seen.xyz)))
         yield _Places(seen.xyz, seen.confidence.astype(np.float64).prod(1))
 

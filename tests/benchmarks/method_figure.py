@@ -36,7 +36,7 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
     localizer = ObjConnectLocalizer(ObjConnectConfig(weights=weights))
     with tempfile.TemporaryDirectory() as cache:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
-        refine = localizer._refine
+        refine = localizer.prepared.refine
         chosen = refine.retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilted=False)
         (start,) = starts(query.prior, dataset.load_map(), chosen)
         view, maps = refine.problems.view(query, chosen, start)

@@ -37,7 +37,7 @@ from scene.exports.export import export
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from scene.geometry.nearest import Nearest
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Prior, Query, Status
+from scene.localizer import By, Estimate, Prior, Query, Status
 from scene.maps.colmap_files import read_model
 from scene.maps.sparse_map import SparseMap
 from scene.storage.images import Exif, write_jpeg
@@ -192,7 +192,7 @@ def test_what_was_found_outlives_an_interruption(
     flight: Path, photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     covariance = np.diag([1e-6] * 3 + [0.04, 0.09, 0.36])
-    found = Estimate(Status.OK, pose_at(1), covariance, inliers=50)
+    found = Estimate(Status.OK, pose_at(1), covariance, inliers=50, by=By.MATCHES)
     first = FakeLocalizer({"b.jpg": found, "d.jpg": found, "f.jpg": KeyboardInterrupt()})
     second = FakeLocalizer({"f.jpg": found})
     turns: Iterator[FakeLocalizer] = iter([first, second, second])
@@ -207,6 +207,7 @@ def test_what_was_found_outlives_an_interruption(
     assert [query.name for query in second.seen] == ["d.jpg", "f.jpg"]
     table = rows(out.with_suffix(".csv"))
     assert [table[name]["status"] for name in QUERY_NAMES] == ["ok", "failed", "ok"]
+    assert table["b.jpg"]["by"] == "matches"
     assert float(table["b.jpg"]["sigma_m"]) == pytest.approx(0.7)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["meadow", "new", "poses.csv", "poses.txt"]
 

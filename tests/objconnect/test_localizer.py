@@ -13,7 +13,7 @@ from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.refiner import Refiner
 from benchmark.registry import create
 from scene.geometry.pose import Pose
-from scene.localizer import Localizer, Prior, Query, Status
+from scene.localizer import By, Localizer, Prior, Query, Status
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
 from tests.programs import printed
 
@@ -62,7 +62,7 @@ def something_else() -> Query:
 
 def test_a_picture_of_something_else_is_no_fix(localizer: Localizer) -> None:
     estimate = localizer.localize(something_else())
-    assert estimate.status is Status.FALLBACK
+    assert (estimate.status, estimate.by) == (Status.FALLBACK, By.PRIOR)
     assert "hardly better than it would by chance" in estimate.reason
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from scene.config import Config, load_config
-from scene.localizer import Estimate, Query, Status, Stopwatch
+from scene.localizer import By, Estimate, Query, Status, Stopwatch
 from scene.maps.sparse_map import SparseMap
 
 
@@ -34,7 +34,8 @@ class Nearest:
             axes = 2 if self.config.ignore_altitude else 3
             away = self.map.centres[:, :axes] - query.prior.position[:axes]
             nearest = self.map.names[int(np.linalg.norm(away, axis=1).argmin())]
-        return Estimate(Status.OK, self.map.images[nearest].pose, seconds=clock.seconds)
+        pose = self.map.images[nearest].pose
+        return Estimate(Status.OK, pose, seconds=clock.seconds, by=By.RETRIEVAL)
 
 
 def make(overrides: dict[str, Any]) -> Nearest:

@@ -13,7 +13,7 @@ from baselines.views import warp_image
 from benchmark.registry import create
 from benchmark.starts import position_prior, tilted_prior
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Localizer, Query, Status
+from scene.localizer import By, Estimate, Localizer, Query, Status
 from tests.baselines.test_hostile import DATASET, QUERY, TRUTH, WHOLE, noise
 
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -69,6 +69,7 @@ def test_poses_of_many_matches_are_answered_unless_the_alignment_stays_near(
     assert answer.cam_from_world is not None
     metres, _ = answer.cam_from_world.error_to(matched.cam_from_world)
     assert (float(metres) < 1e-9) == (case != "aligned")
+    assert answer.by is (By.ALIGNMENT if case == "aligned" else By.MATCHES)
     assert_right(answer)
 
 

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from baselines.featuremetric.localizer import FeaturemetricLocalizer
 from baselines.featuremetric.options import TrackingOptions
+from baselines.featuremetric.tracking import Tracking
 from baselines.views import warp_image
 from benchmark.registry import create
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
-from scene.localizer import Estimate, Prior, Query, Status
+from scene.localizer import By, Estimate, Prior, Query, Status
 from scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
 
@@ -72,7 +73,7 @@ def test_a_track_agrees_with_the_full_query(localizer: FeaturemetricLocalizer) -
     apart = followed.cam_from_world.error_to(full.cam_from_world)
     for metres, degrees in (errors(full), map(float, apart)):
         assert metres < 0.1 and degrees < 0.25
-    assert followed.tracked and not full.tracked
+    assert (followed.by, full.by) == (By.TRACKING, By.ALIGNMENT)
     assert followed.iterations < full.iterations
     assert followed.covariance is not None and np.isfinite(followed.covariance).all()
 
@@ -109,7 +110,7 @@ def test_a_prior_that_lacks_a_part_is_no_track(
     def never(*_: object) -> None:
         raise AssertionError("it was followed")
 
-    monkeypatch.setattr(localizer, "_tracking", never)
+    monkeypatch.setattr(Tracking, "__call__", never)
     # As cheap as it can be: whatever comes of it.
     localizer.localize(replace(query_of(TRUTH), prior=unknown, tracked=True, references=("1.png",)))
     with pytest.raises(AssertionError, match="followed"):
