@@ -68,14 +68,15 @@ Priors = Annotated[
     Path | None,
     typer.Option(
         metavar="CSV",
-        help="Table of positions and attitudes. Without it, they are read from EXIF and XMP.",
+        help="Table of positions: name,e,n,u in metres in the map's frame or name,lat,lon,alt, "
+        "and perhaps sigma_m and attitudes. Without it, they are read from EXIF and XMP.",
     ),
 ]
 GpsSigma = Annotated[
     float,
     typer.Option(
-        help="Standard deviation of EXIF positions, metres. Fixed positions of RTK have the "
-        "standard deviations of their XMP instead.",
+        help="Standard deviation of EXIF positions, metres, and of those of --priors without "
+        "sigma_m. Fixed positions of RTK have the standard deviations of their XMP instead.",
         min=0.01,
         max=1e6,
     ),
@@ -83,7 +84,10 @@ GpsSigma = Annotated[
 GimbalSigma = Annotated[
     float,
     typer.Option(
-        help="Standard deviation of the gimbal attitudes in XMP, degrees.", min=0.01, max=180
+        help="Standard deviation of the gimbal attitudes in XMP, degrees, and of attitudes of "
+        "--priors without sigma_deg.",
+        min=0.01,
+        max=180,
     ),
 ]
 Further = Annotated[

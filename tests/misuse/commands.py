@@ -222,7 +222,8 @@ LOCALIZE = Row(
         "out": out_file("out.txt", "out.csv"),
         "method": METHOD,
         "camera": CAMERA,
-        "priors": file("tables/priors.csv", "csv"),
+        # An empty cell of a sigma is that of an option.
+        "priors": file("tables/priors.csv", "csv").fine("no_number"),
         "gps_sigma": real("10"),
         "gimbal_sigma": real("5"),
         "also": out_file("out.geojson"),
