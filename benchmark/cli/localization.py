@@ -336,7 +336,8 @@ def score(
 ) -> None:
     """Score poses that another program found.
 
-    A query without a line counts as failed. Older results of the same name are replaced if score
+    A query without a line counts as failed. The start is what you declare, and nothing verifies it:
+    tables print it "as declared". Older results of the same name are replaced if score
     wrote them; those of evaluate never are.
     """
     from benchmark.external_poses import score as run

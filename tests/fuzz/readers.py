@@ -23,6 +23,7 @@ from baselines.training.loop import _claim, _log, _restore
 from benchmark.basin import load_basin
 from benchmark.datasets.cmu import open_cmu, open_slices
 from benchmark.datasets.open import open_datasets
+from benchmark.datasets.origin import read_origin
 from benchmark.datasets.textfiles import (
     read_cameras,
     read_conditions,
@@ -31,7 +32,6 @@ from benchmark.datasets.textfiles import (
     read_priors,
 )
 from benchmark.journal import Journal
-from benchmark.datasets.origin import read_origin
 from benchmark.query_result import QueryResult
 from benchmark.report.album import Album, Entry, Neighbour, read_album, write_album
 from benchmark.results import Results

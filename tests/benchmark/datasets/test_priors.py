@@ -210,7 +210,8 @@ def test_a_flight_measures_the_sigma_on_its_map(
     made_flight: Path, priors_of: Callable[..., list[Prior | None]]
 ) -> None:
     sparse_map = read_model(made_flight / "sparse" / "map")
-    fixes = {name: image.centre + [3, -4, 1] for name, image in sparse_map.images.items()}
+    off = np.array([3.0, -4.0, 1.0])
+    fixes = {name: image.centre + off for name, image in sparse_map.images.items()}
     rows = [",".join([name, *map(str, fix.tolist())]) for name, fix in fixes.items()]
     first, second, _ = priors_of("name,e,n,u", *rows, "b.jpg,1,2,3")
     assert first is not None
