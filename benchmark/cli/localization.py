@@ -19,6 +19,7 @@ from benchmark.cli.options import (
     CameraWords,
     ClusterAddress,
     Datasets,
+    Jobs,
     Json,
     Method,
     Methods,
@@ -231,7 +232,7 @@ def evaluate(
     overrides: Settings = None,
     start: Start = "prior",
     cache: Cache = None,
-    jobs: Annotated[int, typer.Option(help="Number of queries at a time.", min=1)] = 1,
+    jobs: Jobs = 1,
     cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:

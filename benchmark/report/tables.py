@@ -88,8 +88,7 @@ class Table:
         if self.declared:
             start += f" ({AS_DECLARED} for {', '.join(self.declared)})"
         return (
-            f"Start: {start}. Map: {', '.join(self.map_conditions)}. "
-            f"Data set {self.sha256[:12]}."
+            f"Start: {start}. Map: {', '.join(self.map_conditions)}. Data set {self.sha256[:12]}."
         )
 
 
