@@ -32,7 +32,8 @@ def score(
         datasets: data sets whose queries the file may contain.
         method: name of the method, which names the results files.
         out: folder of the results.
-        start: what the method was told; see ``benchmark.starts.parse_start``.
+        start: what the method was told, see ``benchmark.starts.parse_start``. Nothing verifies it,
+            and tables print it "as declared".
 
     Returns:
         The results files that were written: one for each data set with a query in the file.

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
-import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from benchmark.answers import Geography, Located, contents, outputs
+from benchmark.datasets.origin import read_origin as _origin
 from benchmark.datasets.simulated import is_scene
 from benchmark.disagreement import warn_of_disagreement
 from benchmark.journal import Journal, journal_path
@@ -40,7 +39,7 @@ from scene.runtime.escaping import for_terminal
 from scene.runtime.progress import progress_bar
 from scene.storage.atomic import atomic_write
 from scene.storage.digests import digests
-from scene.storage.files import parse_json, read_text, sha256_of
+from scene.storage.files import sha256_of
 from scene.storage.listing import PHOTOGRAPHS, list_files
 from scene.storage.names import quote_name
 from scene.storage.outputs import check_outputs
@@ -94,10 +93,10 @@ def localize(
         localizer: method to run.
         out: text file of the poses. It and the CSV file replace only files of this command.
         camera: camera of all photographs; None takes that of each one (``calibration_of``).
-        priors: CSV file of positions and attitudes; None takes positions from EXIF and attitudes of
-            the gimbal from XMP, where a photograph has them.
-        gps_sigma_m: standard deviation of EXIF positions per axis, metres; XMP has that of a fixed
-            position of RTK.
+        priors: CSV file of positions, and perhaps attitudes (``read_priors``); None takes
+            positions from EXIF and attitudes of the gimbal from XMP, where a photograph has them.
+        gps_sigma_m: standard deviation of EXIF positions per axis, metres, and of those of a table
+            that states none; XMP has that of a fixed position of RTK.
         gimbal_sigma_deg: standard deviation of gimbal attitudes per axis, degrees.
         cache: folder for what the method keeps per map; None for a scratch folder beside ``out``.
         also: further files to write, by their ending: GeoJSON, KML, MAVLink's .tlog, ROS 2's .mcap.
@@ -117,9 +116,8 @@ def localize(
     files = outputs(out, also)
     check_outputs(files, [*paths.values(), *([] if priors is None else [priors])])
     geography = geography_of(place, also, undulation_m, projection)
-    reader = PhotographReader(
-        place, camera, priors_of(priors, paths), gps_sigma_m, gimbal_sigma_deg
-    )
+    sigmas = gps_sigma_m, gimbal_sigma_deg
+    reader = PhotographReader(place, camera, priors_of(priors, paths, place, *sigmas), *sigmas)
     _require_one(reader, paths, photographs)
     located: list[Located] = []
     with (
@@ -330,22 +328,3 @@ def on_earth(estimate: Estimate, place: Place) -> Geodetic | None:
     if estimate.cam_from_world is None or place.origin is None:
         return None
     return geodetic_from_enu(estimate.cam_from_world.centre().numpy(), place.origin)
-
-
-def _origin(path: Path) -> Geodetic | None:
-    """Read the flight's ``origin.json``; None where there is no such file.
-
-    Raises:
-        InputError: the file cannot be read or holds no finite position.
-    """
-    file = path / "origin.json"
-    if not os.path.lexists(file):
-        return None
-    try:
-        values = parse_json(read_text(file, "origin"))
-        origin = Geodetic(float(values["lat"]), float(values["lon"]), float(values["alt"]))
-    except (ValueError, KeyError, TypeError, OverflowError):
-        origin = Geodetic(math.nan, math.nan, math.nan)
-    if not all(map(math.isfinite, origin)):
-        raise InputError(f"{file} must hold numbers lat, lon and alt")
-    return origin

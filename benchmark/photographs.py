@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.cameras import Calibration, CameraSource, calibration_of, estimate_camera
+from benchmark.datasets.priors import Assumed, MapFrame
 from benchmark.datasets.textfiles import read_priors, require_same_case
 from ingest.attitude import gimbal_pose
 from scene.bundle.georeference import Georeference
@@ -258,19 +259,40 @@ def warn_of_rolling_shutter(photographs: Collection[Exif]) -> None:
         )
 
 
-def priors_of(path: Path | None, photographs: Mapping[str, Path]) -> dict[str, Prior] | None:
+def priors_of(
+    path: Path | None,
+    photographs: Mapping[str, Path],
+    place: Place,
+    gps_sigma_m: float,
+    gimbal_sigma_deg: float,
+) -> dict[str, Prior] | None:
     """Read the priors of a table; None without a table.
 
+    Args:
+        path: the table.
+        photographs: photographs by name.
+        place: the map, in whose frame priors are.
+        gps_sigma_m: standard deviation of positions where the table states none, metres.
+        gimbal_sigma_deg: standard deviation of attitudes where the table states none, degrees.
+
     Raises:
-        InputError: the table cannot be read, or has none of the photographs.
+        InputError: the table cannot be read, has none of the photographs, or has positions on
+            earth where the map has none.
     """
     if path is None:
         return None
-    priors = read_priors(path)
-    require_same_case(path, priors, photographs)
-    without = [name for name in photographs if name not in priors]
+    stated = read_priors(path)
+    require_same_case(path, stated.rows, photographs)
+    without = [name for name in photographs if name not in stated.rows]
     if len(without) == len(photographs):
         raise InputError(f"{path} has none of the photographs, such as {without[0]!r}")
     if without:
         log.warning("%s lacks %d of %d photographs", path, len(without), len(photographs))
-    return priors
+    frame = MapFrame.of(place.sparse_map, place.origin)
+    assumed = Assumed(
+        np.full(3, gps_sigma_m),
+        gimbal_sigma_deg,
+        f"--gps-sigma {gps_sigma_m:g} (metres) stands for it",
+        f"--gimbal-sigma {gimbal_sigma_deg:g} (degrees) stands for it",
+    )
+    return stated.priors(frame, photographs, assumed)

@@ -119,7 +119,8 @@ class SequenceInputs:
         rate_hz: frames of a video to localize a second; None for ``RATE_HZ``. Photographs a second,
             in the order of their names; None takes times from EXIF.
         srt: subtitles of a video with telemetry; None takes those beside it, if there are any.
-        priors: CSV file of positions and attitudes of photographs; None takes EXIF's and XMP's.
+        priors: CSV file of positions, and perhaps attitudes, of photographs; None takes EXIF's and
+            XMP's.
         config: when an image is believed.
     """
 
@@ -191,13 +192,9 @@ def localize_sequence(
     paths = {path.name: path for path in photographs_in(photographs)}
     priors = [] if told.priors is None else [told.priors]
     files, geography = output.claim(place, [*paths.values(), *priors])
-    reader = PhotographReader(
-        place,
-        told.camera,
-        priors_of(told.priors, paths),
-        told.gps_sigma_m,
-        told.gimbal_sigma_deg,
-    )
+    sigmas = told.gps_sigma_m, told.gimbal_sigma_deg
+    known = priors_of(told.priors, paths, place, *sigmas)
+    reader = PhotographReader(place, told.camera, known, *sigmas)
     shots = photographs_of(paths, reader, told.rate_hz)
     source = {"photographs": photographs.name, "rate_hz": told.rate_hz}
     job = _Job(output, files, geography, told.config, source)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from scene.geo.crs import Projection
     from scene.geometry.camera import Camera
 
+# A plain value with a second setting behind it.
+_ANOTHER: Final = re.compile(r"[\w./+-]+[\s,;]+[A-Za-z_][\w.]*=")
+
 
 def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
     """Read the values of ``--set`` as a dictionary.
@@ -23,13 +27,18 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
     Values are read as YAML, so that 0.7 is a number.
 
     Raises:
-        InputError: a word that is not ``KEY=VALUE``, or a value that is not YAML or is empty.
+        InputError: a word that is not ``KEY=VALUE`` or holds several, or a value that is not YAML
+            or is empty.
     """
     settings: dict[str, Any] = {}
     for word in overrides or ():
         key, equals, value = word.partition("=")
         if not key or not equals:
             raise InputError(f"--set takes KEY=VALUE, got {word!r}")
+        if _ANOTHER.match(value) and not Path(value).exists():
+            raise InputError(
+                f"--set {key}: {value!r} holds another KEY=VALUE: --set is given once per value"
+            )
         try:
             settings[key] = yaml.safe_load(value)
         except (yaml.YAMLError, ValueError, RecursionError):

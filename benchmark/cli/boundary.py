@@ -19,6 +19,7 @@ from typing import Any, Final
 
 from typer.core import TyperGroup
 
+from benchmark.cli.stray import refuse_stray_settings
 from scene.errors import InputError
 from scene.runtime.escaping import for_terminal
 
@@ -67,6 +68,14 @@ class Boundary(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt as error:
             raise _StoppedError(error) from None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """See ``TyperGroup.resolve_command``; a word that was meant for ``--set`` is refused."""
+        found = super().resolve_command(ctx, args)
+        _, command, words = found
+        if command is not None:
+            refuse_stray_settings(command, words)
+        return found
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run a command and end the process with its exit code; never returns."""

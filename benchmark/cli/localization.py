@@ -19,6 +19,7 @@ from benchmark.cli.options import (
     CameraWords,
     ClusterAddress,
     Datasets,
+    Jobs,
     Json,
     Method,
     Methods,
@@ -68,14 +69,15 @@ Priors = Annotated[
     Path | None,
     typer.Option(
         metavar="CSV",
-        help="Table of positions and attitudes. Without it, they are read from EXIF and XMP.",
+        help="Table of positions: name,e,n,u in metres in the map's frame or name,lat,lon,alt, "
+        "and perhaps sigma_m and attitudes. Without it, they are read from EXIF and XMP.",
     ),
 ]
 GpsSigma = Annotated[
     float,
     typer.Option(
-        help="Standard deviation of EXIF positions, metres. Fixed positions of RTK have the "
-        "standard deviations of their XMP instead.",
+        help="Standard deviation of EXIF positions, metres, and of those of --priors without "
+        "sigma_m. Fixed positions of RTK have the standard deviations of their XMP instead.",
         min=0.01,
         max=1e6,
     ),
@@ -83,7 +85,10 @@ GpsSigma = Annotated[
 GimbalSigma = Annotated[
     float,
     typer.Option(
-        help="Standard deviation of the gimbal attitudes in XMP, degrees.", min=0.01, max=180
+        help="Standard deviation of the gimbal attitudes in XMP, degrees, and of attitudes of "
+        "--priors without sigma_deg.",
+        min=0.01,
+        max=180,
     ),
 ]
 Further = Annotated[
@@ -227,7 +232,7 @@ def evaluate(
     overrides: Settings = None,
     start: Start = "prior",
     cache: Cache = None,
-    jobs: Annotated[int, typer.Option(help="Number of queries at a time.", min=1)] = 1,
+    jobs: Jobs = 1,
     cluster: ClusterAddress = None,
     as_json: Json = False,
 ) -> None:
@@ -332,7 +337,8 @@ def score(
 ) -> None:
     """Score poses that another program found.
 
-    A query without a line counts as failed. Older results of the same name are replaced if score
+    A query without a line counts as failed. The start is what you declare, and nothing verifies it:
+    tables print it "as declared". Older results of the same name are replaced if score
     wrote them; those of evaluate never are.
     """
     from benchmark.external_poses import score as run

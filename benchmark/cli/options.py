@@ -19,7 +19,16 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change one value of the method's configuration; repeat the option for several.",
+        help="Change one value of the configuration of the method, in train of its training; "
+        "repeat the option for each value. Values of a sequence and of a forecast are written "
+        "sequence.KEY and forecast.KEY.",
+    ),
+]
+
+Jobs = Annotated[
+    int,
+    typer.Option(
+        help="How much is done at a time on this machine: queries, or frames to render.", min=1
     ),
 ]
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from benchmark.cli.arguments import claim_folders, parse_settings
-from benchmark.cli.options import Cache, Json, Method, Start
+from benchmark.cli.options import Cache, Jobs, Json, Method, Settings, Start
 from benchmark.cli.output import emit
 from scene.errors import InputError
 
@@ -54,16 +54,6 @@ Views = Annotated[
         show_default="2",
     ),
 ]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change an option of the forecast, such as fix_m, gap_m or size; docs/forecast.md "
-        "lists them. Repeat the option for several.",
-    ),
-]
-Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)]
 
 
 @app.command()
@@ -78,7 +68,7 @@ def forecast(
     twin: Twin = None,
     start: Start = "prior",
     views: Views = None,
-    overrides: Overrides = None,
+    overrides: Settings = None,
     cache: Cache = None,
     jobs: Jobs = 1,
     as_json: Json = False,
@@ -91,16 +81,19 @@ def forecast(
     stopped.
     """
     from benchmark.forecast.command import forecast as run
-    from benchmark.forecast.config import ForecastConfig
+    from benchmark.forecast.config import forecast_config, forecast_hint
     from benchmark.registry import create
-    from scene.config import load_config
 
     if (plan is None) == (flight is None):
         raise InputError("give the flight with --plan FILE, or with --flight")
     given = {"seasons": season or None, "views": views, "start": start}
     told = {key: value for key, value in given.items() if value is not None}
-    config = load_config(ForecastConfig, None, parse_settings(overrides) | told)
-    localizer = create(method, {})
+    settings = parse_settings(overrides)
+    config = forecast_config(settings, told)
+    try:
+        localizer = create(method, settings)
+    except InputError as error:
+        raise InputError(f"{error}{forecast_hint(settings)}") from None
     claim_folders([scene, *([twin] if twin is not None else [])], out, cache)
     words = f"plan={plan}" if plan is not None else str(flight)
     made = run(scene, words, localizer, out, config, twin=twin, cache=cache, jobs=jobs)

@@ -8,16 +8,13 @@ from typing import Annotated, Any
 import typer
 
 from benchmark.cli.choices import listed, one_of
-from benchmark.cli.options import ClusterAddress, Json, options_of
+from benchmark.cli.options import ClusterAddress, Jobs, Json, options_of
 from benchmark.cli.output import Summary, emit
 from scene.exports.formats import FORMATS
 from simulate.config import SimulateConfig
 from simulate.place.presets import PRESETS, SITE
 
 app = typer.Typer(rich_markup_mode=None)
-
-Jobs = Annotated[int, typer.Option(help="Number of rendering processes.", min=1)]
-
 
 Sessions = Annotated[
     list[str] | None,

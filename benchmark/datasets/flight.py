@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.identity import parts_of
+from benchmark.datasets.origin import read_origin
+from benchmark.datasets.priors import Assumed, MapFrame, PriorTable
 from benchmark.datasets.textfiles import (
     read_cameras,
     read_conditions,
@@ -167,15 +169,24 @@ def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[st
     """Return the starting information by photograph; it is empty where the flight has none."""
     # A link to a file that does not exist is an error, too: somebody meant it to be read.
     if os.path.lexists(path / "priors.csv"):
-        priors = read_priors(path / "priors.csv")
-        require_same_case(path / "priors.csv", priors, photographs)
-        return priors
+        stated = read_priors(path / "priors.csv")
+        require_same_case(path / "priors.csv", stated.rows, photographs)
+        frame = MapFrame.of(sparse_map, read_origin(path))
+        return stated.priors(frame, photographs, _assumed(stated, frame, sparse_map))
     if not os.path.lexists(path / "gps.csv"):
         return {}
     fixes = read_gps(path / "gps.csv")
     require_same_case(path / "gps.csv", fixes, photographs)
     sigma = gps_sigma(fixes, sparse_map)
     return {name: Prior(position, sigma) for name, position in fixes.items()}
+
+
+def _assumed(stated: PriorTable, frame: MapFrame, sparse_map: SparseMap) -> Assumed:
+    """Return the standard deviations of priors whose table states none."""
+    if stated.states_all_sigmas:
+        return Assumed()
+    sigma = gps_sigma(stated.positions(frame, sparse_map.images), sparse_map)
+    return Assumed(sigma, source_m="they are measured on the photographs of the map")
 
 
 def gps_sigma(

@@ -11,19 +11,27 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.datasets.priors import PriorTable, StatedPrior
 from scene.bundle.manifest import ALL_CONDITIONS
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
-from scene.geometry.geodesy import FARTHEST_M
+from scene.geometry.geodesy import FARTHEST_M, Geodetic, is_on_earth
 from scene.geometry.pose import Pose
-from scene.localizer import Prior
 from scene.maps.colmap_files import check_pose
+from scene.quantities.position_columns import (
+    POSITION_COLUMNS,
+    Frame,
+    PositionColumns,
+    position_columns,
+)
 from scene.storage.files import is_safe_path, read_text
 from scene.storage.names import quote_name, split_name, split_words, unquote_cell
-from scene.storage.tables import read_table
+from scene.storage.tables import read_header, read_table
 
 _POSE: Final = ("name", "qw", "qx", "qy", "qz", "tx", "ty", "tz")
-_PRIOR: Final = ("name", "e", "n", "u", "sigma_m", "qw", "qx", "qy", "qz", "sigma_deg")
+_QUATERNION: Final = ("qw", "qx", "qy", "qz")
+_SIGMA_M: Final = "sigma_m"
+_SIGMA_DEG: Final = "sigma_deg"
 _GPS: Final = ("name", "e", "n", "u")
 _CONDITIONS: Final = ("name", "condition")
 
@@ -133,33 +141,98 @@ def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
     return {query: tuple(references) for query, references in pairs.items()}
 
 
-def read_priors(path: Path) -> dict[str, Prior]:
-    """Read priors from a table ``name,e,n,u,sigma_m,qw,qx,qy,qz,sigma_deg``.
+def read_priors(path: Path) -> PriorTable:
+    """Read a table of priors with the columns ``name,e,n,u`` or ``name,lat,lon,alt``.
 
-    Positions are in metres, attitudes are cam_from_world, and sigmas hold per axis.
+    East, north and up are metres in the map's frame, latitude and longitude degrees. The height may
+    be left out, or be empty in a row, where it is unknown. ``sigma_m`` says how exact positions
+    are. Attitudes are the columns ``qw,qx,qy,qz``, cam_from_world, and ``sigma_deg`` says how exact
+    they are. Sigmas hold per axis.
 
     Returns:
-        Priors by photograph, in the order of the file.
+        What the rows state, in the order of the file.
 
     Raises:
-        InputError: as for ``read_poses``, or a sigma is not positive or out of range.
+        InputError: the file cannot be read; a column has no known meaning or unit, is missing or
+            has a rival; a word is not a finite number; a quaternion is off unit length by more than
+            0.001; a position is not on earth; a sigma is not positive or out of range; or a name
+            was given before.
     """
-    priors: dict[str, Prior] = {}
-    for where, row in read_table(path, "priors", _PRIOR):
-        numbers = _numbers(where, [row[column] for column in _PRIOR[1:]])
-        position, sigma, quaternion, sigma_deg = numbers[:3], numbers[3], numbers[4:8], numbers[8]
-        check_pose(quaternion, position, f"{where}: {row['name']}")
-        if sigma <= 0 or sigma_deg <= 0:
-            raise InputError(f"{where}: sigma_m and sigma_deg must be positive")
-        if not (min(sigma, sigma_deg) >= _LEAST_SIGMA and max(sigma, sigma_deg) <= FARTHEST_M):
-            raise InputError(
-                f"{where}: sigma_m and sigma_deg must lie between {_LEAST_SIGMA:g} and "
-                f"{FARTHEST_M:g}"
-            )
-        rotation = Pose.from_quaternion(quaternion, np.zeros(3)).rotation.numpy()
-        prior = Prior(position, np.full(3, sigma), rotation, float(sigma_deg))
-        _add(priors, _name(where, row), prior, where)
-    return priors
+    header = read_header(path, "priors")
+    columns = _position_columns(path, header)
+    rows: dict[str, StatedPrior] = {}
+    for where, row in read_table(path, "priors", ("name",)):
+        _add(rows, _name(where, row), _stated(where, row, columns), where)
+    return PriorTable(path, rows)
+
+
+def _position_columns(path: Path, header: Sequence[str]) -> PositionColumns:
+    """Return the columns of the position in a table of priors."""
+    attitude = [column for column in _QUATERNION if column in header]
+    found = position_columns(header, ("name", _SIGMA_M, *_QUATERNION, _SIGMA_DEG))
+    columns = found.require(f"{path}:1", f"{POSITION_COLUMNS}, and leave other columns out")
+    if attitude and len(attitude) < len(_QUATERNION):
+        missing = ", ".join(column for column in _QUATERNION if column not in header)
+        raise InputError(f"{path}:1: the attitude lacks the column {missing}")
+    if _SIGMA_DEG in header and not attitude:
+        raise InputError(
+            f"{path}:1: {_SIGMA_DEG} says how exact an attitude is, but there is none: add "
+            f"{', '.join(_QUATERNION)}"
+        )
+    return columns
+
+
+def _stated(where: str, row: Mapping[str, str], columns: PositionColumns) -> StatedPrior:
+    """Return what a row of a table of priors states; an empty cell states nothing."""
+    if row.get(""):
+        raise InputError(f"{where}: the column of {row['']!r} has no name")
+    first, second = (float(x) for x in _numbers(where, [row[name] for name in columns.horizontal]))
+    vertical = None if columns.vertical is None else _stated_number(where, row, columns.vertical)
+    if columns.frame is Frame.MAP:
+        if max(abs(first), abs(second), abs(vertical or 0.0)) > FARTHEST_M:
+            raise InputError(f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away")
+    elif not is_on_earth(Geodetic(first, second, vertical or 0.0)):
+        names = ", ".join(columns.horizontal)
+        raise InputError(
+            f"{where}: {names} are no place on earth: they are degrees, at most 90 and 180, and an "
+            "altitude is metres"
+        )
+    sigmas = {name: _stated_number(where, row, name) for name in (_SIGMA_M, _SIGMA_DEG)}
+    _check_sigmas(where, {name: sigma for name, sigma in sigmas.items() if sigma is not None})
+    return StatedPrior(
+        where,
+        columns.frame,
+        (first, second),
+        vertical,
+        sigmas[_SIGMA_M],
+        _rotation(where, row),
+        sigmas[_SIGMA_DEG],
+    )
+
+
+def _stated_number(where: str, row: Mapping[str, str], column: str) -> float | None:
+    """Return the number in a cell; None where the column is missing or the cell is empty."""
+    return float(_numbers(where, [row[column]])[0]) if row.get(column) else None
+
+
+def _check_sigmas(where: str, sigmas: Mapping[str, float]) -> None:
+    """Refuse sigmas that are no standard deviations."""
+    names = " and ".join(sigmas)
+    if any(sigma <= 0 for sigma in sigmas.values()):
+        raise InputError(f"{where}: {names} must be positive")
+    if not all(_LEAST_SIGMA <= sigma <= FARTHEST_M for sigma in sigmas.values()):
+        raise InputError(f"{where}: {names} must lie between {_LEAST_SIGMA:g} and {FARTHEST_M:g}")
+
+
+def _rotation(where: str, row: Mapping[str, str]) -> NDArray[np.float64] | None:
+    """Return the attitude of a row, (3, 3); None where its cells are empty or missing."""
+    words = [row.get(column, "") for column in _QUATERNION]
+    if not any(words):
+        return None
+    quaternion = _numbers(where, words)
+    check_pose(quaternion, np.zeros(3), f"{where}: {row['name']}")
+    rotation: NDArray[np.float64] = Pose.from_quaternion(quaternion, np.zeros(3)).rotation.numpy()
+    return rotation
 
 
 def read_gps(path: Path) -> dict[str, NDArray[np.float64]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from benchmark.forecast.calibration import calibration_of
+from benchmark.forecast.calibration import UNCALIBRATED, Calibration, calibration_of
 from benchmark.forecast.config import ForecastConfig
 from benchmark.forecast.observe import observe, start_of
 from benchmark.forecast.outlook import geojson, seasons_of, waypoints_of
@@ -85,7 +85,7 @@ def forecast(
         with cache_or_scratch(cache, out) as kept:
             observations = observe(opened, rendered, localizer, config, kept)
         route = route_of(views, out / VIEWS)
-        calibration = calibration_of(localizer.name, config.calibrated)
+        calibration = _calibration(localizer, config.calibrated)
         waypoints = waypoints_of(observations, route, views.origin, config, calibration)
         first = views.sessions[0].flight
         made = Forecast(
@@ -106,6 +106,14 @@ def forecast(
         )
         _write(made, views, out)
     return made
+
+
+def _calibration(localizer: Localizer, wanted: bool) -> Calibration:
+    """Return the calibration of a method, which was measured with its usual settings alone."""
+    found = calibration_of(localizer.name, wanted)
+    if found is UNCALIBRATED or localizer.config == type(localizer.config)():
+        return found
+    return UNCALIBRATED
 
 
 def _check_place(out: Path, scene: Path, twin: Path | None) -> None:
@@ -134,8 +142,8 @@ def _notes(
     notes = list(report.notes)
     if not calibrated_on:
         notes.append(
-            f"{localizer.name} is not calibrated: probabilities are the smoothed shares of views "
-            "that were found in the twin"
+            f"{localizer.name} is not calibrated with these settings: probabilities are the "
+            "smoothed shares of views that were found in the twin"
         )
     longest = max(views.photo_camera().width, views.photo_camera().height)
     notes.append(f"views have {longest} pixels on their longer side")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any, Final
 
 from pydantic import Field, field_validator
 
-from scene.config import Config
+from scene.config import Config, load_config
+from scene.errors import InputError
 from simulate.look.conditions import condition
 
 Positive = Annotated[float, Field(gt=0)]
@@ -64,3 +66,47 @@ class ForecastConfig(Config):
         if len(set(known)) < len(known):
             raise ValueError(f"a season is named twice: {', '.join(known)}")
         return known
+
+
+_DEFAULTS: Final = ForecastConfig()
+_PREFIX: Final = "forecast."
+
+
+class _Settings(Config):
+    """What of the settings is of a forecast and not of its method."""
+
+    forecast: ForecastConfig = _DEFAULTS
+
+
+def forecast_config(settings: dict[str, Any], told: Mapping[str, Any]) -> ForecastConfig:
+    """Take the settings of a forecast, ``forecast.KEY``, out of others.
+
+    Args:
+        settings: values by key; those of the forecast are removed.
+        told: values of the forecast that options of their own give.
+
+    Raises:
+        InputError: a key of the forecast is unknown, its value is bad, or it has an option.
+    """
+    own = {key: settings.pop(key) for key in list(settings) if is_of_forecast(key)}
+    for key in own:
+        name = key.removeprefix(_PREFIX)
+        if name in _OPTIONS:
+            raise InputError(f"--set {key}: give {_OPTIONS[name]} instead")
+    own |= {f"{_PREFIX}{key}": value for key, value in told.items()}
+    return load_config(_Settings, None, own).forecast
+
+
+# Values of a forecast that have an option.
+_OPTIONS: Final = {"seasons": "--season", "views": "--views", "start": "--start"}
+
+
+def is_of_forecast(key: str) -> bool:
+    """Return whether a key of settings is one of the forecast's."""
+    return key.partition(".")[0] == _PREFIX.rstrip(".")
+
+
+def forecast_hint(settings: Mapping[str, Any]) -> str:
+    """Return what to write where a setting of a method has the name of one of the forecast's."""
+    named = [key for key in settings if key in ForecastConfig.model_fields]
+    return f"; of the forecast it is --set {_PREFIX}{named[0]}=VALUE" if named else ""

@@ -166,5 +166,5 @@ def _check_plan(views: SimulateConfig, config: ForecastConfig) -> None:
         hours = math.ceil(count * config.views * len(config.seasons) * 3 / 3600)
         raise InputError(
             f"the flight has {count} waypoints, about {hours} h of rendering: trigger less often, "
-            f"or allow more than {config.most_waypoints} by --set most_waypoints"
+            f"or allow more than {config.most_waypoints} by --set forecast.most_waypoints=N"
         )

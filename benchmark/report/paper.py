@@ -100,20 +100,21 @@ def _ours(groups: Sequence[Group]) -> Iterator[Line]:
         for column, (track, beginning) in _COLUMNS.items():
             if group.track == track and group.dataset.startswith(beginning):
                 for run in group.runs:
-                    cells = by_run.setdefault((run.label, group.start), {})
+                    source = measured(group.start, run.results.method.is_external)
+                    cells = by_run.setdefault((run.label, source), {})
                     cells.setdefault(column, []).extend(run.results.queries)
-    for (method, start), cells in by_run.items():
+    for (method, source), cells in by_run.items():
         yield Line(
             method,
-            measured(start),
+            source,
             False,
             tuple(pooled(cells[column]) if column in cells else None for column in _COLUMNS),
         )
 
 
-def measured(start: str) -> str:
-    """Return the source of a line of ours."""
-    return f"measured here, start: {start_in_words(start)}"
+def measured(start: str, declared: bool = False) -> str:
+    """Return the source of a line of ours; ``declared``: the start is what a user said it was."""
+    return f"measured here, start{' as declared' if declared else ''}: {start_in_words(start)}"
 
 
 def pooled(queries: Sequence[QueryResult]) -> Cell:

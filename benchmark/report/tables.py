@@ -25,6 +25,7 @@ _REFERENCE: Final = "sift"
 _SATURATED: Final = 99.0
 
 ALL: Final = ALL_CONDITIONS
+AS_DECLARED: Final = "as declared, not verified,"
 _STARTS: Final = {
     "prior": "each query's own prior",
     "none": "no prior",
@@ -68,7 +69,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """The table of a group."""
+    """The table of a group.
+
+    ``declared`` are the methods whose start somebody declared to ``score``: nothing verifies it.
+    """
 
     track: str
     dataset: str
@@ -76,12 +80,15 @@ class Table:
     start: str
     map_conditions: tuple[str, ...]
     rows: tuple[Row, ...]
+    declared: tuple[str, ...] = ()
 
     def facts(self) -> str:
         """Return one line of facts that hold for every row."""
+        start = start_in_words(self.start)
+        if self.declared:
+            start += f" ({AS_DECLARED} for {', '.join(self.declared)})"
         return (
-            f"Start: {start_in_words(self.start)}. Map: {', '.join(self.map_conditions)}. "
-            f"Data set {self.sha256[:12]}."
+            f"Start: {start}. Map: {', '.join(self.map_conditions)}. Data set {self.sha256[:12]}."
         )
 
 
@@ -115,6 +122,7 @@ def table(group: Group) -> Table:
         group.start,
         group.map_conditions,
         tuple(row for run in group.runs for row in _rows(run)),
+        tuple(run.label for run in group.runs if run.results.method.is_external),
     )
 
 

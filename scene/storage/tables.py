@@ -54,6 +54,24 @@ def read_table(
         raise InputError(f"{path}:{line}: {error}: is a quote never closed?") from None
 
 
+def read_header(path: Path, what: str) -> list[str]:
+    """Return the names of the columns of a CSV file.
+
+    Args:
+        path: file to read.
+        what: what the file is, for messages.
+
+    Raises:
+        InputError: the file is unreadable, or its columns are not separated by commas.
+    """
+    try:
+        header = next(csv.reader(io.StringIO(read_text(path, what), newline="")), [])
+    except csv.Error as error:
+        raise InputError(f"{path}:1: {error}: is a quote never closed?") from None
+    require_commas(header, f"{path}:1: {what}")
+    return [name.strip() for name in header]
+
+
 def require_commas(header: Sequence[str], what: str) -> None:
     """Refuse a header that other separators than commas keep in one piece.
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from benchmark.datasets.open import open_datasets
+from benchmark.report import tables
+from benchmark.report.paper import side_by_side
 from benchmark.results_files import load
 from scene.geometry.pose import Pose
 from tests.benchmark.made_data import moved, pose_at
@@ -66,3 +70,36 @@ def test_bad_poses(made_flight: Path, tmp_path: Path, text: str, message: str) -
     assert result.exit_code == 2
     assert message in error_line(result.stderr)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_start_is_as_declared(made_flight: Path, tmp_path: Path) -> None:
+    """Beside a method that was told it by us; nobody can mistake one for the other."""
+    out = tmp_path / "out"
+    poses = tmp_path / "hloc.txt"
+    poses.write_text(line("b.jpg", pose_at(1)))
+    words = ("--out", out, "--start", "none")
+    assert invoke("evaluate", made_flight, "--method", "sift", *words).exit_code == 0
+    result = invoke("score", poses, "--reference", made_flight, *words)
+    assert "Start: no prior (as declared, not verified, for hloc)." in result.stdout
+    board = tmp_path / "board"
+    printed = invoke("leaderboard", out, "--out", board)
+    assert "Start: no prior (as declared, not verified, for hloc)." in printed.stdout
+    for name in ("leaderboard.md", "leaderboard.tex", "leaderboard.html"):
+        assert "as declared, not verified, for hloc" in (board / name).read_text(), name
+    (table,) = json.loads(invoke("leaderboard", out, "--json").stdout)["tables"]
+    assert table["declared"] == ["hloc"]
+
+
+def test_our_own_start_is_not_declared(made_flight: Path, tmp_path: Path) -> None:
+    words = ("--out", tmp_path / "out", "--start", "none")
+    result = invoke("evaluate", made_flight, "--method", "sift", *words)
+    assert "as declared" not in result.stdout
+
+
+def test_the_papers_table_says_as_declared(made_flight: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "hloc.txt"
+    poses.write_text(line("b.jpg", pose_at(1)))
+    invoke("score", poses, "--reference", made_flight, "--out", tmp_path / "out")
+    groups = [replace(group, track="uav-sim") for group in tables.groups([tmp_path / "out"])]
+    (ours,) = [line for line in side_by_side(groups) if not line.reported]
+    assert ours.source == "measured here, start as declared: no prior"

@@ -222,10 +222,11 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--method", default="sift")
     parser.add_argument("--photographs", type=int, nargs="+", default=[100, 10_000])
-    parser.add_argument("--set", nargs="*", default=["memory_mb=1024"], metavar="KEY=VALUE")
+    parser.add_argument("--set", action="append", metavar="KEY=VALUE", help="memory_mb=1024")
     parser.add_argument("--one", action="store_true", help="measure here, in this process")
     given = parser.parse_args()
-    options = parse_settings(given.set)
+    settings = given.set or ["memory_mb=1024"]
+    options = parse_settings(settings)
     if given.one:
         (count,) = given.photographs
         folder = given.folder / str(count)
@@ -236,7 +237,9 @@ def main() -> None:
         for _ in range(2):
             words = ["--method", given.method, "--photographs", str(count), "--one"]
             command = [sys.executable, "-m", "tests.benchmarks.large_map", str(given.folder)]
-            subprocess.run([*command, *words, "--set", *given.set], check=True)
+            for setting in settings:
+                words += ["--set", setting]
+            subprocess.run([*command, *words], check=True)
 
 
 if __name__ == "__main__":

@@ -144,16 +144,16 @@ def main() -> None:
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--alone", action="store_true")
-    parser.add_argument("--set", default="{}", help="options of tracking as JSON")
+    parser.add_argument("--tracking", default="{}", help="options of tracking as JSON")
     parser.add_argument(
-        "--option", action="append", default=[], help="KEY=VALUE of the method, for both runs"
+        "--set", action="append", default=[], help="KEY=VALUE of the method, for both runs"
     )
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     place, scene = open_place(given.place), Scene.open(given.flight or given.place)
     frames = frames_of(scene, given.session, given.every, given.rate)
-    both: dict[str, Any] = dict(each.split("=", 1) for each in given.option)
-    tracking = both | {"tracking": json.loads(given.set)}
+    both: dict[str, Any] = dict(each.split("=", 1) for each in given.set)
+    tracking = both | {"tracking": json.loads(given.tracking)}
     runs = [followed(place, given.cache, given.method, tracking, "tracked")]
     if not given.alone:
         alone = both | {"tracking": None}

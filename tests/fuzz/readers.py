@@ -23,6 +23,7 @@ from baselines.training.loop import _claim, _log, _restore
 from benchmark.basin import load_basin
 from benchmark.datasets.cmu import open_cmu, open_slices
 from benchmark.datasets.open import open_datasets
+from benchmark.datasets.origin import read_origin
 from benchmark.datasets.textfiles import (
     read_cameras,
     read_conditions,
@@ -31,7 +32,6 @@ from benchmark.datasets.textfiles import (
     read_priors,
 )
 from benchmark.journal import Journal
-from benchmark.localize import _origin
 from benchmark.query_result import QueryResult
 from benchmark.report.album import Album, Entry, Neighbour, read_album, write_album
 from benchmark.results import Results
@@ -129,7 +129,7 @@ def _flight(folder: Path) -> None:
 
 
 def _read_flight(folder: Path) -> None:
-    _origin(folder / "flight")
+    read_origin(folder / "flight")
     for dataset in open_datasets(folder / "flight"):
         for query in dataset.queries:
             query.load(query.prior)
@@ -494,7 +494,7 @@ READERS: dict[str, Reader] = {
             "flight/queries.txt": ("text", _read_flight),
             "flight/reference_poses.txt": ("text", _read_flight),
             "flight/gps.csv": ("text", _read_flight),
-            "flight/origin.json": ("json", lambda f: _origin(f / "flight")),
+            "flight/origin.json": ("json", lambda f: read_origin(f / "flight")),
             "flight/images/b.jpg": ("jpeg", _read_flight),
         },
         0.5,

@@ -200,7 +200,12 @@ FORECAST = Row(
         "twin": values(None, "nowhere", "hamlet", LONG),
         "start": values("prior", "", "magic", "error=3m", "pairs=nowhere.txt"),
         "views": integer("1"),
-        "overrides": values(None, "colour=red", "=1", "", "weak=2", "size=many", "gap_m=.nan"),
+        "overrides": values(
+            None,
+            *("colour=red", "=1", "", "weak=2", "forecast.weak=2", "forecast.size=many"),
+            *("forecast.gap_m=.nan", "forecast.colour=red", "forecast=2", "forecast.start=none"),
+            "ratio=high",
+        ),
         "cache": cache(),
         "jobs": integer("1", HUGE),
         "as_json": FLAG,
@@ -224,7 +229,8 @@ LOCALIZE = Row(
         "out": out_file("out.txt", "out.csv"),
         "method": METHOD,
         "camera": CAMERA,
-        "priors": file("tables/priors.csv", "csv"),
+        # An empty cell of a sigma is that of an option.
+        "priors": file("tables/priors.csv", "csv").fine("no_number"),
         "gps_sigma": real("10"),
         "gimbal_sigma": real("5"),
         "also": out_file("out.geojson"),

@@ -54,7 +54,7 @@ class BoardRun:
 
     Attributes:
         start: name of the starting information.
-        method: name of the method.
+        method: name of the method, which says so where its start is one that was declared.
         answers: answer to each query of the track; None in a data set without results.
     """
 
@@ -234,4 +234,14 @@ def _runs(
             }
             if answers:
                 listed = (answers.get((query.dataset, query.row.name)) for query in queries)
-                yield BoardRun(start, method, tuple(listed))
+                yield BoardRun(start, _labelled(start, method, loaded), tuple(listed))
+
+
+def _labelled(start: str, method: str, loaded: Mapping[_Key, Results]) -> str:
+    """Return the name of a method; it says so where somebody declared the start to ``score``."""
+    declared = any(
+        run.method.is_external
+        for (its_start, _, its_method), run in loaded.items()
+        if (its_start, its_method) == (start, method)
+    )
+    return f"{method} (start as declared)" if declared else method

@@ -12,6 +12,8 @@ from typer.testing import CliRunner
 import benchmark.forecast.command as command
 from benchmark.api import ForecastConfig, forecast
 from benchmark.cli import app
+from benchmark.forecast.calibration import UNCALIBRATED
+from benchmark.forecast.config import forecast_config
 from benchmark.forecast.report import Forecast
 from benchmark.registry import create
 from scene.bundle.scene import Scene
@@ -126,7 +128,11 @@ def _rendered_before(out: Path) -> object:
         (["--flight", "nadir", "--method", "compass"], "unknown method 'compass'"),
         (["--flight", "nadir", "--start", "pairs=x"], "x"),
         (["--flight", "nadir", "--set", "colour=red"], "colour"),
-        (["--flight", "nadir", "--set", "weak=2"], "weak"),
+        (["--flight", "nadir", "--set", "forecast.weak=2"], "weak"),
+        (["--flight", "nadir", "--set", "weak=0.4"], "--set forecast.weak=VALUE"),
+        (["--flight", "nadir", "--set", "forecast.colour=red"], "colour"),
+        (["--flight", "nadir", "--set", "forecast.start=none"], "give --start instead"),
+        (["--flight", "nadir", "--set", "ratio=high"], "ratio"),
     ],
 )
 def test_a_faulty_request_is_refused_in_one_line(
@@ -160,3 +166,18 @@ def test_a_file_of_somebody_else_is_kept(rendered: Scene, tmp_path: Path) -> Non
     with pytest.raises(InputError, match="another file stands there"):
         forecast(rendered.path, "nadir", create("sift", {}), tmp_path, QUICK)
     assert (tmp_path / "forecast.html").read_text() == "<p>mine</p>"
+
+
+def test_settings_are_of_the_method_as_everywhere() -> None:
+    settings: dict[str, object] = {"ratio": 0.7, "forecast.weak": 0.4, "forecast.size": 96}
+    config = forecast_config(settings, {"views": 3})
+    assert (config.weak, config.size, config.views) == (0.4, 96, 3)
+    assert settings == {"ratio": 0.7}
+    assert create("sift", settings).config.model_dump()["ratio"] == 0.7
+
+
+def test_a_calibration_is_of_the_usual_settings_alone() -> None:
+    usual, other = create("sift", {}), create("sift", {"max_features": 500})
+    assert command._calibration(usual, wanted=True).queries > 0
+    assert command._calibration(usual, wanted=False) is UNCALIBRATED
+    assert command._calibration(other, wanted=True) is UNCALIBRATED

@@ -1,4 +1,4 @@
-"""A localizer by matches that hloc wrote: `--method hloc --set features=F.h5 matches=M.h5`."""
+"""A localizer by matches of hloc: `--method hloc --set features=F.h5 --set matches=M.h5`."""
 
 from pathlib import Path
 from typing import Any

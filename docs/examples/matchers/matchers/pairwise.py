@@ -33,7 +33,7 @@ CORNER = 0.5
 
 
 class VismatchConfig(PnpConfig):
-    """`--set matcher=roma references=3` changes it."""
+    """`--set matcher=roma --set references=3` changes it."""
 
     matcher: str = Field("superpoint-lightglue", description="A name that vismatch knows.")
     device: str = Field("cpu", description="Device of torch.")

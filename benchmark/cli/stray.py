@@ -1,0 +1,63 @@
+"""Words of a command line that were meant for ``--set`` and stand alone.
+
+``--set a=1 b=2`` gives ``--set`` one value, and the command an argument ``b=2``. Where a command
+takes data sets, the second word would be looked for as one.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+from scene.errors import InputError
+
+_SET: Final = "--set"
+_SETTING: Final = re.compile(r"[A-Za-z_][\w.]*=.*", re.DOTALL)
+
+
+def refuse_stray_settings(command: Any, words: Sequence[str]) -> None:
+    """Refuse a word KEY=VALUE that no option takes, in a command that has ``--set``.
+
+    Args:
+        command: a command of click.
+        words: what follows its name.
+
+    Raises:
+        InputError: there is such a word, and no file or folder has its name.
+    """
+    options = {name: option for option in command.params for name in option.opts}
+    if _SET not in options:
+        return
+    for word in _arguments(options, words):
+        if _SETTING.fullmatch(word) and not _is_path(word):
+            raise InputError(
+                f"{word!r} stands alone: {_SET} is given once per value, so write {_SET} {word}"
+            )
+
+
+def _arguments(options: dict[str, Any], words: Sequence[str]) -> Iterator[str]:
+    """Yield the words that are neither options nor their values."""
+    following = iter(words)
+    for word in following:
+        if word == "--":
+            yield from following
+        elif word.startswith("--"):
+            name, equals, _ = word.partition("=")
+            option = options.get(name)
+            # Whoever parses the line refuses an unknown option; nothing is known of its value.
+            if option is None:
+                return
+            if not equals and not option.is_flag:
+                next(following, None)
+        else:
+            yield word
+
+
+def _is_path(word: str) -> bool:
+    """Return whether a file or folder has this name."""
+    try:
+        return os.path.lexists(word)
+    except ValueError:  # a null byte
+        return False
