@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from scene.localizer import Query as Query
     from scene.maps.colmap_files import read_model as read_model
     from scene.maps.sparse_map import SparseMap as SparseMap
+    from scene.runtime.script import run_script as run_script
     from simulate.command import simulate as simulate
     from simulate.config import SimulateConfig as SimulateConfig
 
@@ -103,6 +104,8 @@ _MODULES = {
     "leaderboard": "benchmark.report.leaderboard",
     "regress": "benchmark.regress",
     "view": "benchmark.report.view",
+    # Write scripts.
+    "run_script": "scene.runtime.script",
     # Types.
     "Camera": "scene.geometry.camera",
     "Dataset": "benchmark.datasets.dataset",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +18,8 @@ from scene.errors import InputError
 from scene.runtime.escaping import for_terminal
 from scene.storage.atomic import atomic_write
 from scene.storage.outputs import check_output_folder, check_outputs
+
+log = logging.getLogger(__name__)
 
 # Probability of a false alarm per baseline file, divided among its comparisons (Bonferroni).
 _ALPHA: Final = 0.05
@@ -35,6 +38,7 @@ class Comparison:
         change: change of recall, paired by query.
         vanished: number of baseline queries that the results lack; they count as wrong.
         dropped: whether recall fell by more than chance explains, or a query vanished.
+        can_drop: whether the loss of every query that was right would count as a drop.
     """
 
     method: str
@@ -45,6 +49,7 @@ class Comparison:
     change: PairedChange
     vanished: int
     dropped: bool
+    can_drop: bool
 
     def text(self) -> str:
         """Return the comparison as one line for a person."""
@@ -57,6 +62,14 @@ class Comparison:
             + (f"; {self.vanished} queries vanished" if self.vanished else "")
         )
 
+    def doubt(self) -> str:
+        """Return the line that warns of a baseline which cannot drop."""
+        return for_terminal(
+            f"{self.method} on {self.dataset} ({self.track}), {self.condition}, {self.threshold}: "
+            "no loss could be told from chance, as too few of the baseline's "
+            f"{self.change.queries} queries are right: record more queries, or easier ones"
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison for a program."""
         return asdict(self) | {"change": self.change._asdict()}
@@ -65,7 +78,8 @@ class Comparison:
 def regress(results: Path, baseline: Path) -> list[Comparison]:
     """Compare every results file of a baseline with the file of the same name in ``results``.
 
-    A query that the new results lack counts as wrong.
+    A query that the new results lack counts as wrong. Where so few queries of the baseline are
+    right that even the loss of all could be chance, a warning names the comparison.
 
     Args:
         results: folder that ``evaluate`` wrote.
@@ -80,6 +94,9 @@ def regress(results: Path, baseline: Path) -> list[Comparison]:
         if not (results / name).is_file():
             raise InputError(f"{results} lacks {name}, which the baseline {baseline} has")
         comparisons += _compare(load(baseline / name), load(results / name), str(name))
+    for comparison in comparisons:
+        if not comparison.can_drop:
+            log.warning("%s", comparison.doubt())
     return comparisons
 
 
@@ -144,4 +161,5 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
                 change=change,
                 vanished=counterparts.count(None),
                 dropped=change.p_drop < level or None in counterparts,
+                can_drop=compare(correct_before, [False] * len(queries)).p_drop < level,
             )

@@ -3,10 +3,9 @@
 python examples/00_simulate.py [SCENE]    (about a minute on two cores)
 """
 
-import sys
 from pathlib import Path
 
-from benchmark.api import SimulateConfig, simulate
+from benchmark.api import SimulateConfig, run_script, simulate
 
 
 def main(out: Path = Path("runs/examples/scene")) -> None:
@@ -37,4 +36,4 @@ def main(out: Path = Path("runs/examples/scene")) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_script(main)

@@ -3,10 +3,9 @@
 python examples/01_map.py [SCENE]    (after 00_simulate.py)
 """
 
-import sys
 from pathlib import Path
 
-from benchmark.api import build_map, open_scene
+from benchmark.api import build_map, open_scene, run_script
 
 
 def main(path: Path = Path("runs/examples/scene")) -> None:
@@ -23,4 +22,4 @@ def main(path: Path = Path("runs/examples/scene")) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_script(main)

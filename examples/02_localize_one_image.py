@@ -3,10 +3,9 @@
 python examples/02_localize_one_image.py [SCENE]    (after 01_map.py)
 """
 
-import sys
 from pathlib import Path
 
-from benchmark.api import Pose, Prior, Query, create_localizer, open_scene
+from benchmark.api import Pose, Prior, Query, create_localizer, open_scene, run_script
 from scene.localizer import Status
 from scene.storage.images import read_rgb
 
@@ -33,4 +32,4 @@ def main(path: Path = Path("runs/examples/scene")) -> float:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_script(main)

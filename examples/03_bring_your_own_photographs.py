@@ -5,10 +5,9 @@ python examples/03_bring_your_own_photographs.py PHOTOS [SCENE]
 Left out, PHOTOS are those of the map flight of 00_simulate.py, whose EXIF is like a drone's.
 """
 
-import sys
 from pathlib import Path
 
-from benchmark.api import ingest, open_scene
+from benchmark.api import ingest, open_scene, run_script
 
 RENDERED = Path("runs/examples/scene/sessions/summer-noon-nadir-map/images")
 
@@ -25,4 +24,4 @@ def main(photographs: Path = RENDERED, out: Path = Path("runs/examples/own")) ->
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_script(main)

@@ -3,12 +3,11 @@
 python examples/04_write_a_localizer.py [SCENE] [RESULTS]    (after 01_map.py)
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
 
-from benchmark.api import Estimate, Query, SparseMap, evaluate, open_datasets
+from benchmark.api import Estimate, Query, SparseMap, evaluate, open_datasets, run_script
 from scene.config import Config
 from scene.localizer import By, Status, Stopwatch
 
@@ -51,4 +50,4 @@ def main(
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_script(main)

@@ -3,10 +3,16 @@
 python examples/05_compare_two_methods.py [SCENE] [RESULTS] [BOARD]    (after 01_map.py)
 """
 
-import sys
 from pathlib import Path
 
-from benchmark.api import create_localizer, evaluate, leaderboard, open_datasets, parse_start
+from benchmark.api import (
+    create_localizer,
+    evaluate,
+    leaderboard,
+    open_datasets,
+    parse_start,
+    run_script,
+)
 
 
 def main(
@@ -26,4 +32,4 @@ def main(
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_script(main)

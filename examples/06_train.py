@@ -3,10 +3,9 @@
 python examples/06_train.py [SCENE] [RUN]    (after 00_simulate.py)
 """
 
-import sys
 from pathlib import Path
 
-from benchmark.api import TrainConfig, create_localizer, train, trainable
+from benchmark.api import TrainConfig, create_localizer, run_script, train, trainable
 
 
 def main(
@@ -25,4 +24,4 @@ def main(
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_script(main)

@@ -3,12 +3,14 @@
 python examples/07_results_in_pandas.py [RESULTS]    (after 05_compare_two_methods.py)
 """
 
-import sys
 from pathlib import Path
 
-import pandas as pd
+try:
+    import pandas as pd
+except ImportError as error:
+    raise SystemExit(f"{error}: this example needs pandas (pip install pandas)") from None
 
-from benchmark.api import read_results
+from benchmark.api import InputError, read_results, run_script
 from benchmark.results_files import BASIN
 
 
@@ -23,6 +25,8 @@ def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:
         for query in results.queries:
             row = query.model_dump(include={"name", "condition", "t_err_m", "r_err_deg"})
             rows.append({"method": results.method.name, "start": results.start, **row})
+    if not rows:
+        raise InputError(f"{folder} holds no results: run 05_compare_two_methods.py first")
     table = pd.DataFrame(rows)
 
     # A query without a pose has no error: the comparison is false, so it counts as wrong.
@@ -33,4 +37,4 @@ def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    run_script(main)

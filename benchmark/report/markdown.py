@@ -15,6 +15,8 @@ from scene.runtime.escaping import for_terminal
 
 # Characters that Markdown takes for markup. An underscore within a word is not markup.
 _MARKUP: Final = re.compile(r"[\\`*\[\]|~$]|(?<![^\W_])_|_(?![^\W_])")
+# Beyond this NEES, a covariance is wrong however much; ``shared.js`` has the same number.
+_LARGEST_NEES: Final = 1000
 _HTML: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
@@ -79,6 +81,11 @@ def _table(board: Table) -> Iterator[str]:
 def line(cells: Sequence[str]) -> str:
     """Return a row of a table."""
     return "| " + " | ".join(cells) + " |"
+
+
+def nees_text(value: float) -> str:
+    """Return a NEES; one that is far too large is not told more exactly than that."""
+    return f"> {_LARGEST_NEES}" if value > _LARGEST_NEES else f"{value:.1f}"
 
 
 def recall_text(recall: Recall) -> str:

@@ -22,6 +22,7 @@ from benchmark.report.view_content import Cloud, MapObject, Method, QueryEstimat
 from benchmark.report.view_picture import draw
 from benchmark.results import Results
 from benchmark.results_files import load, results_files
+from benchmark.score import FALSE_FIX, is_correct
 from dense.command import DENSE
 from dense.workspace import Workspace
 from objconnect.scene_landmarks import read_landmarks
@@ -159,6 +160,7 @@ def _method(results: Results, poses: dict[str, Pose], path: Path) -> Method:
                 error=query.t_err_m,
                 angle=query.r_err_deg,
                 status=query.status.value,
+                found=is_correct(query, FALSE_FIX),
             )
         )
     return Method(results.method.name, tuple(queries))
@@ -232,6 +234,7 @@ def _data(
                         "error": query.error,
                         "angle": query.angle,
                         "status": query.status,
+                        "found": query.found,
                     }
                     for query in method.queries
                 ],

@@ -58,6 +58,7 @@ class QueryEstimate:
         error: distance between the two, metres; None without a pose.
         angle: rotation error, degrees; None without a pose.
         status: value of ``scene.localizer.Status``.
+        found: whether the status is ok and the pose is no false fix.
     """
 
     name: str
@@ -66,6 +67,7 @@ class QueryEstimate:
     error: float | None
     angle: float | None
     status: str
+    found: bool
 
 
 @dataclass(frozen=True)

@@ -160,10 +160,7 @@ class Triggers:
             self._stop(command, Mav.TRIGGER_DISTANCE)
         else:
             raise command.fault(f"has the distance {every:g} m (params[0])", "set it")
-        now = at_once == 1 and since_m > _ONE_PLACE_M
-        if now and every > 0:
-            self.running[Mav.TRIGGER_DISTANCE].since_m = 0.0
-        return now
+        return at_once == 1 and since_m > _ONE_PLACE_M
 
     def _oblique(self, command: Command) -> None:
         every = command.number(0, "distance")

@@ -53,6 +53,25 @@ def test_the_same_results_pass(baseline: Path) -> None:
     assert "DROP" not in answer.stdout
 
 
+def test_a_baseline_that_cannot_drop_is_named(
+    baseline: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert regress(baseline, baseline).exit_code == 0
+    assert not caplog.records
+    # Winter has six queries that are right at 0.5 m: all lost, p = 1 / 64, above 0.05 / 9.
+    few = {n: (e if n.startswith("s") or n in {f"w{k}" for k in range(6)} else 9.0)
+           for n, e in GOOD.items()}  # fmt: skip
+    write(tmp_path / "few", few)
+    lost = {n: (e if n.startswith("s") else 9.0) for n, e in few.items()}
+    write(tmp_path / "lost", lost)
+    answer = regress(tmp_path / "lost", tmp_path / "few")
+    assert answer.exit_code == 0, "it is blind, and says so"
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 3
+    assert all("sift on d (uav-sim), winter, " in line for line in said)
+    assert any("0.5m_5deg: no loss could be told from chance" in line for line in said)
+
+
 def test_one_query_in_ten_lost_is_caught(baseline: Path, tmp_path: Path) -> None:
     write(tmp_path / "new", {n: None if n.endswith("3") else e for n, e in GOOD.items()})
     answer = regress(tmp_path / "new", baseline)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -11,6 +14,7 @@ from types import ModuleType
 import matplotlib.pyplot as plt
 import pytest
 
+from scene.runtime.script import run_script
 from simulate.render.libraries import require_libraries
 from tests.blender import require_blender
 
@@ -124,3 +128,37 @@ def test_the_notebook(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             exec(compile("".join(cell["source"]), "map_query_error", "exec"), names)
     assert names["metres"] < 0.5  # type: ignore[operator]
     assert len(plt.get_fignums()) == 2
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem[:2])
+def test_a_fault_of_the_user_is_one_line(path: Path, tmp_path: Path) -> None:
+    if path.stem.startswith("07"):
+        pytest.importorskip("pandas", exc_type=ImportError)
+    if path.stem.startswith("00"):
+        (tmp_path / "no").write_text("a file, where a folder is asked for")
+    ended = subprocess.run(
+        [sys.executable, str(path), "no/such/place"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(EXAMPLES.parent)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 2, ended.stderr
+    assert ended.stderr.splitlines()[-1].startswith("error: ")
+    assert "Traceback" not in ended.stderr
+
+
+def test_scripts_say_which_paths_they_take(capsys: pytest.CaptureFixture[str]) -> None:
+    def main(scene: Path, out: Path = Path("out")) -> None:
+        raise OSError(28, "No space left on device", str(out))
+
+    for words in ([], ["a", "b", "c"]):
+        with pytest.raises(SystemExit) as ended:
+            run_script(main, words)
+        assert ended.value.code == 2
+        assert "give SCENE, OUT, in this order" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        run_script(main, ["a"])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "error: [Errno 28] No space left on device: 'out'\n"

@@ -29,6 +29,9 @@ log = logging.getLogger(__name__)
 # Start, data set and method.
 _Key = tuple[str, str, str]
 
+# The track with which the page opens.
+OPENING: Final = "uav-seasons"
+
 _ENDINGS: Final = (".json.xz", ".json")
 
 
@@ -107,7 +110,8 @@ class TrackBoard:
 def read_boards(folder: Path) -> list[TrackBoard]:
     """Read all tracks of a folder, ``FOLDER/<track>/track.yaml`` and what lies beside it.
 
-    Tracks with results come first, each part in the order of names.
+    Tracks with results come first, and of these the one of aircraft, with which the page opens; the
+    others follow in the order of names.
 
     Raises:
         InputError: there is no track, a file is damaged, or results are not of the track's data.
@@ -117,7 +121,8 @@ def read_boards(folder: Path) -> list[TrackBoard]:
     names = sorted(path.parent.name for path in folder.glob(f"*/{DESCRIPTION}"))
     if not names:
         raise InputError(f"board {folder} holds no track (<track>/{DESCRIPTION})")
-    return sorted((read_board(name, folder) for name in names), key=lambda board: not board.runs)
+    boards = [read_board(name, folder) for name in names]
+    return sorted(boards, key=lambda board: (not board.runs, board.track.name != OPENING))
 
 
 def read_board(name: str, board: Path) -> TrackBoard:

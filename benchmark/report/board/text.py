@@ -9,7 +9,7 @@ from benchmark.query_result import TOTAL
 from benchmark.report.board import beside_paper
 from benchmark.report.board.cells import RISK, Cell, bounded_recall, cells
 from benchmark.report.board.runs import BoardRun, TrackBoard
-from benchmark.report.markdown import escaped, line, number, paper_markdown, recall_text
+from benchmark.report.markdown import escaped, line, nees_text, number, paper_markdown, recall_text
 from benchmark.report.tables import start_in_words
 from benchmark.score import THRESHOLDS
 from benchmark.summary import Recall, Summary, summarize
@@ -114,7 +114,7 @@ def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
                 *(recall_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 "–" if row.surest is None else recall_text(row.surest),
                 "–" if summary.false_fixes is None else recall_text(summary.false_fixes),
-                "–" if consistent is None else f"{consistent.nees_mean:.1f}",
+                "–" if consistent is None else nees_text(consistent.nees_mean),
                 number(summary.median_t_m),
                 number(summary.seconds.per_query.get(TOTAL)),
             ]

@@ -131,8 +131,8 @@
           }));
         const nees = (figure) => (r) => (r.nees ? figure(r.nees) : ["–", false]);
         return [
-          line("NEES, mean", nees((n) => [digits(n.mean), n.mean >= 4.5 && n.mean <= 8]), true),
-          line("NEES, median", nees((n) => [digits(n.median), false])),
+          line("NEES, mean", nees((n) => [neesText(n.mean), n.mean >= 4.5 && n.mean <= 8]), true),
+          line("NEES, median", nees((n) => [neesText(n.median), false])),
           line("in the 95 % ellipsoid", nees((n) => [`${percent(n.within)} %`, n.within[0] >= 93 && n.within[0] <= 97])),
           line("false fixes", (r) => [`${percent(r.summary.wrong)} %`, r.summary.wrong[0] <= 1]),
         ];

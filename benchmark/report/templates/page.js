@@ -81,7 +81,7 @@
     return right.map((share, k) => [(100 * (k + 1)) / right.length, share]);
   });
   const honesty = (run) => `${run.label}: ${run.nees
-    ? `${digits(run.nees.mean)} on average, ${percent(run.nees.within)} % ${interval(run.nees.within)} inside, of ${run.nees.queries}`
+    ? `${neesText(run.nees.mean)} on average, ${percent(run.nees.within)} % ${interval(run.nees.within)} inside, of ${run.nees.queries}`
     : "no covariance"}`;
 
   // ---- tables

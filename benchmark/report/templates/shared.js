@@ -19,6 +19,8 @@ const fill = (node, attributes, children) => {
 const el = (tag, attributes, ...children) => fill(document.createElement(tag), attributes, children);
 const svg = (tag, attributes, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
+const LARGEST_NEES = 1000; // beyond it, a covariance is wrong however much
+const neesText = (value) => (value > LARGEST_NEES ? `> ${LARGEST_NEES}` : digits(value));
 const digits = (value) => {
   if (value === null || value === undefined) return "–";
   const size = Math.abs(value);

@@ -231,7 +231,7 @@ function panel() {
   methods.hidden = data.methods.length === 0;
   row(methods, "radio", "method", "none", "", null, true, () => { method = null; });
   for (const found of data.methods)
-    row(methods, "radio", "method", found.name, found.queries.length, null, false, () => { method = found; });
+    row(methods, "radio", "method", found.name, found.queries.filter(query => query.found).length, null, false, () => { method = found; });
   const thinned = clouds.filter(cloud => cloud.xyz.length / 3 < cloud.total)
     .map(cloud => `${(cloud.xyz.length / 3).toLocaleString("en")} of ${cloud.total.toLocaleString("en")} ${texts[cloud.layer]} are drawn, chosen at random.`);
   document.getElementById("bounds").textContent = thinned.join(" ");

@@ -124,6 +124,8 @@ def test_queries_stand_where_the_method_found_them(page: Browser) -> None:
     green, amber = "[55, 224, 91]", "[255, 179, 64]"
     page.click("#layers input[name=objects]")
     assert pixels_of(page, green) == pixels_of(page, amber) == 0
+    # Three queries 0.1 m off and one 1 m off are found, and two without a pose are not.
+    assert page.texts("#methods label")[-1].split("\n")[-1] == "4"
     page.click("#methods input[value=zzz]")
     # Three queries 0.1 m off, one 1 m off, two without a pose.
     assert page.texts("#figures")[0].endswith("zzz: 4 of 6 queries have a pose, median 0.10 m off")

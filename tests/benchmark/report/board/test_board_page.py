@@ -118,6 +118,8 @@ def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) ->
     assert float(page.texts("#consistency tbody tr:nth-child(5) td")[0]) == pytest.approx(
         nees, rel=0.01
     )
+    texts = page.run("[1000, 1000.1, 1e100, null].map(neesText)")
+    assert texts == ["1000", "> 1000", "> 1000", "–"]
 
 
 def test_a_method_that_was_asked_a_part_of_the_queries_says_so(

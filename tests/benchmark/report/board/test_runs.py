@@ -51,6 +51,19 @@ def test_every_query_has_the_answers_of_its_own_data_set(made: Path) -> None:
     assert len(set(found.flights)) == 9
 
 
+def test_the_track_of_aircraft_comes_first(made: Path) -> None:
+    """Before others with results, whatever their names are, and those without come last."""
+    track = load_track(NAME, made)
+    for name in ("a-street", "b-empty", "z-street"):
+        write_track(track.model_copy(update={"name": name}), made)
+        if "empty" not in name:
+            for part in ("queries", "results"):
+                shutil.copytree(made / NAME / part, made / name / part)
+    assert [board.track.name for board in read_boards(made)] == [
+        *(NAME, "a-street", "z-street", "b-empty"),
+    ]
+
+
 def test_figures_pool_the_data_sets(made: Path) -> None:
     """Counted anew from the files themselves."""
     right = total = 0
