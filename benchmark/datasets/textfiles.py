@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scene.bundle.manifest import ALL_CONDITIONS
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
+from scene.geometry.colmap_models import READ
 from scene.geometry.geodesy import FARTHEST_M
 from scene.geometry.pose import Pose
 from scene.localizer import Prior
@@ -31,7 +32,7 @@ _CONDITIONS: Final = ("name", "condition")
 _LEAST_SIGMA: Final = 1e-6
 
 # A name ends where the model of a camera begins.
-_MODEL: Final = re.compile(rf"\s+(?=({'|'.join(MODELS)})(\s|$))")
+_MODEL: Final = re.compile(rf"\s+(?=({'|'.join((*MODELS, *READ))})(\s|$))")
 _SPACE: Final = re.compile(r"\s+")
 
 T = TypeVar("T")

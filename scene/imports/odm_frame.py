@@ -203,4 +203,11 @@ def _alone(path: Path, shots: Shots) -> Shots:
         raise InputError(
             f"{path}: its poses are in a projected system ({axes.why}, as a UTM grid is): {_REMEDY}"
         )
+    if axes.value != "east and north" and np.isfinite(shots.measured).any():
+        log.warning(
+            "%s is read as metres east and north; whether ODM has moved it to a projected system "
+            "cannot be told: %s",
+            path,
+            axes.why,
+        )
     return shots
