@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.geometry.geodesy import Geodetic, longitude_difference
+from scene.geometry.geodesy import FARTHEST_M, Geodetic, longitude_difference
 from scene.quantities.reading import Reading, known, unknown
 
 Axes = Literal["east and north", "grid"]
@@ -55,7 +55,7 @@ def axes_of(
         The axes; unknown where the positions fit both, or none.
     """
     source = "gps_position"
-    there = np.isfinite(measured).all(1)
+    there = (np.abs(measured) <= FARTHEST_M).all(1)
     if there.sum() < 3:
         return unknown(source, f"{source} is there for {there.sum()} photographs")
     own, gps = positions[there], measured[there]

@@ -48,7 +48,7 @@ def metres_per(unit: str) -> float | None:
 
     Example:
         >>> metres_per("Metres"), metres_per("foot"), round(metres_per("US survey foot"), 9)
-        (1.0, 0.3048, 0.304800610)
+        (1.0, 0.3048, 0.30480061)
         >>> metres_per("fathom") is None
         True
     """
