@@ -127,7 +127,7 @@ class IngestReport(BaseModel):
             f"{self.points} points in tracks of {self.track_length:.1f}, "
             f"{self.reprojection_error_px:.2f} px mean reprojection error",
             f"GPS residuals of {self.fixes} photographs: {gps}; {up[self.level]}",
-            *_contradicted(self.level, self.gps),
+            *gps_remark(self.level, self.gps),
             *(
                 [f"GPS is {self.lag_s:.1f} s late; without that: {self.gps_without_lag.text()}"]
                 if self.gps_without_lag is not None
@@ -149,7 +149,7 @@ class IngestReport(BaseModel):
         return "\n".join(lines)
 
 
-def _contradicted(level: str, gps: Residuals | None) -> list[str]:
+def gps_remark(level: str, gps: Residuals | None) -> list[str]:
     """Return a remark where GPS contradicts what places the scene on earth."""
     if gps is None or level not in ("control", "given"):
         return []

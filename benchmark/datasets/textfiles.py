@@ -15,6 +15,7 @@ from benchmark.datasets.priors import PriorTable, StatedPrior
 from scene.bundle.manifest import ALL_CONDITIONS
 from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
+from scene.geometry.colmap_models import READ
 from scene.geometry.geodesy import FARTHEST_M, Geodetic, is_on_earth
 from scene.geometry.pose import Pose
 from scene.maps.colmap_files import check_pose
@@ -39,7 +40,7 @@ _CONDITIONS: Final = ("name", "condition")
 _LEAST_SIGMA: Final = 1e-6
 
 # A name ends where the model of a camera begins.
-_MODEL: Final = re.compile(rf"\s+(?=({'|'.join(MODELS)})(\s|$))")
+_MODEL: Final = re.compile(rf"\s+(?=({'|'.join((*MODELS, *READ))})(\s|$))")
 _SPACE: Final = re.compile(r"\s+")
 
 T = TypeVar("T")

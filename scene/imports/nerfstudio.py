@@ -31,7 +31,7 @@ class _Frame(Intrinsics):
 class _Document(Intrinsics):
     frames: tuple[_Frame, ...]
     applied_transform: tuple[_Row, _Row, _Row] | tuple[_Row, _Row, _Row, _Row] | None = None
-    applied_scale: FiniteFloat | None = Field(None, gt=0)
+    applied_scale: FiniteFloat | None = Field(None, gt=1e-6, lt=1e6)
 
 
 _WHOLE = {"frames", "applied_transform", "applied_scale"}

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.geo.named_systems import NamedSystem, named_system
-from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu
 from scene.quantities.horizontal_axes import axes_of, convergence, utm_zone
 from scene.storage.files import read_text
 
@@ -76,8 +76,12 @@ def topocentric(path: Path, shots: Shots, beside: Shots | None) -> Shots:
     Raises:
         InputError: the frame of the file cannot be told, or contradicts the files beside it.
     """
+    if not _is_sane(shots):
+        return shots  # as the file has it: ``poses.posed`` says what is wrong
     if path.name == TOPOCENTRIC or not len(shots.names):
         return _near(path, shots)
+    if beside is not None and not _is_sane(beside):
+        raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
     if beside is not None:
         found = _from_beside(path, shots, beside)
         if found is not None:
@@ -86,6 +90,10 @@ def topocentric(path: Path, shots: Shots, beside: Shots | None) -> Shots:
     if system is not None:
         return _from_system(path, shots, *system)
     return _near(path, _alone(path, shots))
+
+
+def _is_sane(shots: Shots) -> bool:
+    return bool((np.abs(shots.world_from_cam) <= FARTHEST_M).all())
 
 
 def _near(path: Path, shots: Shots) -> Shots:
@@ -202,5 +210,12 @@ def _alone(path: Path, shots: Shots) -> Shots:
     if axes.value == "grid" and abs(grid) > _SMALL_TURN:
         raise InputError(
             f"{path}: its poses are in a projected system ({axes.why}, as a UTM grid is): {_REMEDY}"
+        )
+    if axes.value != "east and north" and np.isfinite(shots.measured).any():
+        log.warning(
+            "%s is read as metres east and north; whether ODM has moved it to a projected system "
+            "cannot be told: %s",
+            path,
+            axes.why,
         )
     return shots

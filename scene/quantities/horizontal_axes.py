@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scene.geometry.geodesy import Geodetic, longitude_difference
+from scene.geometry.geodesy import FARTHEST_M, Geodetic, longitude_difference
 from scene.quantities.reading import Reading, known, unknown
 
 Axes = Literal["east and north", "grid"]
@@ -20,8 +20,9 @@ Axes = Literal["east and north", "grid"]
 _ZONE_DEG: Final = 6.0
 # A turn is that of one of both axes where the other one is this many times as far away,
 _CLEARER: Final = 3.0
-# and where the scatter of positions tells turns this many times as small as their difference.
-_SIGMAS: Final = 3.0
+# and where the scatter of positions tells turns this many times as small as their difference. Few
+# positions tell their own scatter badly, so that they need more (of Student's distribution).
+_SIGMAS, _FEW = 3.0, 5.0
 
 
 def utm_zone(longitude: float) -> int:
@@ -54,7 +55,7 @@ def axes_of(
         The axes; unknown where the positions fit both, or none.
     """
     source = "gps_position"
-    there = np.isfinite(measured).all(1)
+    there = (np.abs(measured) <= FARTHEST_M).all(1)
     if there.sum() < 3:
         return unknown(source, f"{source} is there for {there.sum()} photographs")
     own, gps = positions[there], measured[there]
@@ -66,10 +67,11 @@ def axes_of(
     turn = math.atan2(across, float((gps * own).sum()))
     cos, sin = math.cos(turn), math.sin(turn)
     off = own - gps @ np.array([[cos, sin], [-sin, cos]])
-    sigma = float(np.sqrt((off**2).sum() / max(2 * len(own) - 4, 1))) / spread
+    free = 2 * len(own) - 4
+    sigma = float(np.sqrt((off**2).sum() / free)) / spread
     from_east, from_grid = abs(turn), abs(turn - grid_turn)
     said = f"turned by {math.degrees(turn):.2f} degrees against {source}"
-    if _SIGMAS * sigma > abs(grid_turn):
+    if _SIGMAS * (1 + _FEW / free) * sigma > abs(grid_turn):
         return unknown(source, f"{source} scatters too much to tell the axes")
     if from_grid > _CLEARER * from_east:
         return known("east and north", source)

@@ -234,6 +234,8 @@ def _foreign(folder: Path) -> None:
     write_metashape(folder, "<k1>-0.1</k1><k2>0.02</k2><k3>-0.006</k3>")
     write_nerfstudio(folder)
     write_opensfm(folder, focal=0.8, k1=-0.1)
+    entry = '"id":0,"img_name":"a","position":[1,2,50],"rotation":[[1,0,0],[0,-1,0],[0,0,-1]]'
+    (folder / "cameras.json").write_text(f"[{{{entry}}}]")
     (folder / "tum.txt").write_text("# comment\n1.5 1 2 3 1 0 0 0\n2.5 1 2 4 0 0 0 1\n")
     (folder / "places.csv").write_text("name,lat,lon,alt\na.jpg,47.1,8.1,420\nb.jpg,47,8,1\n")
 
@@ -502,6 +504,7 @@ READERS: dict[str, Reader] = {
     "foreign": Reader(
         _foreign,
         {
+            "cameras.json": ("json", lambda f: read_foreign(f / "cameras.json")),
             "cameras.xml": ("text", lambda f: read_foreign(f / "cameras.xml")),
             "transforms.json": ("json", lambda f: read_foreign(f / "transforms.json")),
             "reconstruction.json": ("json", lambda f: read_foreign(f / "reconstruction.json")),

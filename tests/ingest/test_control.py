@@ -24,6 +24,7 @@ from ingest.control_points import ControlPoint, read_control_points
 from ingest.georegister import Georegistration
 from ingest.options import ControlOptions, IngestOptions
 from ingest.photographs import SESSION, Flight, FlightImage
+from ingest.report import Residuals, gps_remark
 from scene.bundle.scene import Scene
 from scene.colmap.models import write_posed
 from scene.colmap.structure_from_motion import RefinedLenses
@@ -350,3 +351,89 @@ def test_check_points_need_a_list(rendered: Scene, tmp_path: Path) -> None:
     photographs = rendered.images_root / MAP_SESSION / "images"
     with pytest.raises(InputError, match="give --gcp"):
         ingest(photographs, tmp_path / "scene", checks=["A"])
+
+
+def placed_flight(latitude: float, longitude: float) -> Flight:
+    """The made flight with GPS positions in its photographs."""
+    images = [
+        replace(image, exif=replace(image.exif, position=Geodetic(latitude, longitude, 500.0)))
+        for image in made_flight().images
+    ]
+    return Flight(tuple(images), {})
+
+
+# A point in Minnesota, 160 m above the ellipsoid.
+_PLACE = Geodetic(46.8427, -91.994, 160.0)
+_US_FOOT = 1200 / 3937
+
+
+def list_of_one(path: Path, header: str, system: str, unit: float, turned: bool = False) -> Path:
+    """Write a list of one point, with heights in a unit of so many metres."""
+    to = pyproj.Transformer.from_crs("EPSG:4326", system, always_xy=True)
+    x, y = to.transform(_PLACE.longitude, _PLACE.latitude)
+    x, y = (y, x) if turned else (x, y)
+    path.write_text(f"{header}\n{x:.9f} {y:.9f} {_PLACE.altitude / unit:.6f} 1 2 DJI_1.JPG a\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "system", "unit"),
+    [
+        ("EPSG:26849 +vunits=us-ft", "EPSG:26849", _US_FOOT),
+        ("EPSG:26849 +vunits=m", "EPSG:26849", 1.0),
+        ("+proj=utm +zone=15 +datum=WGS84 +units=us-ft +vunits=us-ft", "", _US_FOOT),
+        ("+proj=utm +zone=15 +datum=WGS84 +units=ft +vunits=ft", "", 0.3048),
+        ("EPSG:4326", "EPSG:4326", 1.0),
+    ],
+)
+def test_a_list_in_feet(tmp_path: Path, header: str, system: str, unit: float) -> None:
+    path = list_of_one(tmp_path / "gcp.txt", header, system or header, unit)
+    (point,) = read_control_points(path, placed_flight(46.85, -91.99), 1000)
+    np.testing.assert_allclose(point.place[:2], _PLACE[:2], atol=3e-8)
+    assert point.place.altitude == pytest.approx(160.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("header", "system", "turned", "message"),
+    [
+        ("EPSG:26849", "EPSG:26849", False, "the unit of heights is unknown .*US survey foot"),
+        ("EPSG:4326", "EPSG:4326", True, "is no place on earth|is no position|exchanged"),
+        ("EPSG:32615", "EPSG:32615", True, "x and y are exchanged: give east|is no position"),
+        ("EPSG:32615", "EPSG:26849", False, "km from the photographs' GPS positions: check the"),
+        ("EPSG:32614", "EPSG:32615", False, "km from the photographs' GPS positions: check the"),
+    ],
+)
+def test_a_list_in_another_unit_order_or_system(
+    tmp_path: Path, header: str, system: str, turned: bool, message: str
+) -> None:
+    path = list_of_one(tmp_path / "gcp.txt", header, system, 1.0, turned)
+    with pytest.raises(InputError, match=message):
+        read_control_points(path, placed_flight(46.85, -91.99), 1000)
+
+
+def test_exchanged_coordinates_are_named(tmp_path: Path) -> None:
+    """Latitude first, where longitudes are latitudes, too."""
+    path = tmp_path / "gcp.txt"
+    path.write_text("EPSG:4326\n47.0 8.0 400 1 2 DJI_1.JPG a\n")
+    with pytest.raises(InputError, match="x and y are exchanged: give east or longitude first"):
+        read_control_points(path, placed_flight(47.0, 8.0), 1000)
+
+
+@pytest.mark.parametrize(
+    ("level", "across", "up", "remark"),
+    [
+        ("control", 3.0, 364.0, "GPS contradicts ground control points by 364 m in height"),
+        ("given", 250.0, 2.0, "GPS contradicts the given poses by 250 m across"),
+        ("control", 90.0, 48.0, "by 90 m across and 48 m in height: check the system, the unit"),
+        ("control", 5.0, 9.0, None),
+        ("gps", 5.0, 99.0, None),
+    ],
+)
+def test_gps_that_contradicts_gets_a_remark(
+    level: str, across: float, up: float, remark: str | None
+) -> None:
+    gps = Residuals(
+        horizontal_median=across, horizontal_rms=across, vertical_median=up, vertical_rms=up
+    )
+    said = "".join(gps_remark(level, gps))
+    assert (remark in said) if remark else not said

@@ -95,12 +95,40 @@ def test_every_camera_model(name: str, params: list[float], tmp_path: Path) -> N
     assert ours.reprojection_error() < 1e-6
 
 
-def test_camera_model_of_another_project_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "params"),
+    [
+        ("FULL_OPENCV", [900.0, 910, 512, 384, 0.05, -0.01, 1e-3, -2e-3, 0, 0, 0, 0]),
+        ("SIMPLE_RADIAL_FISHEYE", [900.0, 512, 384, 0.05]),
+        ("RADIAL_FISHEYE", [900.0, 512, 384, 0.05, -0.01]),
+        ("THIN_PRISM_FISHEYE", [900.0, 910, 512, 384, 0.05, -0.01, 0, 0, 1e-3, 0, 0, 0]),
+    ],
+)
+def test_models_that_equal_ours(name: str, params: list[float], tmp_path: Path) -> None:
+    """Points fall on the synthetic observations, which are exact."""
     options = pycolmap.SyntheticDatasetOptions()
-    options.camera_model_id = pycolmap.CameraModelId.FULL_OPENCV
-    options.camera_params = [900.0, 900, 512, 384, 0, 0, 0, 0, 0, 0, 0, 0]
+    options.camera_model_id = getattr(pycolmap.CameraModelId, name)
+    options.camera_params = params
     pycolmap.synthesize_dataset(options).write(tmp_path)
-    with pytest.raises(InputError, match=r"model 6, which is not supported; supported: SIMPLE_"):
+    assert read_model(tmp_path).reprojection_error() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "params", "message"),
+    [
+        ("FULL_OPENCV", [900.0, 900, 512, 384, 0, 0, 0, 0, 0.01, 0, 0, 0], "where k3 is zero"),
+        ("FOV", [900.0, 900, 512, 384, 0.5], "FOV is supported only where omega is zero"),
+        ("EUCM", [900.0, 900, 512, 384, 0.5, 1.0], "model EUCM is not supported; supported: SI"),
+    ],
+)
+def test_other_models_are_named(
+    name: str, params: list[float], message: str, tmp_path: Path
+) -> None:
+    options = pycolmap.SyntheticDatasetOptions()
+    options.camera_model_id = getattr(pycolmap.CameraModelId, name)
+    options.camera_params = params
+    pycolmap.synthesize_dataset(options).write(tmp_path)
+    with pytest.raises(InputError, match=message):
         read_model(tmp_path)
 
 
