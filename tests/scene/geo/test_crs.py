@@ -66,7 +66,7 @@ def test_without_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
         Projection("EPSG:32632")
 
 
-# Vertical systems of surveys, by code. None of their grids is installed, and for some PROJ has none.
+# Vertical systems of surveys, by code. None of their grids is installed; for some PROJ has none.
 VERTICAL = (
     5701, 5703, 5705, 5709, 5710, 5711, 5714, 5715, 5720, 5728, 5730, 5773, 5778, 5783, 5799, 5831,
     3855, 3900, 6357, 6360, 6647, 6695, 7837, 7839, 8228, 9130,
@@ -99,8 +99,9 @@ def test_places_by_a_ballpark_are_refused(words: str) -> None:
 @pytest.mark.parametrize(
     ("crs", "place", "metres"),
     [
-        ("EPSG:26710", Geodetic(40.0, -123.0, 0.0), 8),
-        ("EPSG:23030", Geodetic(48.0, -3.0, 0.0), 10),
+        ("EPSG:26710", Geodetic(40.0, -123.0, 0.0), 7),
+        ("EPSG:21037", Geodetic(-2.0, 38.0, 0.0), 6),
+        ("EPSG:24547", Geodetic(4.0, 102.0, 0.0), 15),
         ("EPSG:32632", Geodetic(47.0, 8.0, 0.0), None),
         ("EPSG:2056", Geodetic(47.0, 8.0, 0.0), None),
         ("EPSG:26910", Geodetic(40.0, -123.0, 0.0), None),
