@@ -61,6 +61,13 @@ class Grid:
         right = self.left + self.width * self.pixel[0]
         return Box(self.left, self.top - self.height * self.pixel[1], right, self.top)
 
+    @property
+    def middle(self) -> Geodetic:
+        """Return the place in the middle, at height 0."""
+        box = self.box
+        east, north = (box.left + box.right) / 2, (box.bottom + box.top) / 2
+        return self.projection.to_geodetic(np.array([east, north, 0.0]))
+
     @cached_property
     def ground_pixel(self) -> tuple[float, float]:
         """Return the width and height of a pixel on the ground, metres, in the raster's middle.
@@ -68,9 +75,7 @@ class Grid:
         They are those of the system's grid where they differ from them by less than 1 %, as in the
         grids of surveys.
         """
-        box = self.box
-        middle = np.array([(box.left + box.right) / 2, (box.bottom + box.top) / 2, 0.0])
-        scale = units_of_metre(self.projection, self.projection.to_geodetic(middle))
+        scale = units_of_metre(self.projection, self.middle)
         return self.pixel[0] / scale[0], self.pixel[1] / scale[1]
 
     @property
