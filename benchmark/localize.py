@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import logging
+import math
+import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -44,6 +47,8 @@ from scene.storage.listing import PHOTOGRAPHS, list_files
 from scene.storage.names import quote_name
 from scene.storage.outputs import check_outputs
 from scene.storage.scratch import cache_or_scratch
+
+log = logging.getLogger(__name__)
 
 
 def open_place(path: Path) -> Place:
@@ -318,6 +323,8 @@ def geography_of(
         return Geography(undulation_m)
     if projection is not None and not projection.reaches(place.origin):
         raise InputError(f"the map lies outside {projection.name}: give the system of its zone")
+    if projection is not None and (doubt := projection.doubt_at(place.origin)):
+        log.warning("%s", doubt)
     if undulation_m is None:
         undulation_m = geoid_undulation(place.origin)
     return Geography(undulation_m, projection, place.georeference)

@@ -23,6 +23,7 @@ from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.exports.depth_views import DepthView, depth_views
 from scene.geo.crs import Projection
+from scene.geo.grids import units_of_metre
 from scene.geo.local import LocalProjection
 from scene.geo.rasters import Box, Grid, Patch, raster_writer
 from scene.geometry.geodesy import Geodetic
@@ -63,7 +64,7 @@ def write(
         sessions: frames by session.
         folder: folder to write to.
         final: path that the folder gets.
-        resolution: side of a pixel, metres; by default that of the photographs on the ground.
+        resolution: side of a pixel on the ground, metres; by default that of the photographs.
         crs: reference system, by default the zone of UTM.
 
     Raises:
@@ -87,7 +88,8 @@ def write(
     high = np.max([points.max(0) for points in seen], axis=0)
     local = LocalProjection.fit(projection, origin, low, high)
     boxes = [_box(local.coordinates(points)) for points in seen]
-    grid = _grid(projection, boxes, resolution or _usual_pixel(views, seen))
+    pixel = max(units_of_metre(projection, origin)) * (resolution or _usual_pixel(views, seen))
+    grid = _grid(projection, boxes, pixel)
     _write(folder, grid, local, views, boxes)
 
 

@@ -137,13 +137,17 @@ class Projection:
         return float(1 / metres[0]), float(1 / metres[1])
 
     def doubt_at(self, place: Geodetic) -> str:
-        """Return a phrase on coordinates that are exact to 5 m or less at a place, or nothing."""
+        """Return a phrase where coordinates at a place are exact to no better than 5 m."""
+        pyproj = import_extra("pyproj", "geo", "a coordinate reference system")
         self.from_geodetic(place)
-        used = self._from.get_last_used_operation()
+        try:
+            used = self._from.get_last_used_operation()
+        except pyproj.exceptions.ProjError:  # the system does not reach there
+            return ""
         if used.accuracy <= _EXACT_M:
             return ""
-        grid = _missing_grid(import_extra("pyproj", "geo", "a reference system"), self._crs)
-        remedy = f": the grid {grid} is not installed (projsync --file {grid})" if grid else ""
+        grid = _missing_grid(pyproj, self._crs)
+        remedy = ": PROJ's grids, which projsync installs, make it better" if grid else ""
         return f"positions in {self.name} are exact to {used.accuracy:g} m on earth{remedy}"
 
     def _no_way(self, pyproj: Any) -> str:

@@ -11,9 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene.geo.crs import Projection
+from scene.geometry.geodesy import Geodetic
 
 # A metre of the grid of a survey is a metre on the ground up to this share.
 _SURVEY = 0.01
+
+
+def units_of_metre(projection: Projection, place: Geodetic) -> tuple[float, float]:
+    """Return how many units of a system's east and north a metre of ground is, at a place.
+
+    They are 1 where they are so up to 1 %, as in the grids of surveys.
+    """
+    scale = projection.scale_at(place)
+    return (1.0, 1.0) if max(abs(math.log(x)) for x in scale) < _SURVEY else scale
 
 
 class Box(NamedTuple):
@@ -51,6 +61,13 @@ class Grid:
         right = self.left + self.width * self.pixel[0]
         return Box(self.left, self.top - self.height * self.pixel[1], right, self.top)
 
+    @property
+    def middle(self) -> Geodetic:
+        """Return the place in the middle, at height 0."""
+        box = self.box
+        east, north = (box.left + box.right) / 2, (box.bottom + box.top) / 2
+        return self.projection.to_geodetic(np.array([east, north, 0.0]))
+
     @cached_property
     def ground_pixel(self) -> tuple[float, float]:
         """Return the width and height of a pixel on the ground, metres, in the raster's middle.
@@ -58,11 +75,7 @@ class Grid:
         They are those of the system's grid where they differ from them by less than 1 %, as in the
         grids of surveys.
         """
-        box = self.box
-        middle = np.array([(box.left + box.right) / 2, (box.bottom + box.top) / 2, 0.0])
-        scale = self.projection.scale_at(self.projection.to_geodetic(middle))
-        if max(abs(math.log(x)) for x in scale) < _SURVEY:
-            return self.pixel
+        scale = units_of_metre(self.projection, self.middle)
         return self.pixel[0] / scale[0], self.pixel[1] / scale[1]
 
     @property

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scene.errors import InputError
 from scene.geo.crs import Projection
 from scene.geo.grids import Grid
+from scene.geo.keys import unit_of_heights
 from scene.quantities.bands import ColourBands, colour_bands
 from scene.quantities.heights import NO_UNIT, MetresOfBand, metres_of_band
 
@@ -152,10 +153,14 @@ def _heights(source: Any, path: Path, kind: Kind, projection: Projection) -> Lay
     if names[k] == "palette":
         raise InputError(f"{kind} {path} has the colours of a palette, not heights")
     metres = metres_of_band(
-        source.units[k], source.scales[k], source.offsets[k], projection.height_unit_m
+        source.units[k],
+        source.scales[k],
+        source.offsets[k],
+        projection.height_unit_m,
+        unit_of_heights(path),
     )
     found = metres.require(
-        f"{kind} {path}", "state it (gdal_edit -units metre), or convert the file (gdalwarp)"
+        f"{kind} {path}", "state it once: gdal_edit -a_srs EPSG:n -units metre (or foot)"
     )
     chosen = ColourBands((bands[0],), alphas[0] if alphas else None)
     referred = projection.height_unit_m is not None or REFERENCE_TAG in source.tags()

@@ -186,9 +186,11 @@ class Raster:
         A colour has no data where all its bands have the value of no data: one band of 0 is a
         colour.
         """
-        known = source.read_masks(list(self.bands), window=window).any(0)
+        known: NDArray[np.bool_] = source.read_masks(list(self.bands), window=window).any(0)
         alpha = self.layout.bands.alpha
-        return known if alpha is None else known & (source.read(alpha, window=window) > 0)
+        if alpha is not None:
+            known &= source.read(alpha, window=window) > 0
+        return known
 
     def _heights(self, source: Any, window: Any) -> NDArray[np.float32]:
         """Return heights in metres, (1, H, W); NaN where there is no ground."""

@@ -30,7 +30,11 @@ class MetresOfBand:
 
 
 def metres_of_band(
-    unit: str | None, scale: float, offset: float, system_unit_m: float | None
+    unit: str | None,
+    scale: float,
+    offset: float,
+    system_unit_m: float | None,
+    key: float | str | None = None,
 ) -> Reading[MetresOfBand]:
     """Return how a band's numbers become metres.
 
@@ -40,22 +44,25 @@ def metres_of_band(
         offset: what is added, in the unit.
         system_unit_m: length of the unit of heights in the reference system, metres; None where it
             has no heights. A band without a unit has this one.
+        key: unit of heights in the file's own keys, metres; its name where it is not known.
 
     Returns:
         The metres. Where nothing names a unit, they are the file's numbers, with a doubt.
     """
     if not (math.isfinite(scale) and math.isfinite(offset)) or scale == 0:
         return unknown("the height", f"the band's scale is {scale:g}, its offset {offset:g}")
+    if isinstance(key, str):
+        return unknown("the unit of heights", f"{key} is not known")
     named = (unit or "").strip()
     length = metres_per(named) if named else system_unit_m
     if named and length is None:
         return unknown("the band's unit", f"{named[:40]!r} is no unit of length that is known")
-    if named and length and system_unit_m and abs(length / system_unit_m - 1) > _SAME:
-        return unknown(
-            "the band's unit",
-            f"it is {named[:40]!r}, but heights of the reference system have units of "
-            f"{system_unit_m:g} m",
-        )
+    others = {"the reference system": system_unit_m, "VerticalUnitsGeoKey": key}
+    for other, other_m in others.items():
+        if length and other_m and abs(length / other_m - 1) > _SAME:
+            said = repr(named[:40]) if named else f"of {length:g} m"
+            return unknown("the band's unit", f"it is {said}, that of {other} {other_m:g} m")
+    length = length or key
     if length is None:
         return known(MetresOfBand(scale, offset), "the band", NO_UNIT)
     return known(MetresOfBand(scale * length, offset * length), "the band's unit")

@@ -62,8 +62,8 @@ def opened(site: SiteConfig, beside: Path) -> Iterator[Files]:
     """
     if site.scene is None:
         colours, heights = _rasters(site)
-        middle = _middle(colours, heights, site.undulation)
-        notes = (*colours.notes(middle), *heights.notes(middle, site.undulation or None))
+        stated = site.undulation or None
+        notes = (*colours.notes(colours.grid.middle), *heights.notes(heights.grid.middle, stated))
         yield Files(colours, heights, site.taken, notes=notes)
         return
     scene = Scene.open(site.scene)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from ingest.virtual.command import photograph_orthophoto
 from ingest.virtual.options import ViewOptions
 from ingest.virtual.surface import Surface
 from mapping.build import build_map
+from scene.bundle.frames import dense_layers
 from scene.bundle.georeference import Georeference
 from scene.bundle.scene import Scene
 from scene.errors import InputError
@@ -236,3 +239,39 @@ def test_what_the_command_refuses(words: list[str], says: str) -> None:
     result = CliRunner().invoke(app, ["map", *words])
     assert result.exit_code == 2
     assert says in result.stderr and len(result.stderr.splitlines()) == 1
+
+
+def test_heights_above_the_geoid(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
+    """A surface model above a geoid of 48.25 m gives the views of one above the ellipsoid."""
+    ortho, dsm = files[SYSTEMS[0]]
+    grids = tmp_path / "grids"
+    grids.mkdir()
+    header = struct.pack(">4d2i", -90.0, -180.0, 1.0, 1.0, 181, 361)
+    content = np.full(181 * 361, 48.25, ">f4").tobytes()
+    (grids / "egm96_15.gtx").write_bytes(header + content)
+    with rasterio.open(dsm) as file:
+        profile, values = file.profile, file.read(1)
+    profile["crs"] = "EPSG:32632+5773"
+    with rasterio.open(tmp_path / "sea.tif", "w", **profile) as file:
+        file.write(values - np.float32(48.25), 1)
+    few = VIEWS.model_copy(update={"size": 64, "overlap": 0.0})
+    before = pyproj.datadir.get_data_dir()
+    pyproj.datadir.append_data_dir(str(grids))
+    try:
+        photograph_orthophoto(ortho, dsm, tmp_path / "a", options=few)
+        report = photograph_orthophoto(ortho, tmp_path / "sea.tif", tmp_path / "b", options=few)
+        with pytest.raises(InputError, match="leave --undulation out"):
+            photograph_orthophoto(ortho, tmp_path / "sea.tif", tmp_path / "c", undulation=48.0)
+    finally:
+        pyproj.datadir.set_data_dir(before)
+    assert report.notes == ()
+    one, other = (Scene.open(tmp_path / name) for name in "ab")
+    np.testing.assert_allclose(one.manifest.origin, other.manifest.origin, rtol=0, atol=2e-3)
+    places = [scene.frames("virtual").poses.centre().numpy() for scene in (one, other)]
+    np.testing.assert_allclose(*places, atol=0.01)
+    depths = []
+    for scene in (one, other):
+        with dense_layers(scene.path / "sessions/virtual/frames.h5") as layers:
+            depths.append(layers.read("depth", 0))
+    assert (depths[0] > 0).any()
+    assert np.median(np.abs(depths[0] - depths[1])) < 0.01
