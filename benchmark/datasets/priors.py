@@ -183,7 +183,8 @@ class PriorTable:
         ]
         for count, what, instead in doubts:
             if count and instead:
-                log.warning("%s: %d rows state no %s: %s", self.path, count, what, instead)
+                said = (self.path, count, len(rows), what, instead)
+                log.warning("%s: %d of %d rows state no %s: %s", *said)
 
 
 def _prior(row: StatedPrior, position: NDArray[np.float64], assumed: Assumed) -> Prior:

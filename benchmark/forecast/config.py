@@ -91,6 +91,8 @@ def forecast_config(settings: dict[str, Any], told: Mapping[str, Any]) -> Foreca
     own = {key: settings.pop(key) for key in list(settings) if is_of_forecast(key)}
     for key in own:
         name = key.removeprefix(_PREFIX)
+        if name == key:
+            raise InputError(f"--set {key}: name one value, as {_PREFIX}size")
         if name in _OPTIONS:
             raise InputError(f"--set {key}: give {_OPTIONS[name]} instead")
     own |= {f"{_PREFIX}{key}": value for key, value in told.items()}

@@ -36,9 +36,13 @@ def note() -> str:
 
 def lines(boards: Sequence[TrackBoard]) -> list[Line]:
     """Return the lines of the paper, then one for each of our methods and starts."""
-    runs = dict.fromkeys((run.start, run.method) for board in boards for run in board.runs)
-    ours = (Line(method, measured(start), False, tuple(_cells(boards, start, method)))
-            for start, method in runs)  # fmt: skip
+    runs = dict.fromkeys(
+        (run.start, run.method, run.declared) for board in boards for run in board.runs
+    )
+    ours = (
+        Line(method, measured(start, declared), False, tuple(_cells(boards, start, method)))
+        for start, method, declared in runs
+    )
     return reported() + list(ours)
 
 

@@ -71,6 +71,7 @@ def _answers(board: TrackBoard, run: BoardRun) -> dict[str, Any]:
     known = run.answers
     return {
         "method": board.track.methods.index(run.method),
+        "label": run.label,
         "t": [None if a is None else _short(a.t_err_m) for a in known],
         "r": [None if a is None else _short(a.r_err_deg) for a in known],
         "sigma": [None if a is None else _short(a.sigma_t_m) for a in known],

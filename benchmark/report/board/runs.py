@@ -57,13 +57,20 @@ class BoardRun:
 
     Attributes:
         start: name of the starting information.
-        method: name of the method, which says so where its start is one that was declared.
+        method: name of the method.
         answers: answer to each query of the track; None in a data set without results.
+        declared: whether the start is one that somebody declared, and nothing verifies.
     """
 
     start: str
     method: str
     answers: tuple[QueryResult | None, ...]
+    declared: bool = False
+
+    @property
+    def label(self) -> str:
+        """Return the name of the method, which says where its start is declared."""
+        return f"{self.method} (start as declared)" if self.declared else self.method
 
     @cached_property
     def has(self) -> NDArray[np.bool_]:
@@ -239,14 +246,13 @@ def _runs(
             }
             if answers:
                 listed = (answers.get((query.dataset, query.row.name)) for query in queries)
-                yield BoardRun(start, _labelled(start, method, loaded), tuple(listed))
+                yield BoardRun(start, method, tuple(listed), _is_declared(start, method, loaded))
 
 
-def _labelled(start: str, method: str, loaded: Mapping[_Key, Results]) -> str:
-    """Return the name of a method; it says so where somebody declared the start to ``score``."""
-    declared = any(
+def _is_declared(start: str, method: str, loaded: Mapping[_Key, Results]) -> bool:
+    """Return whether somebody declared the start of a method to ``score``."""
+    return any(
         run.method.is_external
         for (its_start, _, its_method), run in loaded.items()
         if (its_start, its_method) == (start, method)
     )
-    return f"{method} (start as declared)" if declared else method

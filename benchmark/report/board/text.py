@@ -23,7 +23,7 @@ class HeadlineRow:
         start: name of the starting information.
         season: "changed", "same" or a condition.
         part: "all" or a part of the track.
-        method: name of the method.
+        method: label of the method.
         cell_queries: queries of the cell, of which a method may have answered a part.
         half_width: half the width of the cell's 95 % interval at a recall of 90 %, points.
         surest: recall at 0.5 m 5° at bounded risk, see ``benchmark.report.board.cells``; None where
@@ -57,7 +57,7 @@ def _row(cell: Cell, run: BoardRun) -> HeadlineRow:
         start=run.start,
         season=cell.season,
         part=cell.part,
-        method=run.method,
+        method=run.label,
         cell_queries=len(cell.rows),
         half_width=cell.half_width,
         surest=None if surest is None else Recall(**surest._asdict()),

@@ -7,7 +7,7 @@
 
   const track = () => data.tracks[state.track];
   const start = () => track().starts[state.start];
-  const labelOf = (run) => track().methods[start().runs[run].method];
+  const labelOf = (run) => start().runs[run].label;
   const everyRun = () => start().runs.map((_, run) => run);
   const cellOf = (season, part) => start().cells.find((c) => c.season === season && c.part === part);
   const cell = () => cellOf(state.season, state.part);

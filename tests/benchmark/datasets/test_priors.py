@@ -66,7 +66,7 @@ def test_an_unknown_height_is_unknown(
         prior = read(tmp_path, header, f"a.jpg,{numbers}{empty}")["a.jpg"]
     assert prior.position == pytest.approx([15, -7, MIDDLE[2]], abs=1e-3)
     assert sigma_of(prior) == [12, 12, np.inf]
-    assert any("1 rows state no heights" in record.message for record in caplog.records)
+    assert any("1 of 1 rows state no heights" in record.message for record in caplog.records)
 
 
 def test_a_sigma_that_is_missing_is_that_of_the_option(
@@ -77,7 +77,7 @@ def test_a_sigma_that_is_missing_is_that_of_the_option(
     assert sigma_of(priors["a.jpg"]) == [12, 12, 12]
     assert sigma_of(priors["b.jpg"]) == [5, 5, 5]
     (record,) = caplog.records
-    assert "1 rows state no sigma_m: the option stands for it" in record.message
+    assert "1 of 2 rows state no sigma_m: the option stands for it" in record.message
 
 
 def test_an_attitude_without_a_sigma_has_that_of_the_option(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from benchmark.report.board.cells import cells
 from benchmark.report.board.command import board
 from benchmark.report.board.runs import read_board, read_boards
-from benchmark.results import rescore
+from benchmark.results import Method, rescore
 from benchmark.results_files import load
 from benchmark.score import THRESHOLDS
 from benchmark.tracks.compact import write_compact
@@ -62,6 +62,21 @@ def test_the_track_of_aircraft_comes_first(made: Path) -> None:
     assert [board.track.name for board in read_boards(made)] == [
         *(NAME, "a-street", "z-street", "b-empty"),
     ]
+
+
+def test_a_declared_start_is_said(made: Path, tmp_path: Path) -> None:
+    """Poses of another program, whose start nobody verified, stand among runs of ours."""
+    for dataset in ("park-1", "town-1", "town-2"):
+        path = results_path(made, dataset)
+        theirs = Method.external("pixloc", "0" * 64)
+        load(path).model_copy(update={"method": theirs}).write(path)
+    shown = board(made, tmp_path / "page")
+    assert "| pixloc (start as declared) |" in shown.text()
+    assert "sift (start as declared)" not in shown.text()
+    (found,) = read_boards(made)
+    declared = [run.start for run in found.runs if run.declared]
+    assert declared == [START], "from the other start it is ours"
+    assert "pixloc (start as declared)" in (tmp_path / "page" / "leaderboard.html").read_text()
 
 
 def test_figures_pool_the_data_sets(made: Path) -> None:
