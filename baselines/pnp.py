@@ -23,6 +23,14 @@ class PnpConfig(Config):
     use_gnss: bool = Field(
         True, description="Let a position prior of known sigma take part in the refinement."
     )
+    error_reach: float = Field(
+        0.09,
+        ge=0,
+        le=1,
+        description="Distance, as a share of the picture's longest side, within which errors of "
+        "matches are alike, as far as their residuals are; covariances grow by it. 0 takes matches "
+        "for independent.",
+    )
     seed: int = Field(0, description="Random seed of RANSAC.")
 
 
@@ -51,7 +59,13 @@ def solve_pose(
 
         prior = query.prior if config.use_gnss else None
         result = estimate_absolute_pose(
-            xy, xyz, query.camera, config.max_error_px, prior, config.seed
+            xy,
+            xyz,
+            query.camera,
+            config.max_error_px,
+            prior,
+            config.seed,
+            config.error_reach,
         )
     inliers = int(result.inliers.sum()) if result else 0
     if result is None or inliers < config.min_inliers:

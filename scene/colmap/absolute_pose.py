@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scene.colmap.native import LEAST_VARIANCE, native_camera, pose_from_native
 from scene.geometry.camera import Camera
+from scene.geometry.correlation import count_neighbours
 from scene.geometry.pose import Pose, transform_jacobian
 from scene.geometry.robust import CAUCHY
 from scene.localizer import Prior
@@ -39,8 +40,8 @@ class PnpResult:
         cam_from_world: pose refined on the inliers.
         inliers: (N,) bool.
         covariance: (6, 6), of the left tangent of ``cam_from_world`` (rotation rad, translation m),
-            scaled by the residuals of the inliers; None if the problem is singular or has only the
-            minimal number of matches.
+            scaled by the residuals of the inliers and by how alike those of neighbours are; None if
+            the problem is singular or has only the minimal number of matches.
     """
 
     cam_from_world: Pose
@@ -48,6 +49,17 @@ class PnpResult:
     covariance: NDArray[np.float64] | None
 
 
+@dataclass(frozen=True)
+class _Matches:
+    """Inliers: pixels (N, 2), points (N, 3), the camera, and the reach of its errors in pixels."""
+
+    xy: NDArray[np.float64]
+    xyz: NDArray[np.float64]
+    camera: Camera
+    reach: float
+
+
+# More than six parameters: the last two are options of ``PnpConfig``.
 def estimate_absolute_pose(
     xy: NDArray[np.float64],
     xyz: NDArray[np.float64],
@@ -55,6 +67,7 @@ def estimate_absolute_pose(
     max_error: float,
     prior: Prior | None = None,
     seed: int = 0,
+    error_reach: float = 0.0,
 ) -> PnpResult | None:
     """Estimate a pose by LO-RANSAC P3P and non-linear refinement; None if no pose has support.
 
@@ -67,6 +80,8 @@ def estimate_absolute_pose(
             If both are known, the position takes part in the refinement, weighted against the
             residuals of the inliers, unless it contradicts them. The attitude is not used.
         seed: random seed of the sampling; the same seed gives the same pose.
+        error_reach: distance, as a share of the picture's longest side, within which errors of
+            matches are alike, as far as their residuals are; 0 takes them for independent.
     """
     estimation = pycolmap.AbsolutePoseEstimationOptions()
     estimation.ransac.max_error = max_error
@@ -78,13 +93,15 @@ def estimate_absolute_pose(
         return None
     inliers = np.asarray(answer["inlier_mask"], bool)
     pose = pose_from_native(answer["cam_from_world"])
-    variance = _residual_variance(xy[inliers], xyz[inliers], camera, pose)
+    reach = error_reach * max(camera.width, camera.height)
+    matches = _Matches(xy[inliers], xyz[inliers], camera, reach)
+    variance = _residual_variance(matches, pose)
     # Refine again, with a robust loss and the position, both scaled by the measured pixel noise.
     refinement.loss_function_scale = CAUCHY * np.sqrt(variance)
     sigma = None
     if prior is not None and prior.position_sigma is not None:
         sigma = np.clip(prior.position_sigma, _LEAST_SIGMA, _LARGEST_SIGMA)
-        alone = _pose_covariance(xyz[inliers], camera, pose, variance, None)
+        alone = _pose_covariance(matches, pose, variance, None)
         if alone is not None and _contradicts(pose, alone, prior.position, sigma):
             sigma = None
     if prior is not None and sigma is not None:
@@ -99,34 +116,41 @@ def estimate_absolute_pose(
         pose = pose_from_native(refined["cam_from_world"])
     covariance = None
     if inliers.sum() > _MINIMAL:
-        covariance = _pose_covariance(xyz[inliers], camera, pose, variance, sigma)
+        covariance = _pose_covariance(matches, pose, variance, sigma)
     return PnpResult(pose, inliers, covariance)
 
 
 def _pose_covariance(
-    xyz: NDArray[np.float64],
-    camera: Camera,
+    matches: _Matches,
     pose: Pose,
     variance: float,
     position_sigma: NDArray[np.float64] | None,
 ) -> NDArray[np.float64] | None:
-    """Return the inverse of the information of inliers and position; None if it is singular.
+    """Return the covariance of the least squares of inliers and position; None if singular.
 
-    COLMAP's own covariance assumes residuals of one pixel and gives less weight to those that the
-    robust loss reduces, so it is correct at no other noise.
+    It is the sandwich of the inverse information, with what pairs of neighbours add to the
+    information between (``scene.geometry.correlation``). COLMAP's own covariance assumes residuals
+    of one pixel and gives less weight to those that the robust loss reduces, so it is correct at no
+    other noise.
     """
-    local = pose.transform(torch.from_numpy(xyz))
-    projected = camera.project(local, jacobian=True).jacobian
-    assert projected is not None
-    jacobian = (projected @ transform_jacobian(local)).reshape(-1, 6).numpy()
-    information = jacobian.T @ jacobian / variance
+    local = pose.transform(torch.from_numpy(matches.xyz))
+    projected = matches.camera.project(local, jacobian=True)
+    assert projected.jacobian is not None
+    jacobian = (projected.jacobian @ transform_jacobian(local)).numpy()
+    flat = jacobian.reshape(-1, 6)
+    information = flat.T @ flat / variance
     if position_sigma is not None:
         # To first order the centre moves by -R^T v.
         rotation = pose.rotation.numpy()
         information[3:, 3:] += rotation @ np.diag(position_sigma**-2) @ rotation.T
     if np.linalg.cond(information) > _SINGULAR:
         return None
-    return np.asarray(np.linalg.inv(information))
+    residuals = projected.xy.numpy() - matches.xy
+    pairs = count_neighbours(matches.xy, residuals, jacobian, matches.reach)
+    inverse = np.linalg.inv(information)
+    added = pairs.correlation * pairs.information / variance
+    covariance = inverse + inverse @ added @ inverse
+    return np.asarray((covariance + covariance.T) / 2)
 
 
 def _contradicts(
@@ -145,10 +169,10 @@ def _contradicts(
     return float(difference @ np.linalg.solve(total, difference)) > _CONTRADICTS
 
 
-def _residual_variance(
-    xy: NDArray[np.float64], xyz: NDArray[np.float64], camera: Camera, pose: Pose
-) -> float:
+def _residual_variance(matches: _Matches, pose: Pose) -> float:
     """Return the variance of one pixel coordinate (px^2) of the inliers."""
-    projected = camera.project(pose.transform(torch.from_numpy(xyz))).xy.numpy()
-    degrees_of_freedom = max(2 * len(xy) - 6, 1)
-    return max(float(((projected - xy) ** 2).sum() / degrees_of_freedom), LEAST_VARIANCE)
+    local = pose.transform(torch.from_numpy(matches.xyz))
+    projected = matches.camera.project(local).xy.numpy()
+    degrees_of_freedom = max(2 * len(matches.xy) - 6, 1)
+    squares = float(((projected - matches.xy) ** 2).sum())
+    return max(squares / degrees_of_freedom, LEAST_VARIANCE)
