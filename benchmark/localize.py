@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
+from benchmark.cameras import CameraSource, with_focal_error
 from benchmark.answers import Geography, Located, contents, outputs
 from benchmark.datasets.simulated import is_scene
 from benchmark.journal import Journal, journal_path
@@ -243,10 +244,13 @@ def _localize_one(
         estimate = _localize_twice(reader, localizer, photograph.query)
         answer = Answer.of(name, asked, estimate)
         journal.add(answer)
-    estimate = answer.estimate()
-    place, time = on_earth(estimate, reader.place), photograph.exif.time
+    estimate, place = answer.estimate(), reader.place
     camera, source = photograph.query.camera, photograph.calibration.source
-    return Located(name, estimate, place, time, camera, source)
+    if source is CameraSource.ESTIMATED:
+        points = place.sparse_map.xyz
+        estimate = with_focal_error(estimate, camera, place.cameras, points)
+    at, time = on_earth(estimate, place), photograph.exif.time
+    return Located(name, estimate, at, time, camera, source)
 
 
 def _localize_twice(reader: PhotographReader, localizer: Localizer, query: Query) -> Estimate:
