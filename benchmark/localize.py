@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from benchmark.cameras import CameraSource, with_focal_error
 from benchmark.answers import Geography, Located, contents, outputs
+from benchmark.cameras import CameraSource, with_focal_error
 from benchmark.datasets.simulated import is_scene
 from benchmark.journal import Journal, journal_path
 from benchmark.photographs import (

@@ -18,7 +18,8 @@ NAN = math.nan
 
 
 @pytest.mark.parametrize(
-    "said", ["w", "W", "West", "west", "WEST", "W ", " w", "W\0", "W\0\0", b"W\0", b"west", "western"]
+    "said",
+    ["w", "W", "West", "west", "WEST", "W ", " w", "W\0", "W\0\0", b"W\0", b"west", "western"],
 )
 def test_the_west_in_all_spellings(said: object) -> None:
     assert read_hemisphere(said, LONGITUDE).value == -1

@@ -106,7 +106,11 @@ def test_every_reference_of_an_altitude(reference: object, metres: float) -> Non
         ({"GPSAltitude": 20.0, "GPSAltitudeRef": "sea"}, {}, "GPSAltitudeRef"),
         ({"GPSAltitude": -20.0, "GPSAltitudeRef": b"\1"}, {}, "GPSAltitudeRef"),
         ({"GPSAltitude": 2e6, "GPSAltitudeRef": b"\0"}, {}, "GPSAltitude"),
-        ({"GPSAltitude": 20.0, "GPSAltitudeRef": b"\0"}, {"AbsoluteAltitude": "+900"}, "contradicts"),
+        (
+            {"GPSAltitude": 20.0, "GPSAltitudeRef": b"\0"},
+            {"AbsoluteAltitude": "+900"},
+            "contradicts",
+        ),
         ({}, {"AbsoluteAltitude": "high"}, "AbsoluteAltitude"),
         ({}, {"GPSAltitude": "20/0"}, "GPSAltitude"),
     ],
