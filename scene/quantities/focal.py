@@ -31,7 +31,7 @@ FILM_LENGTH: Final = 36.0
 _FILM_DIAGONAL: Final = math.hypot(36, 24)
 # Images with a larger aspect ratio are much wider than 3:2: they are parts of 4:3 sensors.
 _WIDE: Final = 1.6
-# Units of resolution in EXIF, millimetres. Programs write the last two, the standard has the others.
+# Units of resolution, millimetres. EXIF has 2 and 3, and some programs write 4 and 5.
 _INCH, _CENTIMETRE = 25.4, 10.0
 _UNITS: Final = {2: _INCH, 3: _CENTIMETRE, 4: 1.0, 5: 1e-3}
 

@@ -83,8 +83,11 @@ def test_no_gps_is_no_doubt() -> None:
 
 @pytest.mark.parametrize(
     ("reference", "metres"),
-    [(b"\0", 198.6), (0, 198.6), (b"\1", -198.6), (1, -198.6), (b"\2", 198.6), (b"\3", -198.6)]
-    + [("0", 198.6), (b"1", -198.6), ("3\0", -198.6), (None, 198.6)],
+    [
+        *((b"\0", 198.6), (b"\1", -198.6), (b"\2", 198.6), (b"\3", -198.6)),
+        *((0, 198.6), (1, -198.6), ("0", 198.6), (b"1", -198.6), ("3\0", -198.6)),
+        (None, 198.6),
+    ],
 )
 def test_every_reference_of_an_altitude(reference: object, metres: float) -> None:
     gps = {"GPSAltitude": 198.6} | ({} if reference is None else {"GPSAltitudeRef": reference})
