@@ -147,9 +147,7 @@ def _with_heights(
     told = [each for each in up if not np.isnan(each)]
     above = float(np.median(told)) if told else 0.0
     return [
-        place._replace(altitude=float(read[row, 2]) + above)
-        if np.isnan(place.altitude)
-        else place
+        place._replace(altitude=float(read[row, 2]) + above) if np.isnan(place.altitude) else place
         for row, place in known
     ]
 
