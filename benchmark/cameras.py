@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scene.geometry.camera import MODELS, Camera
 from scene.localizer import Estimate, Query, Status
@@ -22,6 +23,12 @@ _SAME_LENS: Final = 0.15
 # Focal lengths that are tried where nothing is known, in longest sides of the picture: from 90 to
 # 37 degrees of view.
 _TRIED: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
+# Standard deviation of an estimated focal length, as a share of it: that of a pinhole, which was
+# measured (docs/evidence/localize.md), and that of a camera of the map.
+_FOCAL_SHARE: Final = 0.06
+_MAP_SHARE: Final = 0.005
+# Most points of a map from which the distance of the ground is taken.
+_POINTS: Final = 20_000
 # A focal length with which a photograph is not found counts as this much worse than the worst one.
 _NOT_FOUND: Final = 2.0
 
@@ -156,6 +163,39 @@ def estimate_camera(
     camera = cameras[best]
     factor = math.exp(-slope / (2 * curve)) if curve > 0 else 1.0
     return _changed(camera, (camera.width, camera.height), factor, 1.0, 0.0)
+
+
+def with_focal_error(
+    estimate: Estimate, camera: Camera, cameras: Collection[Camera], xyz: NDArray[np.float64]
+) -> Estimate:
+    """Return an estimate whose covariance has the error of an estimated focal length, too.
+
+    A focal length that is too long by a share puts the camera too far away by that share of its
+    distance from the ground.
+
+    Args:
+        estimate: an answer with an estimated camera.
+        camera: the camera.
+        cameras: cameras of the map; the error of one of them is smaller.
+        xyz: points (N, 3) of the map.
+    """
+    pose, covariance = estimate.cam_from_world, estimate.covariance
+    if pose is None or covariance is None:
+        return estimate
+    size = (camera.width, camera.height)
+    of_map = any(
+        _same_aspect((c.width, c.height), size) and _fitted(c, size) == camera for c in cameras
+    )
+    rotation, translation = pose.rotation.numpy(), pose.translation.numpy()
+    some = xyz[:: 1 + len(xyz) // _POINTS] @ rotation.T + translation
+    half = np.array(size) / 2 / camera.focal[0]
+    seen = (some[:, 2] > 0) & (np.abs(some[:, :2]) <= half * some[:, 2:]).all(1)
+    if not seen.any():
+        return estimate
+    sigma = (_MAP_SHARE if of_map else _FOCAL_SHARE) * float(np.median(some[seen, 2]))
+    wider = covariance.copy()
+    wider[5, 5] += sigma**2
+    return replace(estimate, covariance=wider)
 
 
 def _rotation_sigma(estimate: Estimate) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from benchmark.answers import Geography, Located, contents, outputs
+from benchmark.cameras import CameraSource, with_focal_error
 from benchmark.datasets.origin import read_origin as _origin
 from benchmark.datasets.simulated import is_scene
 from benchmark.disagreement import warn_of_disagreement
@@ -252,11 +253,14 @@ def _localize_one(
         estimate = _localize_twice(reader, localizer, photograph.query)
         answer = Answer.of(name, asked, estimate)
         journal.add(answer)
-    estimate = answer.estimate()
-    place, time = on_earth(estimate, reader.place), photograph.exif.time
+    estimate, place = answer.estimate(), reader.place
     camera, source = photograph.query.camera, photograph.calibration.source
+    if source is CameraSource.ESTIMATED:
+        points = place.sparse_map.xyz
+        estimate = with_focal_error(estimate, camera, place.cameras, points)
+    at, time = on_earth(estimate, place), photograph.exif.time
     gps = reader.gps(photograph.exif)
-    return Located(name, estimate, place, time, camera, source, gps=gps)
+    return Located(name, estimate, at, time, camera, source, gps=gps)
 
 
 def _localize_twice(reader: PhotographReader, localizer: Localizer, query: Query) -> Estimate:

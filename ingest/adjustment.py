@@ -95,7 +95,7 @@ def adjust(
                 model_path,
                 taken,
                 placed.world_from_model,
-                MeasuredPositions(positions, sigma, {name: NO_ALTITUDE for name in blind}),
+                MeasuredPositions(positions, sigma, dict.fromkeys(blind, NO_ALTITUDE)),
                 refined,
                 folder,
             )

@@ -135,14 +135,21 @@ def check_positions(
 def _with_heights(
     places: Sequence[Geodetic | None], there: NDArray[np.bool_], read: Array | None
 ) -> list[Geodetic]:
-    """Return places of which those without an altitude have the stated one."""
-    known = []
-    for row, place in enumerate(places):
-        if place is not None and there[row]:
-            if np.isnan(place.altitude) and read is not None:
-                place = place._replace(altitude=float(read[row, 2]))
-            known.append(place)
-    return known
+    """Return places of which those without an altitude are as high as the table says.
+
+    Its heights are moved to those of the other photographs, so that another height system is no
+    step between the two.
+    """
+    known = [(row, place) for row, place in enumerate(places) if place is not None and there[row]]
+    if read is None:
+        return [place for _, place in known]
+    up = [place.altitude - float(read[row, 2]) for row, place in known]
+    told = [each for each in up if not np.isnan(each)]
+    above = float(np.median(told)) if told else 0.0
+    return [
+        place._replace(altitude=float(read[row, 2]) + above) if np.isnan(place.altitude) else place
+        for row, place in known
+    ]
 
 
 def _plan(compared: _Compared) -> Array:

@@ -45,9 +45,7 @@ def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
     if said.value is not None:
         stated = [doubt for doubt in told.doubts if not doubt.endswith("is missing")]
         return said.doubted(*stated)
-    relative = [
-        f"{name} is above the take-off" for name in ("RelativeAltitude",) if name in xmp
-    ]
+    relative = [f"{name} is above the take-off" for name in ("RelativeAltitude",) if name in xmp]
     return told.doubted(*said.doubts, *relative)
 
 

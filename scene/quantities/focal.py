@@ -31,7 +31,7 @@ FILM_LENGTH: Final = 36.0
 _FILM_DIAGONAL: Final = math.hypot(36, 24)
 # Images with a larger aspect ratio are much wider than 3:2: they are parts of 4:3 sensors.
 _WIDE: Final = 1.6
-# Units of resolution in EXIF, millimetres. Programs write the last two, the standard has the others.
+# Units of resolution, millimetres. EXIF has 2 and 3, and some programs write 4 and 5.
 _INCH, _CENTIMETRE = 25.4, 10.0
 _UNITS: Final = {2: _INCH, 3: _CENTIMETRE, 4: 1.0, 5: 1e-3}
 
@@ -103,13 +103,15 @@ def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = Non
     cut = _cut(detail, size)
     if cut:
         return FocalLength(unknown(sources[0].name, cut), agrees=False)
-    found = _common(sources)
-    if len(found) == 1 and (len(sources) > 1 or sources[0].sized):
+    found, zoomed = _common(sources), to_number(detail.get("DigitalZoomRatio")) > 1
+    # Fields in pixels share the size that a program may have changed, and a zoom may look like it.
+    checked = all(one.sized for one in sources) if zoomed else any(one.sized for one in sources)
+    if len(found) == 1 and checked:
         agrees = lens is None or _near(lens.focal, found[0], _AGREE)
         return FocalLength(known(found[0], sources[0].name), agrees=agrees)
     # A number for film is the one that survives most programs.
     candidates = found or [value for source in sources[::-1] for value in source.values]
-    why = _why(sources, found, to_number(detail.get("DigitalZoomRatio")) > 1)
+    why = _why(sources, found, zoomed)
     return FocalLength(unknown(sources[0].name, why), _each(candidates), agrees=False)
 
 
@@ -136,7 +138,8 @@ def _sources(detail: Mapping[str, object], size: Size, lens: Lens | None) -> Ite
     zoom = to_number(detail.get("DigitalZoomRatio"))
     times = (zoom, 1.0) if 1 < zoom < math.inf else (1.0,)
     # A program that resizes a picture may write its new size beside the old resolution.
-    sized = to_number(detail.get("ExifImageWidth")) not in size
+    width = to_number(detail.get("ExifImageWidth"))
+    sized = width >= 1 and width not in size
     sized |= lens is not None and lens.sized
     planes = _focal_plane(detail, size)
     if planes:
@@ -213,7 +216,7 @@ def _why(sources: Sequence[_Source], found: Sequence[float], zoomed: bool) -> st
         f"{source.name} {' or '.join(f'{v * FILM_LENGTH:.0f}' for v in _each(source.values))} mm"
         for source in sources
     ]
-    if len(found) == 1:
+    if len(found) == 1 and not zoomed:
         return f"nothing shows that {said[0]} of film is of a picture of this size"
     if found and zoomed:
         return f"DigitalZoomRatio may be in it or not: {', '.join(said)} of film"

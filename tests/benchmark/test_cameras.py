@@ -13,7 +13,12 @@ from PIL import ExifTags, Image
 from typer.testing import CliRunner, Result
 
 import benchmark.registry
-from benchmark.cameras import CameraSource, calibration_of, estimate_camera
+from benchmark.cameras import (
+    CameraSource,
+    calibration_of,
+    estimate_camera,
+    with_focal_error,
+)
 from benchmark.cli import app
 from scene.colmap.absolute_pose import estimate_absolute_pose
 from scene.geometry.camera import Camera
@@ -77,6 +82,51 @@ def test_the_focal_length_of_exif() -> None:
     assert found.camera == Camera("SIMPLE_PINHOLE", 640, 480, (480.0, 320.0, 240.0))
     upright = calibration_of((480, 640), exif(27.0), [CAMERA]).camera
     assert upright.focal == (480.0, 480.0), "the film's width is the longest side"
+
+
+def contradicting(*focals: float) -> Exif:
+    return Exif(None, None, "Maker", "Drone", focals=focals)
+
+
+def test_fields_that_contradict_each_other_are_tried() -> None:
+    """That of the map comes first, for it can be checked, with the map's camera."""
+    scaled = Camera("SIMPLE_RADIAL", 192, 128, (160.0, 96.0, 64.0, 0.01))
+    found = calibration_of((192, 128), contradicting(3.6, FOCAL_MM / 36), [CAMERA])
+    assert (found.camera, found.source) == (scaled, CameraSource.ESTIMATED)
+    assert [camera.focal[0] for camera in found.others] == pytest.approx([160.0, 3.6 * 192])
+    # No camera of the map is like any of them, or has the shape of the picture.
+    for size, cameras in (((192, 128), []), ((192, 108), [CAMERA])):
+        found = calibration_of(size, contradicting(0.6, 3.6), cameras)
+        focals = [camera.focal[0] for camera in (found.camera, *found.others)]
+        assert focals == pytest.approx([0.6 * 192, 3.6 * 192])
+
+
+@pytest.mark.parametrize("true", [0, 1, 2])
+def test_the_map_decides_between_fields(true: int) -> None:
+    tried = calibration_of((192, 128), contradicting(3.6, FOCAL_MM / 36), [CAMERA])
+    cameras = (tried.camera, *tried.others)
+
+    def localize(query: Query) -> Estimate:
+        variance = 1e-8 if query.camera == cameras[true] else 1e-6
+        return Estimate(Status.OK, pose_at(1), np.diag([variance] * 6), inliers=50)
+
+    query = Query("a.jpg", np.zeros((128, 192, 3), np.uint8), tried.camera)
+    assert estimate_camera(cameras, [query], localize) == cameras[true]
+
+
+def test_an_estimated_focal_length_is_part_of_the_sigma() -> None:
+    pose, covariance = pose_at(1), np.diag([1e-8] * 3 + [0.01] * 3)
+    height = float(pose.centre()[2])
+    ground = np.array([[x, y, 0.0] for x in range(-90, 91, 3) for y in range(-90, 91, 3)])
+    estimate = Estimate(Status.OK, pose, covariance)
+    pinhole = Camera("SIMPLE_PINHOLE", 96, 64, (80.0, 48.0, 32.0))
+    for camera, share in ((pinhole, 0.06), (CAMERA, 0.005)):
+        wider = with_focal_error(estimate, camera, [CAMERA], ground).world_covariance()
+        assert wider is not None
+        up = float(np.sqrt(wider[2, 2]))
+        assert up == pytest.approx(np.hypot(0.1, share * height), rel=0.1)
+    lost = Estimate(Status.FAILED)
+    assert with_focal_error(lost, CAMERA, [CAMERA], ground) == lost
 
 
 @pytest.mark.parametrize("truth", [0.55, 0.8, 1.1])
@@ -202,6 +252,28 @@ def test_fixed_rtk_is_its_own_sigma(made_flight: Path, tmp_path: Path, method: R
     sigmas = {query.name: query.prior and query.prior.position_sigma for query in method.seen}
     assert sigmas["fixed.jpg"].tolist() == [0.01052, 0.01187, 0.02534]
     assert sigmas["float.jpg"].tolist() == [3, 3, 3]
+
+
+def test_a_prior_without_an_altitude_tells_no_height(
+    made_flight: Path, tmp_path: Path, method: Remembering, caplog: pytest.LogCaptureFixture
+) -> None:
+    new = tmp_path / "new"
+    taken(new / "high.jpg", (96, 64), 30)
+    with Image.open(new / "high.jpg") as picture:
+        tags = picture.getexif()
+        del tags.get_ifd(ExifTags.IFD.GPSInfo)[ExifTags.GPS.GPSAltitude]
+        picture.save(new / "flat.jpg", exif=tags.tobytes())
+    assert run(made_flight, new, tmp_path / "poses.txt", "--gps-sigma", "3").exit_code == 0
+    priors = {query.name: query.prior for query in method.seen}
+    flat, high = priors["flat.jpg"], priors["high.jpg"]
+    assert flat is not None
+    assert high is not None
+    np.testing.assert_allclose(flat.position[:2], high.position[:2], atol=1e-3)
+    assert flat.position_sigma is not None
+    assert flat.position_sigma.tolist() == [3, 3, np.inf]
+    assert high.position[2] == pytest.approx(40, abs=0.1)
+    assert "flat.jpg: GPSAltitude is missing" in caplog.text
+    assert flat.position[2] == pytest.approx(float(pose_at(0).centre()[2]), abs=20)
 
 
 @pytest.mark.parametrize(

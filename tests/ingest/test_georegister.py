@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from benchmark.datasets.textfiles import read_gps
 from ingest.georegister import Georegistration, georegister
 from scene.errors import InputError
+from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.colmap_files import read_model
-from scene.maps.sparse_map import SparseMap
+from scene.maps.sparse_map import MapImage, SparseMap
 
 Array = NDArray[np.float64]
 Fixes = dict[str, Array]
@@ -147,3 +148,41 @@ def test_too_few_positions(shore: tuple[SparseMap, Fixes]) -> None:
         georegister(model, dict(list(fixes.items())[:2]))
     with pytest.raises(InputError, match="all GPS positions are one"):
         georegister(model, dict.fromkeys(fixes, np.zeros(3)))
+
+
+def made_flight(altitudes: int) -> tuple[SparseMap, Fixes, Fixes]:
+    """A made flight of 12 cameras in two lines over rough ground, its fixes and the truth.
+
+    Only the first photographs have an altitude.
+    """
+    rng = np.random.default_rng(1)
+    down = np.diag([1.0, -1.0, -1.0])
+    truth, images = {}, {}
+    camera = Camera("SIMPLE_PINHOLE", 640, 480, (500.0, 320.0, 240.0))
+    for k in range(12):
+        name = f"{k:02}.jpg"
+        centre = np.array([10.0 * (k % 6), 25.0 * (k // 6), 60.0 + rng.normal()])
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = down, -down @ centre
+        truth[name] = centre
+        images[name] = MapImage(name, camera, pose, np.zeros((0, 2)), np.zeros(0, np.int64))
+    ground = np.column_stack([rng.uniform(-20, 80, (500, 2)), rng.normal(size=500)])
+    count = len(ground)
+    colours, error = np.zeros((count, 3), np.uint8), np.zeros(count)
+    model = SparseMap(images, ground, colours, error, np.full(count, 2))
+    fixes = {name: centre + rng.normal(size=3) / 10 for name, centre in truth.items()}
+    for name in list(fixes)[altitudes:]:
+        fixes[name][2] = np.nan
+    return model, fixes, truth
+
+
+@pytest.mark.parametrize(("altitudes", "level"), [(12, "gps"), (7, "gps"), (2, "ground")])
+def test_fixes_without_an_altitude(altitudes: int, level: str) -> None:
+    model, fixes, truth = made_flight(altitudes)
+    fixes["11.jpg"] = fixes["11.jpg"] + [40.0, 0.0, 0.0]
+    placed = georegister(lost(model), fixes)
+    assert placed.level == level
+    assert placed.blunders == ("11.jpg",)
+    found = placed.apply(lost(model).centres)
+    assert np.abs(found - [truth[name] for name in model.names]).max() < 1.0
+    assert np.isfinite(placed.sigma).all()

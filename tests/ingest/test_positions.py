@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmark.datasets.textfiles import read_gps
-from ingest.photographs import Flight, read_flight
+from ingest.photographs import Flight, FlightImage, read_flight
 from ingest.positions import local, with_positions
 from scene.errors import InputError
+from scene.geometry.geodesy import Geodetic
+from scene.storage.images import Exif
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +63,36 @@ def test_a_receiver_that_is_stuck(flight: Flight, tmp_path: Path) -> None:
     (tmp_path / "gps.csv").write_text("\n".join(["name, lat, lon, alt", *rows]))
     with pytest.raises(InputError, match=f"{stuck} of {len(names)} GPS positions are one"):
         local(with_positions(flight, tmp_path / "gps.csv").images)
+
+
+def placed_at(*altitudes: float) -> list[FlightImage]:
+    """Photographs on a line to the north, 11 m apart."""
+    return [
+        FlightImage(
+            f"{k}.jpg",
+            f"flight/images/{k}.jpg",
+            str(k),
+            Exif(Geodetic(46.8 + k / 1e4, -92.0, altitude), None),
+            (4000, 3000),
+        )
+        for k, altitude in enumerate(altitudes)
+    ]
+
+
+def test_unknown_altitudes_take_no_part(caplog: pytest.LogCaptureFixture) -> None:
+    origin, fixes = local(placed_at(198.0, math.nan, 199.0, math.nan, 200.0))
+    assert origin == pytest.approx((46.8002, -92.0, 199.0))
+    up = [fix[2] for fix in fixes.values()]
+    assert up == pytest.approx([-1, math.nan, 0, math.nan, 1], abs=1e-3, nan_ok=True)
+    north = [fix[1] for fix in fixes.values()]
+    assert np.diff(north) == pytest.approx([11.12] * 4, abs=0.01)
+    assert "3 of 5 photographs with a GPS position have an altitude (GPSAltitude)" in caplog.text
+
+
+def test_no_altitude_at_all_is_no_origin() -> None:
+    blind = placed_at(*[math.nan] * 4)
+    with pytest.raises(InputError, match=r"none of 4 photographs .* \(GPSAltitude\).*--gps"):
+        local(blind)
+    # A world that is known needs none.
+    origin = Geodetic(46.8, -92.0, 150.0)
+    assert np.isnan([fix[2] for fix in local(blind, origin)[1].values()]).all()

@@ -169,14 +169,14 @@ def put_focal(made: Made) -> None:
         equivalent = focal * math.hypot(36, 24) / diagonal * made.pick(1, zoom)
         made.detail["FocalLengthIn35mmFilm"] = raw.short(round(equivalent))
     if plane:
-        made.coarse = False
         made.detail["FocalPlaneXResolution"] = raw.rational(per_unit * made.pick(1, zoom))
         if unit is not None:
             made.detail["FocalPlaneResolutionUnit"] = raw.short(unit)
     made.detail["FocalLength"] = raw.rational(focal * sensor, most=1000)
-    if made.chance(0.9):
+    if operation == "cropped" or made.chance(0.9):
         made.detail["ExifImageWidth"] = made.pick(raw.short, raw.long)(stated[0])
         made.detail["ExifImageHeight"] = made.pick(raw.short, raw.long)(stated[1])
+    made.coarse = not {"FocalPlaneXResolution", "ExifImageWidth"} <= made.detail.keys()
     if zoom != 1 or made.chance(0.4):
         made.detail["DigitalZoomRatio"] = raw.rational(
             zoom if zoom != 1 else made.pick(0.0, 1.0, None)
@@ -244,7 +244,7 @@ def test_what_is_read_is_true_or_unknown(tmp_path: Path) -> None:
             assert any("GPSL" in doubt for doubt in exif.doubts), made
     assert not faults, "\n".join(faults[:5])
     # Most is known: a reader that knows nothing would be true, too.
-    assert (known > [0.75 * COUNT, 0.55 * COUNT, 0.6 * COUNT, 0.4 * COUNT]).all(), known
+    assert (known > [0.75 * COUNT, 0.55 * COUNT, 0.6 * COUNT, 0.3 * COUNT]).all(), known
 
 
 @pytest.mark.parametrize("change", ["hemisphere", "place"])

@@ -177,4 +177,5 @@ def test_of_a_resized_photograph(tmp_path: Path) -> None:
 
 def test_a_real_photograph(beach: Path) -> None:
     said = read_exif(beach / "photos" / "DJI_0018.jpg").xmp
-    assert said == DroneXmp(gimbal=(45.0, -89.9, 0.0), altitude=198.31)
+    assert said == DroneXmp(gimbal=(45.0, -89.9, 0.0), places=said.places)
+    assert said.places["AbsoluteAltitude"] == "+198.31"
