@@ -120,6 +120,7 @@ def test_pairs_that_cannot_be_taken_apart_are_unknown(
         ("[latitude: 47.1] [longitude: 8.2] [rel_alt: 1,234.5]", (47.1, 8.2), None),
         ("[latitude: 47.1] [longitude: 8.2] [rel_alt: 1 234.5]", (47.1, 8.2), None),
         ("[latitude: 47. 1] [longitude: 8.2] [rel_alt: 5.0]", None, 5.0),
+        (f"[latitude: 0.{'0' * 300}471e303] [longitude: 8.2] [rel_alt: 5.0]", None, 5.0),
         ("[latitude: 47.1x] [longitude: 8.2] [rel_alt: 5.0]", None, 5.0),
         ("[latitude: 47<b>.1</b>] [longitude: 8.2] [rel_alt: 5.0]", None, 5.0),
         ("[latitude: 47.1] [longitude: 8.2 N] [rel_alt: 5.0]", None, 5.0),
