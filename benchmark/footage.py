@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -244,7 +246,8 @@ class Timing:
         the times reach to the end of the video; else none is believed, and a warning says so.
         """
         numbered = [(said.frame, said.start_s) for said in flight if said.frame is not None]
-        if len(numbered) < max(2, len(flight)) or video.duration_s is None:
+        ascending = all(first[0] < second[0] for first, second in pairwise(numbered))
+        if len(numbered) < max(2, len(flight)) or not ascending or video.duration_s is None:
             return Timing()
         frames, seconds = numbered[-1][0] - numbered[0][0], numbered[-1][1] - numbered[0][1]
         # Times of subtitles are whole milliseconds.
@@ -268,10 +271,8 @@ class Timing:
             return None
         if not self.by_frame:
             return at_time(flight, frame.seconds)
-        before = [
-            said for said in flight if said.frame is not None and said.frame <= frame.index + 1
-        ]
-        return before[-1] if before else None
+        row = bisect_right(flight, frame.index + 1, key=lambda item: item.frame or 0) - 1
+        return flight[row] if row >= 0 else None
 
 
 def _alike(first: float, second: float) -> bool:

@@ -8,6 +8,7 @@ from typing import Final
 
 from ingest.captions import Caption, angle, parts_of, quantity, split_letter
 from scene.quantities.coordinate_order import (
+    Order,
     Pair,
     PairedTrack,
     order_of,
@@ -133,7 +134,7 @@ def _paired(name: str, inner: str, marks: DecimalMarks) -> _Fix:
     return _Fix(place=_on_earth(*placed((first, second), _first_is(kinds[0]))))
 
 
-def _first_is(kind: str) -> str:
+def _first_is(kind: str) -> Order:
     return "latitude" if kind == "NS" else "longitude"
 
 

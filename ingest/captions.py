@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import re
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -16,12 +17,14 @@ from scene.quantities.decimal_marks import DecimalMarks
 from scene.storage.subtitles import Subtitle
 
 _TAG: Final = re.compile(r"<[^<>]*>|\{\\[^{}]*\}")
-_PARENTHESES: Final = re.compile(r"([A-Za-z][\w.]*)\s*:?\s*\(([^()]*)\)")
-_FIELD: Final = re.compile(r"(?<![\w.])([A-Za-z][\w-]*)\s*:")
+_PARENTHESES: Final = re.compile(r"(?<![\w.])([A-Za-z][\w.]*)\s{0,8}:?\s{0,8}\(([^()]{0,200})\)")
+_FIELD: Final = re.compile(r"(?<![\w.-])([A-Za-z][\w-]*)\s{0,8}:")
 # Words of compact subtitles, which have no colon. A field's value ends before them.
 _SHORT: Final = r"(?:H\.S|V\.S|DZOOM|ISO|EV|SS|F/|GPS|RTK|HOME|[FG]\.PRY|H|D)"
 _SHORT_WORD: Final = re.compile(r"(?<![\w.])(H\.S|DZOOM|H|D)[ \t]+(?=[-+\d])")
-_END: Final = re.compile(rf"[\[\];\n|]|,\s*(?=[A-Za-z])|\s(?={_SHORT}(?:[\s(/]|$))|,?\s*$")
+_END: Final = re.compile(rf"[\[\];\n|]|,\s*(?=[A-Za-z])|\s(?={_SHORT}(?:[\s(/]|$))")
+# A longer value is no number, and is not cut to be one.
+_LONGEST: Final = 200
 _VALUE: Final = re.compile(r"([-+]?[\d.,]*\d[\d.,]*(?:[eE][-+]?\d+)?)\s*([^\d\s].*)?")
 _LETTER: Final = re.compile(r"(?:([NSEW])\s*:?\s*)?(.*?)\s*([NSEW])?")
 # The second stands for a byte of another encoding.
@@ -84,14 +87,14 @@ def _unique(items: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> dict[st
 
 
 def _fields(text: str) -> Iterator[tuple[str, str]]:
-    starts = list(_FIELD.finditer(text))
-    for found in (*starts, *_SHORT_WORD.finditer(text)):
-        after = min(
-            (other.start() for other in starts if other.start() > found.start()), default=len(text)
-        )
-        value = text[found.end() : after].lstrip(" \t")
+    names = list(_FIELD.finditer(text))
+    starts = [*(found.start() for found in names), len(text)]
+    for found in (*names, *_SHORT_WORD.finditer(text)):
+        after = starts[bisect_right(starts, found.start())]
+        value = text[found.end() : min(after, found.end() + _LONGEST + 1)].lstrip(" \t")
         end = _END.search(value)
-        yield found[1].lower(), (value[: end.start()] if end else value).rstrip(" \t,")
+        value = (value[: end.start()] if end else value).rstrip(" \t,")
+        yield found[1].lower(), value if len(value) < _LONGEST else "..."
 
 
 def parts_of(inner: str) -> list[str]:

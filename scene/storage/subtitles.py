@@ -28,10 +28,10 @@ _BYTE_ORDER_MARKS = {
 }
 # Which of the first four bytes are zero, without a byte order mark.
 _ZEROS = {
-    (False, True, False, True): "utf-16-le",
-    (True, False, True, False): "utf-16-be",
-    (False, True, True, True): "utf-32-le",
-    (True, True, True, False): "utf-32-be",
+    "x0x0": "utf-16-le",
+    "0x0x": "utf-16-be",
+    "x000": "utf-32-le",
+    "000x": "utf-32-be",
 }
 
 
@@ -103,7 +103,7 @@ def _encoding(data: bytes) -> str:
     for mark, encoding in _BYTE_ORDER_MARKS.items():
         if data.startswith(mark):
             return encoding
-    zeros = tuple(byte == 0 for byte in data[:4])
+    zeros = "".join("0" if byte == 0 else "x" for byte in data[:4])
     return _ZEROS.get(zeros, "utf-8")
 
 

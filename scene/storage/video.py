@@ -195,7 +195,7 @@ def _film(container: Any, path: Path) -> Any:
     """Return the stream of pictures that is the film.
 
     Cover pictures and thumbnails are none. Of several films it is the one that lasts longest, then
-    the one that players show, then the largest; a warning says which.
+    the largest, then the one that players show; a warning says which.
 
     Raises:
         InputError: there is no film.
@@ -210,8 +210,9 @@ def _film(container: Any, path: Path) -> Any:
         films,
         key=lambda stream: (
             _seconds(stream) >= _AS_LONG * longest,
-            bool(stream.disposition & stream.disposition.default),
             stream.width * stream.height,
+            # Writers mark the first stream where nobody says which: this tells least.
+            bool(stream.disposition & stream.disposition.default),
             -stream.index,
         ),
     )

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import h5py
 import pytest
 import torch
 
@@ -79,6 +80,75 @@ def test_a_session(disk: Path) -> None:
     filling.unlink()
     write_frames(path, made_frames(40), ALL, (made_layers(k) for k in range(40)))
     assert len(read_frames(path)) == 40
+
+
+WRITING = """
+import sys
+from pathlib import Path
+import numpy as np
+from scene.storage.hdf5_writing import hdf5_file, open_hdf5
+from scene.errors import WriteError
+how = {"whole": hdf5_file, "in place": open_hdf5}[sys.argv[2]]
+try:
+    with how(Path(sys.argv[1])) as file:
+        for k in range(40):
+            group = file.create_group(str(k))
+            group["values"] = np.full(3000, k)
+            group.attrs["k"] = k
+        print("unnoticed")
+except WriteError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("left", [0, 3_000, 64_000, 500_000])
+@pytest.mark.parametrize("how", ["whole", "in place"])
+def test_hdf5_survives(disk: Path, left: int, how: str) -> None:
+    """The library of HDF5 would end the process after its last line: signal 11."""
+    filling = fill(disk, left)
+    command = [sys.executable, "-c", WRITING, str(disk / "a.h5"), how]
+    ended = subprocess.run(
+        command, cwd=GATE.parents[2], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.startswith(f"cannot write {disk / 'a.h5'}: ")
+    assert ended.stdout.count("\n") == 1 and "unnoticed" not in ended.stdout
+    if how == "whole":
+        assert [path.name for path in disk.iterdir()] == ["filling"]
+    filling.unlink()
+    ended = subprocess.run(
+        command, cwd=GATE.parents[2], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (0, "unnoticed\n")
+    with h5py.File(disk / "a.h5") as file:
+        assert [int(file[f"{k}/values"][-1]) for k in range(40)] == list(range(40))
+
+
+@pytest.mark.parametrize("method", ["sift", "pixloc"])
+@pytest.mark.parametrize("cache", [None, "cache"])
+def test_localize_ends_with_one_line(
+    disk: Path, tmp_path: Path, method: str, cache: str | None
+) -> None:
+    """A disk of 64 kB has room for the answers and not for what a method keeps per map."""
+    (tmp_path / "photographs").mkdir()
+    photograph = min((GATE / "images" / "query-a").rglob("*.jpg"))
+    shutil.copy(photograph, tmp_path / "photographs")
+    filling = fill(disk, 64 << 10)
+    command = [sys.executable, "-m", "benchmark.cli", "localize", "--map", str(GATE)]
+    command += ["--images", str(tmp_path / "photographs"), "--method", method]
+    command += ["--out", str(disk / "poses.txt")]
+    command += [] if cache is None else ["--cache", str(disk / cache)]
+    ended = subprocess.run(
+        command, cwd=GATE.parents[2], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 2, ended.stderr
+    errors = [line for line in ended.stderr.splitlines() if "error" in line.lower()]
+    assert len(errors) == 1 and "free some and run again" in errors[0]
+    assert str(disk) in errors[0]
+    assert "Traceback" not in ended.stderr
+    left = {path.name for path in disk.rglob("*")} - {"filling", "cache"}
+    assert not left
+    assert filling.is_file()
 
 
 def test_a_checkpoint(disk: Path) -> None:

@@ -150,3 +150,75 @@ def test_odd_and_changing_sizes_are_refused(tmp_path: Path) -> None:
 def test_a_folder_is_no_video(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot read video"):
         read_video(tmp_path)
+
+
+def film(
+    path: Path, *streams: tuple[str, int, int, int], covers: int = 0, default: int | None = None
+) -> Path:
+    """A file of several streams: codec, number of frames, width and grey level."""
+    with av.open(str(path), "w") as container:
+        made = []
+        for row, (codec, _, width, _) in enumerate(streams):
+            stream = container.add_stream(codec, rate=10)
+            stream.width, stream.height = width, 48
+            stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+            if row < covers:
+                stream.disposition = av.stream.Disposition.attached_pic
+            elif default is not None:
+                flag = av.stream.Disposition.default
+                stream.disposition = flag if row == default else av.stream.Disposition(0)
+            made.append(stream)
+        for stream, (_, count, width, level) in zip(made, streams, strict=True):
+            for k in range(count):
+                picture = np.full((48, width, 3), level, np.uint8)
+                frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+                frame.pts = k
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
+    return path
+
+
+def levels(path: Path) -> tuple[int, int]:
+    """Number of frames and grey level of a film."""
+    frames = list(decode_frames(path))
+    return len(frames), round(float(frames[0].image.mean()) / 10) * 10
+
+
+COVER, FILM, PREVIEW = ("mjpeg", 1, 32, 200), ("mpeg4", 20, 64, 100), ("mpeg4", 20, 32, 50)
+
+
+@pytest.mark.parametrize(
+    ("streams", "covers"),
+    [
+        ([COVER, FILM], 0),
+        ([COVER, FILM], 1),
+        ([FILM, COVER], 0),
+        ([COVER, COVER, FILM], 2),
+        ([("mpeg4", 1, 320, 200), FILM], 0),
+        ([("mjpeg", 20, 64, 100), COVER], 0),
+        ([PREVIEW, FILM], 0),
+        ([FILM, PREVIEW], 0),
+    ],
+)
+@pytest.mark.parametrize("ending", ["mp4", "mov"])
+def test_the_film_and_not_the_cover(
+    tmp_path: Path, streams: list[tuple[str, int, int, int]], covers: int, ending: str
+) -> None:
+    path = film(tmp_path / f"a.{ending}", *streams, covers=covers)
+    assert levels(path) == (20, 100)
+    assert read_video(path).width == 64
+
+
+def test_of_several_films_the_one_that_players_show(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = film(tmp_path / "a.mkv", ("mpeg4", 20, 64, 50), FILM, default=1)
+    assert levels(path) == (20, 100)
+    (line,) = [line for line in caplog.messages if "2 films" in line]
+    assert "stream 1 (64 x 48) is taken, and 0 left out" in line
+
+
+def test_pictures_alone_are_no_video(tmp_path: Path) -> None:
+    for path in (film(tmp_path / "a.mp4", COVER), film(tmp_path / "b.jpg", COVER)):
+        with pytest.raises(InputError, match="a picture and no film"):
+            read_video(path)
