@@ -154,7 +154,11 @@ def gps_remark(level: str, gps: Residuals | None) -> list[str]:
     if gps is None or level not in ("control", "given"):
         return []
     off = {"across": gps.horizontal_median, "in height": gps.vertical_median}
-    far = [f"{metres:.0f} m {way}" for way, metres in off.items() if metres > _FAR_FROM_GPS_M]
+    far = [
+        f"{metres:.0f} m {way}"
+        for way, metres in off.items()
+        if metres is not None and metres > _FAR_FROM_GPS_M
+    ]
     if not far:
         return []
     placed = "ground control points" if level == "control" else "the given poses"
