@@ -91,10 +91,11 @@ def _fields(text: str) -> Iterator[tuple[str, str]]:
     starts = [*(found.start() for found in names), len(text)]
     for found in (*names, *_SHORT_WORD.finditer(text)):
         after = starts[bisect_right(starts, found.start())]
-        value = text[found.end() : min(after, found.end() + _LONGEST + 1)].lstrip(" \t")
+        whole = after - found.end() <= _LONGEST
+        value = text[found.end() : min(after, found.end() + _LONGEST)].lstrip(" \t")
         end = _END.search(value)
         value = (value[: end.start()] if end else value).rstrip(" \t,")
-        yield found[1].lower(), value if len(value) < _LONGEST else "..."
+        yield found[1].lower(), value if end or whole else "..."
 
 
 def parts_of(inner: str) -> list[str]:
