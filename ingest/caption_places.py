@@ -34,10 +34,12 @@ class Places:
     Attributes:
         places: Latitude and longitude of each subtitle, degrees; None where it is not known.
         doubts: Why positions are unknown or left out, a phrase each.
+        of_each: Why the position of a subtitle is unknown or left out, by its row.
     """
 
     places: Sequence[Pair | None]
     doubts: tuple[str, ...]
+    of_each: Mapping[int, str]
 
 
 @dataclass(frozen=True)
@@ -62,22 +64,26 @@ def places_of(captions: Sequence[Caption], marks: DecimalMarks, near: Pair | Non
     """
     seconds = [caption.subtitle.start_s for caption in captions]
     fixes = [_fix_of(caption, marks) for caption in captions]
-    doubts = {fix.doubt: None for fix in fixes if fix.doubt}
+    of_each = {row: fix.doubt for row, fix in enumerate(fixes) if fix.doubt}
+    doubts = dict.fromkeys(of_each.values())
     rows = [row for row, fix in enumerate(fixes) if fix.pair is not None]
     places = [fix.place for fix in fixes]
     if rows:
         order = order_of(_track(captions, fixes, rows, marks), near)
         doubts |= dict.fromkeys(order.doubts)
+        of_each |= dict.fromkeys(rows if order.doubts else (), order.why)
         for row in rows:
             pair = fixes[row].pair
             if order.value is not None and pair is not None:
                 places[row] = placed(pair, order.value)
     kept = without_jumps(seconds, places)
-    lost = sum(place is not None for place in places) - sum(place is not None for place in kept)
+    lost = [row for row, place in enumerate(places) if place is not None and kept[row] is None]
+    of_each |= dict.fromkeys(lost, "its position is where no drone can have flown")
     if lost:
-        doubts[f"{lost} positions jump to where no drone can have flown, and are left out"] = None
+        jumps = f"{len(lost)} positions jump to where no drone can have flown, and are left out"
+        doubts[jumps] = None
     # One phrase of a kind is enough for a person.
-    return Places(kept, tuple(doubts)[:3])
+    return Places(kept, tuple(doubts)[:3], of_each)
 
 
 def _fix_of(caption: Caption, marks: DecimalMarks) -> _Fix:

@@ -71,6 +71,8 @@ class Telemetry:
         zoom: digital zoom, a ratio by which it multiplies the focal length; 1 where the file tells
             of none.
         frame: number of the frame, which counts from 1.
+        place_doubts: why position and heights that it tells are unknown, a phrase each.
+        lens_doubts: why its focal length or zoom is unknown, or how it was told.
     """
 
     start_s: float
@@ -83,6 +85,8 @@ class Telemetry:
     time: datetime | None = None
     zoom: float | None = 1.0
     frame: int | None = None
+    place_doubts: tuple[str, ...] = ()
+    lens_doubts: tuple[str, ...] = ()
 
     @property
     def zoomed_mm(self) -> float | None:
@@ -128,9 +132,14 @@ def read_telemetry(
             time=_time(caption.text),
             zoom=zoom,
             frame=_frame(caption.fields),
+            place_doubts=(
+                *([places.of_each[row]] if row in places.of_each else []),
+                *heights.why_unknown(caption),
+            ),
+            lens_doubts=lens.of_each[row],
         )
-        for caption, place, gimbal, focal_mm, zoom in zip(
-            captions, places.places, attitudes, lens.focals, lens.zooms, strict=True
+        for row, (caption, place, gimbal, focal_mm, zoom) in enumerate(
+            zip(captions, places.places, attitudes, lens.focals, lens.zooms, strict=True)
         )
     ]
     doubts = (*places.doubts, *heights.doubts, *lens.doubts)
@@ -214,6 +223,15 @@ class _Heights:
         if height is not None or len(parts) != 3 or not split_letter(parts[0])[0]:
             return height
         return self._metres(parts[2]) if quantity(parts[2], self.marks)[1] else None
+
+    def why_unknown(self, caption: Caption) -> list[str]:
+        """Return why heights that a subtitle tells are unknown."""
+        told = [name for name in (*_REL_ALTS, *_ABS_ALTS) if name in caption.fields]
+        return [
+            f"height {name} {caption.fields[name][:40]} is unknown"
+            for name in told
+            if self._metres(caption.fields[name]) is None
+        ]
 
     def _metres(self, text: str) -> float | None:
         number, unit = quantity(text, self.marks)
