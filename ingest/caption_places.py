@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from ingest.captions import Caption, angle, parts_of, quantity, split_letter
+from scene.quantities.angles import LATITUDE, LONGITUDE, Axis, parse_coordinate
 from scene.quantities.coordinate_order import (
     Order,
     Pair,
@@ -93,17 +94,34 @@ def _fix_of(caption: Caption, marks: DecimalMarks) -> _Fix:
     if latitude is not None and longitude is not None:
         return _named(latitude, longitude, marks)
     name = next((name for name in _PAIRS if name in caption.tuples), None)
-    return _Fix() if name is None else _paired(name, caption.tuples[name], marks)
+    if name is not None:
+        return _paired(name, caption.tuples[name], marks)
+    bare = next((name for name in _PAIRS if name in fields), None)
+    return (
+        _Fix() if bare is None else _Fix(doubt=_not_understood(bare.upper(), fields[bare], marks))
+    )
 
 
 def _named(latitude: str, longitude: str, marks: DecimalMarks) -> _Fix:
-    place = _coordinate(latitude, "NS", marks), _coordinate(longitude, "EW", marks)
+    place = tuple(
+        _spelled(text, axis) if (number := _coordinate(text, letters, marks)) is None else number
+        for text, letters, axis in ((latitude, "NS", LATITUDE), (longitude, "EW", LONGITUDE))
+    )
     for name, text, number in zip(
         ("latitude", "longitude"), (latitude, longitude), place, strict=True
     ):
         if number is None:
             return _Fix(doubt=_not_understood(name, text, marks))
-    return _Fix(place=_on_earth(place[0], place[1]))
+    here = _on_earth(place[0], place[1])
+    if here is None and any(place):
+        return _Fix(doubt=f"latitude {latitude[:40]}, longitude {longitude[:40]} is not on earth")
+    return _Fix(place=here)
+
+
+def _spelled(text: str, axis: Axis) -> float | None:
+    """Return a coordinate with a word for its direction, or with minutes and seconds."""
+    # A comma divides numbers in some spellings and is a decimal mark in others.
+    return None if "," in text else parse_coordinate(text, axis, axis.tag, signed=True).value
 
 
 def _coordinate(text: str, letters: str, marks: DecimalMarks) -> float | None:
