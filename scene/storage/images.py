@@ -50,6 +50,8 @@ _MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
 warnings.filterwarnings("ignore", module=r"PIL\.")
 # The largest payload of a segment of a JPEG, with its identifier (bytes).
 _SEGMENT: Final = 65_500
+# A number that we write has this denominator.
+_PARTS: Final = 10_000
 # How a segment of XMP begins.
 _XMP: Final = b"http://ns.adobe.com/xap/1.0/\0"
 # EXIF's unit of resolution that we write.
@@ -356,12 +358,12 @@ def _lens(made: Camera | None, sized: bool) -> Lens | None:
     return None if made is None else Lens(made.focal[0] / max(made.width, made.height), sized)
 
 
-def _rational(value: float, denominator: int = 10_000) -> IFDRational:
+def _rational(value: float, denominator: int = _PARTS) -> IFDRational:
     return IFDRational(Fraction(round(value * denominator), denominator))
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:
-    whole = int(degrees)
-    minutes = (degrees - whole) * 60
-    seconds = (minutes - int(minutes)) * 60
-    return _rational(whole, 1), _rational(int(minutes), 1), _rational(seconds)
+    # Rounded first, so that no seconds become 60.
+    seconds = Fraction(round(degrees * 3600 * _PARTS), _PARTS)
+    minutes, seconds = divmod(seconds, 60)
+    return _rational(minutes // 60, 1), _rational(minutes % 60, 1), _rational(float(seconds))
