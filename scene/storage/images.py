@@ -50,6 +50,7 @@ _MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
 warnings.filterwarnings("ignore", module=r"PIL\.")
 # The largest payload of a segment of a JPEG, with its identifier (bytes).
 _SEGMENT: Final = 65_500
+_TWO_BLOCKS: Final = "the file has two blocks of EXIF that differ, and the first is taken"
 # A number that we write has this denominator.
 _PARTS: Final = 10_000
 # How a segment of XMP begins.
@@ -295,7 +296,7 @@ def read_exif(path: Path) -> Exif:
         InputError: the file is missing or not an image.
     """
     with _opened(path) as image:
-        size, packets = image.size, _packets(image)
+        size, packets, blocks = image.size, _packets(image), _blocks(image)
         try:
             tags = image.getexif()
             detail = tags.get_ifd(ExifTags.IFD.Exif)
@@ -331,7 +332,7 @@ def read_exif(path: Path) -> Exif:
         xmp=drone,
         place_doubts=(*position.doubts, *(() if where is None else altitude.doubts)),
         lens_doubts=focal.reading.doubts,
-        other_doubts=(*drone.doubts, *time.doubts),
+        other_doubts=(*drone.doubts, *time.doubts, *([_TWO_BLOCKS] if blocks > 1 else [])),
         focals=focal.candidates,
     )
 
@@ -342,6 +343,13 @@ def _packets(image: Image.Image) -> list[bytes]:
     packets = [data[len(_XMP) :] for data in segments if data.startswith(_XMP)]
     whole = image.info.get("xmp", b"")
     return packets or [whole if isinstance(whole, bytes) else str(whole).encode()]
+
+
+def _blocks(image: Image.Image) -> int:
+    """Return the number of different blocks of EXIF in a JPEG, of which the first is read."""
+    segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
+    begins = (b"Exif\0\0II*\0", b"Exif\0\0MM\0*")
+    return len({data for data in segments if data.startswith(begins)})
 
 
 def _text(value: object) -> str:

@@ -121,3 +121,12 @@ def test_a_position_without_a_fix_is_said(tmp_path: Path) -> None:
         raw.write(tmp_path / "a.jpg", SIZE, raw.exif({}, gps))
         said = read_exif(tmp_path / "a.jpg").place_doubts
         assert [each for each in said if "Altitude" not in each] == doubts
+
+
+def test_two_blocks_of_exif_are_said(tmp_path: Path) -> None:
+    path, first = tmp_path / "a.jpg", raw.exif({"FocalLengthIn35mmFilm": raw.short(24)}, {})
+    for block, doubts in ((first, 0), (raw.exif({"FocalLengthIn35mmFilm": raw.short(50)}, {}), 1)):
+        raw.write(path, SIZE, first)
+        data, segment = path.read_bytes(), b"\xff\xe1" + (len(block) + 2).to_bytes(2, "big") + block
+        path.write_bytes(data[:2] + segment + data[2:])
+        assert len(read_exif(path).other_doubts) == doubts
