@@ -24,6 +24,7 @@ from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from scene.localizer import Estimate, Prior, Query
 from scene.maps.sparse_map import SparseMap
+from scene.quantities.coordinate_order import REACH_M
 from scene.quantities.doubts import said_of
 from scene.runtime.progress import progress_bar
 from scene.storage.images import Exif, image_size, read_exif, read_rgb
@@ -154,9 +155,18 @@ class PhotographReader:
 
         A given camera or table of priors leaves nothing to doubt.
         """
-        place = exif.place_doubts if self.priors is None and self.place.origin is not None else ()
+        place: tuple[str, ...] = ()
+        if self.priors is None and self.place.origin is not None:
+            place = (*exif.place_doubts, *self._far(exif, self.place.origin))
         lens = exif.lens_doubts if self.camera is None else ()
         return (*place, *lens, *exif.other_doubts)
+
+    def _far(self, exif: Exif, origin: Geodetic) -> list[str]:
+        if exif.position is None:
+            return []
+        there = exif.position._replace(altitude=origin.altitude)
+        apart = float(np.linalg.norm(enu_from_geodetic(there, origin)))
+        return [] if apart <= REACH_M else [f"its position is {apart / 1000:.0f} km from the map"]
 
     def gps(self, exif: Exif) -> Prior | None:
         """Return the position that the receiver of a photograph measured, in the map's frame.

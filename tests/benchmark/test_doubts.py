@@ -144,3 +144,16 @@ def test_an_altitude_above_the_sea_takes_the_undulation(
         assert prior is not None and prior.position[2] == pytest.approx(up, abs=0.01)
         row = rows_of(out.with_suffix(".csv"))["b.jpg"]
         assert ("sea level" in row["reason"]) is said
+
+
+def test_a_position_far_from_the_map_is_said(
+    place: Path, method: FakeLocalizer, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING)
+    gps = PLACE | {"GPSAltitude": raw.rational(500.0), "GPSAltitudeRef": raw.byte(0)}
+    folder = photographs(place, tmp_path / "new", {}, gps | {"GPSLongitude": raw.rational(9.00005)})
+    answer = run("--map", place, "--images", folder, "--out", tmp_path / "t.txt")
+    assert answer.exit_code == 0, answer.stderr
+    row = rows_of(tmp_path / "t.csv")["d.jpg"]
+    assert row["reason"] == "its position is 76 km from the map"
+    assert "76 km from the map" in caplog.text
