@@ -89,6 +89,7 @@ class Located:
         source: where the camera comes from.
         seconds: time from the start of its sequence; None outside one.
         gps: position that a receiver measured, in the map's frame; None without one.
+        doubts: what the photograph does not say for sure, of what was taken from it.
     """
 
     name: str
@@ -99,6 +100,14 @@ class Located:
     source: CameraSource | None = None
     seconds: float | None = None
     gps: Prior | None = None
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def reason(self) -> str:
+        """Return the reason of the estimate, then what the photograph does not say for sure."""
+        own = self.estimate.reason
+        more = (doubt for doubt in self.doubts if doubt not in own)
+        return "; ".join(each for each in (own, *more) if each)
 
     @property
     def found(self) -> bool:
@@ -163,7 +172,9 @@ class Located:
             known["epv_m"] = round(accuracy.epv_m, 4)
         if self.camera is not None and self.source is not None:
             known["camera"] = self.source.value
-            if self.found or self.source is not CameraSource.ESTIMATED:
+            # A prior says nothing of a focal length that is to be estimated.
+            estimated = self.found and self.estimate.inliers > 0
+            if estimated or self.source is not CameraSource.ESTIMATED:
                 known["focal_px"] = round(self.camera.focal[0], 2)
         if self.estimate.by is not None:
             known["by"] = self.estimate.by.value
@@ -226,7 +237,7 @@ def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
     """Return the row of a photograph; columns that are unknown are missing."""
     estimate = item.estimate
     row = {"name": quote_cell(item.name), "status": estimate.status.value}
-    row |= {"inliers": str(estimate.inliers), "reason": for_terminal(estimate.reason)}
+    row |= {"inliers": str(estimate.inliers), "reason": for_terminal(item.reason)}
     if item.centre is not None:
         row |= {k: f"{x:.4f}" for k, x in zip("enu", item.centre, strict=True)}
         sigma = estimate.sigma_position()
@@ -253,8 +264,8 @@ def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
         place = item.place if item.found else None
         values: dict[str, Any] = {"name": for_terminal(item.name)}
         values["status"] = item.estimate.status.value
-        if item.estimate.reason:
-            values["reason"] = for_terminal(item.estimate.reason)
+        if item.reason:
+            values["reason"] = for_terminal(item.reason)
         if place is not None:
             sigma = item.estimate.sigma_position()
             values |= {} if sigma is None else {"sigma_m": round(sigma, 4)}

@@ -18,6 +18,7 @@ from scene.errors import InputError
 from scene.geometry.camera import MODELS, Camera
 from scene.quantities.coordinate_order import Pair
 from scene.quantities.film_lens import SAME_LENS
+from scene.runtime.escaping import for_terminal
 from scene.storage.images import Exif
 from scene.storage.video import Video, VideoFrame, read_video
 
@@ -27,6 +28,8 @@ _SIDECARS: Final = (".SRT", ".srt", ".Srt")
 _FILM_MM: Final = 36.0
 # Rates and numbers of frames that agree differ by less than this share.
 _SAME_RATE: Final = 0.05
+# Pixels are square up to this share.
+_SQUARE: Final = 0.005
 # A focal length changed where it differs by more than this share.
 _ZOOMED: Final = 0.005
 
@@ -66,6 +69,12 @@ class Footage:
         if srt is None:
             beside = (path.with_suffix(ending) for ending in _SIDECARS)
             srt = next((file for file in beside if file.is_file()), None)
+        if srt is None and video.unread:
+            log.warning(
+                "%s has subtitles or data (%s) that are not read: give --srt if they are telemetry",
+                path,
+                ", ".join(map(for_terminal, video.unread)),
+            )
         flight = [] if srt is None else read_telemetry(srt, _near(place), _lenses(place, video))
         return Footage(path, video, srt, flight, rate_hz)
 
@@ -148,6 +157,9 @@ def cameras_of_frames(footage: Footage, camera: Camera | None, place: Place) -> 
             raise InputError(f"{shape}its camera {camera.width} x {camera.height}{hint}")
         _warn_of_zoom(footage)
         return FrameCameras(Calibration(camera, CameraSource.GIVEN), is_given=True)
+    aspect = footage.video.pixel_aspect
+    if abs(aspect - 1) > _SQUARE:
+        raise InputError(f"{shape}its pixels are {aspect:.3f} times as wide as high{hint}")
     focal = _reference_focal(footage.flight, _lenses(place, footage.video))
     base = calibration_of(size, Exif(None, None, focal_35mm=focal), place.cameras)
     if base.source is CameraSource.ESTIMATED:

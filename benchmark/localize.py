@@ -121,7 +121,8 @@ def localize(
     check_outputs(files, [*paths.values(), *([] if priors is None else [priors])])
     geography = geography_of(place, also, undulation_m, projection)
     sigmas = gps_sigma_m, gimbal_sigma_deg
-    reader = PhotographReader(place, camera, priors_of(priors, paths, place, *sigmas), *sigmas)
+    known = priors_of(priors, paths, place, *sigmas)
+    reader = PhotographReader(place, camera, known, *sigmas, geography.undulation_m)
     _require_one(reader, paths, photographs)
     located: list[Located] = []
     with (
@@ -139,7 +140,7 @@ def localize(
             with atomic_write(file) as partial_file:
                 partial_file.write_bytes(content)
     warn_of_rolling_shutter(reader.said.values())
-    warn_of_doubts(reader.said)
+    warn_of_doubts(reader)
     warn_of_disagreement(located, geography)
     return located
 
@@ -259,8 +260,8 @@ def _localize_one(
         points = place.sparse_map.xyz
         estimate = with_focal_error(estimate, camera, place.cameras, points)
     at, time = on_earth(estimate, place), photograph.exif.time
-    gps = reader.gps(photograph.exif)
-    return Located(name, estimate, at, time, camera, source, gps=gps)
+    gps, doubts = reader.gps(photograph.exif), reader.doubts(photograph.exif)
+    return Located(name, estimate, at, time, camera, source, gps=gps, doubts=doubts)
 
 
 def _localize_twice(reader: PhotographReader, localizer: Localizer, query: Query) -> Estimate:

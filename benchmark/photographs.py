@@ -19,10 +19,12 @@ from benchmark.datasets.textfiles import read_priors, require_same_case
 from ingest.attitude import gimbal_pose
 from scene.bundle.georeference import Georeference
 from scene.errors import InputError
+from scene.geo.sea_level import above_ellipsoid
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from scene.localizer import Estimate, Prior, Query
 from scene.maps.sparse_map import SparseMap
+from scene.quantities.coordinate_order import REACH_M
 from scene.quantities.doubts import said_of
 from scene.runtime.progress import progress_bar
 from scene.storage.images import Exif, image_size, read_exif, read_rgb
@@ -100,6 +102,8 @@ class PhotographReader:
         priors: priors by name; None takes them from EXIF and XMP.
         gps_sigma_m: standard deviation of positions in EXIF per axis, metres.
         gimbal_sigma_deg: standard deviation of attitudes in XMP per axis, degrees.
+        undulation_m: height of the geoid above the ellipsoid at the map, metres, for altitudes that
+            are above sea level; None where it is not known.
         estimated: cameras of lenses of which nothing else says what they are.
         said: what the photographs that were read say of themselves.
     """
@@ -109,6 +113,7 @@ class PhotographReader:
     priors: Mapping[str, Prior] | None
     gps_sigma_m: float
     gimbal_sigma_deg: float
+    undulation_m: float | None = None
     estimated: Mapping[Lens, Camera] = field(default_factory=dict)
     said: dict[Path, Exif] = field(default_factory=dict)
 
@@ -134,7 +139,7 @@ class PhotographReader:
             InputError: it cannot be read.
         """
         if path not in self.said:
-            self.said[path] = read_exif(path)
+            self.said[path] = above_ellipsoid(read_exif(path), self.undulation_m)
         return self.said[path]
 
     def calibration(self, exif: Exif, size: tuple[int, int]) -> Calibration:
@@ -144,6 +149,24 @@ class PhotographReader:
         if (estimate := self.estimated.get(lens_of(exif, size))) is not None:
             return Calibration(estimate, CameraSource.ESTIMATED)
         return calibration_of(size, exif, self.place.cameras)
+
+    def doubts(self, exif: Exif) -> tuple[str, ...]:
+        """Return what a photograph does not say for sure, of what is taken from it.
+
+        A given camera or table of priors leaves nothing to doubt.
+        """
+        place: tuple[str, ...] = ()
+        if self.priors is None and self.place.origin is not None:
+            place = (*exif.place_doubts, *self._far(exif, self.place.origin))
+        lens = exif.lens_doubts if self.camera is None else ()
+        return (*place, *lens, *exif.other_doubts)
+
+    def _far(self, exif: Exif, origin: Geodetic) -> list[str]:
+        if exif.position is None:
+            return []
+        there = exif.position._replace(altitude=origin.altitude)
+        apart = float(np.linalg.norm(enu_from_geodetic(there, origin)))
+        return [] if apart <= REACH_M else [f"its position is {apart / 1000:.0f} km from the map"]
 
     def gps(self, exif: Exif) -> Prior | None:
         """Return the position that the receiver of a photograph measured, in the map's frame.
@@ -237,9 +260,9 @@ def _read(
             yield reader(name, path)
 
 
-def warn_of_doubts(photographs: Mapping[Path, Exif]) -> None:
+def warn_of_doubts(reader: PhotographReader) -> None:
     """Warn of what photographs say of themselves and cannot be believed, a line for each kind."""
-    for line in said_of({path.name: exif.doubts for path, exif in photographs.items()}):
+    for line in said_of({path.name: reader.doubts(exif) for path, exif in reader.said.items()}):
         log.warning("%s", line)
 
 

@@ -194,14 +194,14 @@ def localize_sequence(
     files, geography = output.claim(place, [*paths.values(), *priors])
     sigmas = told.gps_sigma_m, told.gimbal_sigma_deg
     known = priors_of(told.priors, paths, place, *sigmas)
-    reader = PhotographReader(place, told.camera, known, *sigmas)
+    reader = PhotographReader(place, told.camera, known, *sigmas, geography.undulation_m)
     shots = photographs_of(paths, reader, told.rate_hz)
     source = {"photographs": photographs.name, "rate_hz": told.rate_hz}
     job = _Job(output, files, geography, told.config, source)
     shots = _from_the_first(shots, len(paths), photographs)
     located = _localize(place, shots, len(paths), localizer, job)
     warn_of_rolling_shutter(reader.said.values())
-    warn_of_doubts(reader.said)
+    warn_of_doubts(reader)
     return located
 
 
@@ -239,7 +239,7 @@ def _localize(
                 estimate = _answer(shot, tracker, journal, asked)
                 where = on_earth(estimate, place)
                 camera = None if shot.query is None else shot.query.camera
-                seen = (shot.time, camera, shot.source, shot.seconds, shot.gps)
+                seen = (shot.time, camera, shot.source, shot.seconds, shot.gps, shot.doubts)
                 located.append(Located(shot.name, estimate, where, *seen))
                 advance(min(len(located), count))
         for file, content in contents(located, job.files, job.geography):

@@ -40,6 +40,7 @@ class Shot:
         source: where the camera of the query comes from; None without a query.
         reason: why it cannot be read.
         gps: position that a receiver measured, in the map's frame; None without one.
+        doubts: what the image, or the telemetry of a frame, does not say for sure.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Shot:
     source: CameraSource | None = None
     reason: str = ""
     gps: Prior | None = None
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -117,11 +119,27 @@ def frames_of(
         calibration = cameras.of(said)
         if calibration is None:
             reason = f"{footage.srt} does not tell the focal length or zoom: give --camera"
-            yield Shot(name, frame.seconds, time, None, None, reason)
+            doubts = _doubts(footage, said, cameras, telemetry)
+            yield Shot(name, frame.seconds, time, None, None, reason, doubts=doubts)
             continue
         gps = telemetry(said)
+        doubts = _doubts(footage, said, cameras, telemetry)
         query = Query(name, frame.image, calibration.camera, gps)
-        yield Shot(name, frame.seconds, time, query, calibration.source, gps=gps)
+        yield Shot(name, frame.seconds, time, query, calibration.source, gps=gps, doubts=doubts)
+
+
+def _doubts(
+    footage: Footage, said: Telemetry | None, cameras: FrameCameras, telemetry: TelemetryReader
+) -> tuple[str, ...]:
+    """Return what telemetry does not say of a frame for sure, of what is taken from it."""
+    if said is None:
+        return ("the subtitles say nothing of this frame",) if footage.flight else ()
+    doubts = [] if cameras.is_given else [*said.lens_doubts]
+    if telemetry.place.origin is not None:
+        doubts = [*said.place_doubts, *doubts]
+        if said.place is not None and telemetry(replace(said, gimbal=None)) is None:
+            doubts.append(f"its position is more than {REACH_M / 1000:.0f} km from the map")
+    return tuple(doubts)
 
 
 def warn_of_far_telemetry(footage: Footage, telemetry: TelemetryReader) -> None:
@@ -162,18 +180,20 @@ def photographs_of(
     # Those that cannot be read have no time: they come last.
     for name in sorted(paths, key=lambda name: seconds.get(name, math.inf)):
         query, source, reason, gps = None, None, "", None
+        doubts: tuple[str, ...] = ()
         try:
             photograph = reader.read(name, paths[name])
-            gps = reader.gps(photograph.exif)
+            gps, doubts = reader.gps(photograph.exif), reader.doubts(photograph.exif)
             query, source = photograph.query, photograph.calibration.source
             if photograph.calibration.others:
                 query = None
-                reason = f"nothing tells the focal length of {paths[name]}: give --camera"
+                told = f" ({'; '.join(photograph.exif.lens_doubts)})" if doubts else ""
+                reason = f"nothing tells the focal length of {paths[name]}{told}: give --camera"
         except InputError as error:
             reason = str(error)
         except OSError as error:
             reason = f"cannot read {paths[name]}: {error.strerror}"
-        yield Shot(name, seconds.get(name), times.get(name), query, source, reason, gps)
+        yield Shot(name, seconds.get(name), times.get(name), query, source, reason, gps, doubts)
 
 
 def _seconds(times: Mapping[str, datetime | None]) -> dict[str, float]:

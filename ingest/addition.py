@@ -34,6 +34,7 @@ from ingest.photographs import (
     copy_photographs,
     photographs_of,
     read_flight,
+    warn_of_doubts,
 )
 from ingest.picture import PICTURE, draw
 from ingest.plan import DATABASE, WORK, Plan, flight_manifest, make_scene, recorded_plan
@@ -130,6 +131,7 @@ def add_photographs(
     flight = _without_earlier(read_flight(photographs, session), earlier, scene)
     if gps is not None:
         flight = with_positions(flight, gps)
+    warn_of_doubts(flight, with_lenses=camera is None)
     plan = asked.model_copy(
         update={
             "camera": None if camera is None else str(camera),

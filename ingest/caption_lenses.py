@@ -32,11 +32,13 @@ class Lenses:
         zooms: Digital zoom of each subtitle, a ratio; 1 where the file tells of none, None where it
             is not known.
         doubts: Why some are unknown, a phrase each.
+        of_each: Why those of each subtitle are unknown, or how they were told.
     """
 
     focals: Sequence[float | None]
     zooms: Sequence[float | None]
     doubts: tuple[str, ...]
+    of_each: Sequence[tuple[str, ...]]
 
 
 def lenses_of(
@@ -53,13 +55,14 @@ def lenses_of(
     """
     focals = _focals(captions, marks, lenses)
     zooms = _zooms(captions, marks)
-    doubts: dict[str, None] = {}
-    for reading in (*focals, *zooms):
-        if reading is not None:
-            doubts |= dict.fromkeys(reading.doubts)
+    of_each = [
+        tuple(doubt for reading in pair if reading is not None for doubt in reading.doubts)
+        for pair in zip(focals, zooms, strict=True)
+    ]
+    doubts = dict.fromkeys(doubt for each in of_each for doubt in each)
     if all(zoom is None for zoom in zooms):
         zooms = [known(1.0, ZOOMS[0])] * len(captions)
-    return Lenses(_filled(focals), _filled(zooms), tuple(doubts)[:3])
+    return Lenses(_filled(focals), _filled(zooms), tuple(doubts)[:3], of_each)
 
 
 def _filled(readings: Sequence[Reading[float] | None]) -> list[float | None]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from ingest.captions import Caption, angle, parts_of, quantity, split_letter
+from scene.quantities.angles import LATITUDE, LONGITUDE, Axis, parse_coordinate
 from scene.quantities.coordinate_order import (
     Order,
     Pair,
@@ -34,10 +35,12 @@ class Places:
     Attributes:
         places: Latitude and longitude of each subtitle, degrees; None where it is not known.
         doubts: Why positions are unknown or left out, a phrase each.
+        of_each: Why the position of a subtitle is unknown or left out, by its row.
     """
 
     places: Sequence[Pair | None]
     doubts: tuple[str, ...]
+    of_each: Mapping[int, str]
 
 
 @dataclass(frozen=True)
@@ -62,22 +65,26 @@ def places_of(captions: Sequence[Caption], marks: DecimalMarks, near: Pair | Non
     """
     seconds = [caption.subtitle.start_s for caption in captions]
     fixes = [_fix_of(caption, marks) for caption in captions]
-    doubts = {fix.doubt: None for fix in fixes if fix.doubt}
+    of_each = {row: fix.doubt for row, fix in enumerate(fixes) if fix.doubt}
+    doubts = dict.fromkeys(of_each.values())
     rows = [row for row, fix in enumerate(fixes) if fix.pair is not None]
     places = [fix.place for fix in fixes]
     if rows:
         order = order_of(_track(captions, fixes, rows, marks), near)
         doubts |= dict.fromkeys(order.doubts)
+        of_each |= dict.fromkeys(rows if order.doubts else (), order.why)
         for row in rows:
             pair = fixes[row].pair
             if order.value is not None and pair is not None:
                 places[row] = placed(pair, order.value)
     kept = without_jumps(seconds, places)
-    lost = sum(place is not None for place in places) - sum(place is not None for place in kept)
+    lost = [row for row, place in enumerate(places) if place is not None and kept[row] is None]
+    of_each |= dict.fromkeys(lost, "its position is where no drone can have flown")
     if lost:
-        doubts[f"{lost} positions jump to where no drone can have flown, and are left out"] = None
+        jumps = f"{len(lost)} positions jump to where no drone can have flown, and are left out"
+        doubts[jumps] = None
     # One phrase of a kind is enough for a person.
-    return Places(kept, tuple(doubts)[:3])
+    return Places(kept, tuple(doubts)[:3], of_each)
 
 
 def _fix_of(caption: Caption, marks: DecimalMarks) -> _Fix:
@@ -87,17 +94,34 @@ def _fix_of(caption: Caption, marks: DecimalMarks) -> _Fix:
     if latitude is not None and longitude is not None:
         return _named(latitude, longitude, marks)
     name = next((name for name in _PAIRS if name in caption.tuples), None)
-    return _Fix() if name is None else _paired(name, caption.tuples[name], marks)
+    if name is not None:
+        return _paired(name, caption.tuples[name], marks)
+    bare = next((name for name in _PAIRS if name in fields), None)
+    return (
+        _Fix() if bare is None else _Fix(doubt=_not_understood(bare.upper(), fields[bare], marks))
+    )
 
 
 def _named(latitude: str, longitude: str, marks: DecimalMarks) -> _Fix:
-    place = _coordinate(latitude, "NS", marks), _coordinate(longitude, "EW", marks)
+    place = tuple(
+        _spelled(text, axis) if (number := _coordinate(text, letters, marks)) is None else number
+        for text, letters, axis in ((latitude, "NS", LATITUDE), (longitude, "EW", LONGITUDE))
+    )
     for name, text, number in zip(
         ("latitude", "longitude"), (latitude, longitude), place, strict=True
     ):
         if number is None:
             return _Fix(doubt=_not_understood(name, text, marks))
-    return _Fix(place=_on_earth(place[0], place[1]))
+    here = _on_earth(place[0], place[1])
+    if here is None and any(place):
+        return _Fix(doubt=f"latitude {latitude[:40]}, longitude {longitude[:40]} is not on earth")
+    return _Fix(place=here)
+
+
+def _spelled(text: str, axis: Axis) -> float | None:
+    """Return a coordinate with a word for its direction, or with minutes and seconds."""
+    # A comma divides numbers in some spellings and is a decimal mark in others.
+    return None if "," in text else parse_coordinate(text, axis, axis.tag, signed=True).value
 
 
 def _coordinate(text: str, letters: str, marks: DecimalMarks) -> float | None:

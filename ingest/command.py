@@ -28,6 +28,7 @@ from ingest.photographs import (
     photographs_of,
     read_flight,
     stated_sigmas,
+    warn_of_doubts,
 )
 from ingest.picture import PICTURE, draw
 from ingest.plan import DATABASE, WORK, Plan, flight_manifest, make_scene
@@ -138,6 +139,7 @@ def ingest(
     flight = read_flight(photographs)
     if gps is not None:
         flight = with_positions(flight, gps)
+    warn_of_doubts(flight, with_lenses=camera is None and poses is None)
     given = None
     if poses is not None:
         flight, given = read_given(poses, flight, size, camera)

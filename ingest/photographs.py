@@ -10,6 +10,7 @@ from typing import Final
 
 from ingest.options import IngestOptions
 from scene.errors import InputError
+from scene.geo.sea_level import above_ellipsoid
 from scene.geometry.camera import Camera
 from scene.maps.photographs import Photograph
 from scene.quantities.doubts import said_of
@@ -122,8 +123,6 @@ def read_flight(folder: Path, session: str = SESSION) -> Flight:
             except OSError as error:
                 left_out[file] = f"cannot be read: {error.strerror}"
             advance(done)
-    for line in said_of({image.file: image.exif.doubts for image in images.values()}):
-        log.warning("%s", line)
     ordered = _in_order(images.values())
     named: dict[str, str] = {}
     for image in ordered:
@@ -136,8 +135,25 @@ def read_flight(folder: Path, session: str = SESSION) -> Flight:
     return Flight(tuple(ordered), left_out)
 
 
+def warn_of_doubts(flight: Flight, *, with_lenses: bool) -> None:
+    """Warn of what photographs say of themselves and cannot be believed, a line for each kind.
+
+    Args:
+        flight: The photographs, with the positions that count.
+        with_lenses: Whether the photographs tell their cameras, and nothing else does.
+    """
+    said = {
+        image.file: image.exif.doubts
+        if with_lenses
+        else (*image.exif.place_doubts, *image.exif.other_doubts)
+        for image in flight.images
+    }
+    for line in said_of(said):
+        log.warning("%s", line)
+
+
 def _look_at(folder: Path, file: str, digest: str, session: str = SESSION) -> FlightImage:
-    exif, size = read_exif(folder / file), image_size(folder / file)
+    exif, size = above_ellipsoid(read_exif(folder / file)), image_size(folder / file)
     name = f"{session}/images/{'_'.join(file.split())}"
     return FlightImage(file, name, digest, exif, size)
 
@@ -216,6 +232,7 @@ def photographs_of(
                 image.lens if calibration is None else str(camera),
                 calibrated=calibration is not None,
                 focal_known=calibration is not None or focal is not None,
+                focal_doubt="; ".join(image.exif.lens_doubts),
             )
         )
     return photographs

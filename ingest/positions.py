@@ -49,7 +49,9 @@ def with_positions(flight: Flight, table: Path) -> Flight:
         replace(
             image,
             exif=replace(
-                image.exif, position=places[rows[image.file]] if image.file in rows else None
+                image.exif,
+                position=places[rows[image.file]] if image.file in rows else None,
+                place_doubts=(),
             ),
         )
         for image in flight.images

@@ -220,7 +220,8 @@ def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
     middle = f"; principal point refined, {x:+.1f}, {y:+.1f} px from the middle" if x or y else ""
     if not first.focal_known:
         return (
-            f"no focal length in EXIF: guessed {start:.1f} px, refined to {focal:.1f} px "
+            f"{first.focal_doubt or 'no focal length in EXIF'}: "
+            f"guessed {start:.1f} px, refined to {focal:.1f} px "
             f"(over flat ground, give --camera){middle}"
         )
     if refined:

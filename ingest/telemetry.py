@@ -27,7 +27,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Final
 
@@ -50,9 +50,12 @@ _NUMBERS: Final = (
     *("focal_len", "fnum", "f-num", "d", "h.s"),
 )
 _TIME: Final = re.compile(
-    r"\b(\d{4})[-.](\d{1,2})[-.](\d{1,2})\s+(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,3}))?"
+    r"\b(\d{4})[-.](\d{1,2})[-.](\d{1,2})(?:\s+|T)(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,6}))?"
+    r"(?:[.,]\d{1,3})?\s?([AaPp][Mm]\b|Z\b|[-+]\d{2}:?\d{2}\b)?"
 )
 _HIGHEST_M: Final = 1e5
+# Angles beyond these (yaw, pitch, roll; degrees) are in another unit, or damaged.
+_TURNS: Final = (360.0, 180.0, 360.0)
 
 
 @dataclass(frozen=True)
@@ -67,10 +70,12 @@ class Telemetry:
         abs_alt: altitude above sea level, metres, by a barometer: it may be off by tens of metres.
         gimbal: yaw (clockwise from north), pitch (above the horizon) and roll, degrees.
         focal_mm: focal length on 35 mm film, millimetres, without digital zoom.
-        time: clock of the drone, which names no time zone.
+        time: clock of the drone, in UTC where it names a time zone.
         zoom: digital zoom, a ratio by which it multiplies the focal length; 1 where the file tells
             of none.
         frame: number of the frame, which counts from 1.
+        place_doubts: why position, heights and attitude that it tells are unknown, a phrase each.
+        lens_doubts: why its focal length or zoom is unknown, or how it was told.
     """
 
     start_s: float
@@ -83,6 +88,8 @@ class Telemetry:
     time: datetime | None = None
     zoom: float | None = 1.0
     frame: int | None = None
+    place_doubts: tuple[str, ...] = ()
+    lens_doubts: tuple[str, ...] = ()
 
     @property
     def zoomed_mm(self) -> float | None:
@@ -115,7 +122,7 @@ def read_telemetry(
     places = places_of(captions, marks, near)
     lens = lenses_of(captions, marks, lenses)
     heights = _Heights.of(captions, marks)
-    attitudes = _attitudes(captions, marks)
+    attitudes, odd = _attitudes(captions, marks)
     flight = [
         Telemetry(
             caption.subtitle.start_s,
@@ -128,12 +135,18 @@ def read_telemetry(
             time=_time(caption.text),
             zoom=zoom,
             frame=_frame(caption.fields),
+            place_doubts=(
+                *([places.of_each[row]] if row in places.of_each else []),
+                *heights.why_unknown(caption),
+                *([odd] if odd and gimbal is None else []),
+            ),
+            lens_doubts=lens.of_each[row],
         )
-        for caption, place, gimbal, focal_mm, zoom in zip(
-            captions, places.places, attitudes, lens.focals, lens.zooms, strict=True
+        for row, (caption, place, gimbal, focal_mm, zoom) in enumerate(
+            zip(captions, places.places, attitudes, lens.focals, lens.zooms, strict=True)
         )
     ]
-    doubts = (*places.doubts, *heights.doubts, *lens.doubts)
+    doubts = (*places.doubts, *heights.doubts, *([odd] if odd else []), *lens.doubts)
     if all(_says_nothing(item) for item in flight):
         why = f" ({'; '.join(doubts)})" if doubts else ""
         raise InputError(
@@ -215,6 +228,15 @@ class _Heights:
             return height
         return self._metres(parts[2]) if quantity(parts[2], self.marks)[1] else None
 
+    def why_unknown(self, caption: Caption) -> list[str]:
+        """Return why heights that a subtitle tells are unknown."""
+        told = [name for name in (*_REL_ALTS, *_ABS_ALTS) if name in caption.fields]
+        return [
+            f"height {name} {caption.fields[name][:40]} is unknown"
+            for name in told
+            if self._metres(caption.fields[name]) is None
+        ]
+
     def _metres(self, text: str) -> float | None:
         number, unit = quantity(text, self.marks)
         metres = metres_per(unit) if unit else 1.0 if self.plain else None
@@ -225,17 +247,24 @@ class _Heights:
 
 def _attitudes(
     captions: Sequence[Caption], marks: DecimalMarks
-) -> list[tuple[float, float, float] | None]:
-    """Return yaw, pitch and roll of each subtitle; None where one of them is not known.
+) -> tuple[list[tuple[float, float, float] | None], str]:
+    """Return yaw, pitch and roll of each subtitle, and why some are not believed.
 
-    Where all are whole numbers and some are no angles, they are in another unit than degrees.
+    They are None where one of them is not known. Where all are whole numbers and some are no
+    angles, they are in another unit than degrees.
     """
     angles = [_gimbal(caption, marks) for caption in captions]
-    fits = [found is None or all(abs(value) <= 360 for value in found) for found in angles]
+    off = [found for found in angles if found is not None and not _fits(found)]
+    if not off:
+        return list(angles), ""
     whole = all(value.is_integer() for found in angles if found is not None for value in found)
-    if whole and not all(fits):
-        return [None] * len(angles)
-    return [found if fit else None for found, fit in zip(angles, fits, strict=True)]
+    kept = [found if not whole and found is not None and _fits(found) else None for found in angles]
+    yaw, pitch, roll = off[0]
+    return kept, f"the gimbal's yaw {yaw:g}, pitch {pitch:g}, roll {roll:g} are no angles"
+
+
+def _fits(angles: tuple[float, float, float]) -> bool:
+    return all(abs(angle) <= most for angle, most in zip(angles, _TURNS, strict=True))
 
 
 def _gimbal(caption: Caption, marks: DecimalMarks) -> tuple[float, float, float] | None:
@@ -258,8 +287,17 @@ def _time(text: str) -> datetime | None:
     if found is None:
         return None
     year, month, day, hour, minute, second = (int(part) for part in found.groups()[:6])
-    microsecond = int((found[7] or "0").ljust(3, "0")) * 1000
+    microsecond = int((found[7] or "0").ljust(6, "0"))
+    zone = (found[8] or "").upper()
     try:
-        return datetime(year, month, day, hour, minute, second, microsecond)
-    except ValueError:
+        if zone in ("AM", "PM"):
+            if not 1 <= hour <= 12:
+                return None
+            hour = hour % 12 + (12 if zone == "PM" else 0)
+        time = datetime(year, month, day, hour, minute, second, microsecond)
+        if zone[:1] in ("+", "-"):
+            # A time with its zone is told in UTC.
+            time -= int(f"{zone[0]}1") * timedelta(hours=int(zone[1:3]), minutes=int(zone[-2:]))
+        return time
+    except (ValueError, OverflowError):
         return None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from benchmark.audit.findings import Finding, right, unknown, wrong
 from benchmark.audit.stated import Stated
 from scene.errors import InputError
+from scene.geo.sea_level import above_ellipsoid
 from scene.geometry.camera import Camera
 from scene.runtime.progress import progress_bar
 from scene.storage.files import sha256_of
@@ -62,7 +63,7 @@ def look_at(stated: Stated) -> Photographs:
         for done, (name, file) in enumerate(zip(stated.names, files, strict=True), 1):
             try:
                 height, width = read_rgb(file).shape[:2]
-                found, digest = read_exif(file), sha256_of(file)
+                found, digest = above_ellipsoid(read_exif(file)), sha256_of(file)
             except (InputError, OSError) as error:
                 faults[name] = str(error)
                 sizes, exif, digests = [*sizes, None], [*exif, None], [*digests, None]

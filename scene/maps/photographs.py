@@ -36,6 +36,7 @@ class Photograph:
             from all of them.
         calibrated: whether ``camera`` is exact and must not be refined.
         focal_known: whether the focal length of ``camera`` was measured, for example from EXIF.
+        focal_doubt: why the photograph's own fields do not tell it; empty where they say nothing.
     """
 
     name: str
@@ -43,3 +44,4 @@ class Photograph:
     lens: str
     calibrated: bool = False
     focal_known: bool = False
+    focal_doubt: str = ""

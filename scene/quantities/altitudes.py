@@ -18,6 +18,9 @@ from scene.quantities.reading import Reading, known, unknown
 _HIGHEST_M: Final = 1e6
 # The ellipsoid and the sea are at most this far from each other (m), and barometers drift.
 _APART_M: Final = 150.0
+OF_SEA_LEVEL: Final = "says sea level, which may be 100 m from the ellipsoid"
+"""How the doubt ends on an altitude whose reference says that it is above or below sea level."""
+
 _BELOW: Final = (1, 3)
 _OF_THE_SEA: Final = (2, 3)
 _REFERENCES: Final = (0, 1, 2, 3)
@@ -68,8 +71,7 @@ def _of_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
         return unknown(source, f"{source} is negative and {source}Ref says below as well")
     metres = -metres if number in _BELOW else metres
     if number in _OF_THE_SEA:
-        why = f"{source}Ref {number} says sea level, which may be 100 m from the ellipsoid"
-        return known(metres, source, why)
+        return known(metres, source, f"{source}Ref {number} {OF_SEA_LEVEL}")
     return known(metres, source)
 
 

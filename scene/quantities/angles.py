@@ -155,7 +155,9 @@ def _degrees(parts: Sequence[float], axis: Axis, source: str) -> Reading[float]:
 
 def _fault(parts: Sequence[float]) -> str:
     """Return what is wrong with degrees, minutes and seconds; empty where nothing is."""
-    if not 1 <= len(parts) <= 3:
+    if not parts:
+        return "is empty"
+    if len(parts) > 3:
         return f"has {len(parts)} numbers"
     there = list(parts)
     while there and math.isnan(there[-1]):

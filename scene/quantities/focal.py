@@ -24,6 +24,10 @@ _AGREE: Final = 0.15
 _SAME: Final = 0.02
 # Aspect ratios of one picture in two sizes, which are whole pixels, differ by less than this share.
 _SAME_ASPECT: Final = 0.01
+# No sensor is wider than this for its height: such pictures are panoramas, or parts of one.
+_WIDEST: Final = 2.4
+# Pixels of a sensor are square up to this share.
+_SQUARE: Final = 0.05
 # Focal lengths outside this range (longest sides) are damaged values.
 _RANGE: Final = (1 / 36, 10_000 / 36)
 # The size of 35 mm film (mm).
@@ -34,6 +38,9 @@ _WIDE: Final = 1.6
 # Units of resolution, millimetres. EXIF has 2 and 3, and some programs write 4 and 5.
 _INCH, _CENTIMETRE = 25.4, 10.0
 _UNITS: Final = {2: _INCH, 3: _CENTIMETRE, 4: 1.0, 5: 1e-3}
+
+# Orientations that swap width and height.
+_SIDEWAYS: Final = (5, 6, 7, 8)
 
 Size = tuple[int, int]
 """Width and height, pixels."""
@@ -111,8 +118,22 @@ def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = Non
         return FocalLength(known(found[0], sources[0].name), agrees=agrees)
     # A number for film is the one that survives most programs.
     candidates = found or [value for source in sources[::-1] for value in source.values]
-    why = _why(sources, found, zoomed)
+    why = _why(sources, found, zoomed, detail)
     return FocalLength(unknown(sources[0].name, why), _each(candidates), agrees=False)
+
+
+def is_turned(detail: Mapping[str, object], size: Size, orientation: object) -> bool:
+    """Return whether a picture was turned upright after it was taken.
+
+    Args:
+        detail: Fields of EXIF by name, of which the size is of the picture as it was taken.
+        size: Width and height of the picture as it is, pixels.
+        orientation: The field ``Orientation``; programs that write the size of the picture as it is
+            to be shown leave it there.
+    """
+    taken = size_taken(detail)
+    upright = to_number(orientation) not in _SIDEWAYS
+    return taken is not None and upright and (taken[0] < taken[1]) != (size[0] < size[1])
 
 
 def size_taken(detail: Mapping[str, object]) -> Size | None:
@@ -160,7 +181,10 @@ def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
 
     A picture that was turned upright has its sides the other way round.
     """
-    focal, per_unit = (to_number(detail.get(x)) for x in ("FocalLength", "FocalPlaneXResolution"))
+    focal, per_unit, other = (
+        to_number(detail.get(name))
+        for name in ("FocalLength", "FocalPlaneXResolution", "FocalPlaneYResolution")
+    )
     width = to_number(detail.get("ExifImageWidth"))
     if not (focal > 0 and per_unit > 0 and width >= 1):
         return ()
@@ -176,7 +200,9 @@ def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
         sides = (width,)
     else:  # upright, and nothing says whether it was turned
         sides = (width, width * size[1] / size[0])
-    values = [focal * per_unit / (each * side) for each in units for side in sides]
+    # Where the two resolutions differ, one of them is of another size or unit.
+    pers = (per_unit, other) if other > 0 and not _near(per_unit, other, _SQUARE) else (per_unit,)
+    values = [focal * per / (each * side) for per in pers for each in units for side in sides]
     return tuple(value for value in values if _sane(value))
 
 
@@ -197,6 +223,8 @@ def _each(values: Sequence[float]) -> tuple[float, ...]:
 
 def _cut(detail: Mapping[str, object], size: Size) -> str:
     """Return why the picture is a part of the one that was taken; empty where it is not."""
+    if max(size) > _WIDEST * min(size):
+        return f"it is {size[0]} x {size[1]} pixels: a panorama, or a part of a picture"
     taken = size_taken(detail)
     if taken is None:
         return ""
@@ -210,7 +238,12 @@ def _cut(detail: Mapping[str, object], size: Size) -> str:
     )
 
 
-def _why(sources: Sequence[_Source], found: Sequence[float], zoomed: bool) -> str:
+def _why(
+    sources: Sequence[_Source],
+    found: Sequence[float],
+    zoomed: bool,
+    detail: Mapping[str, object],
+) -> str:
     """Return why sources do not tell the focal length, in millimetres of film."""
     said = [
         f"{source.name} {' or '.join(f'{v * FILM_LENGTH:.0f}' for v in _each(source.values))} mm"
@@ -221,7 +254,13 @@ def _why(sources: Sequence[_Source], found: Sequence[float], zoomed: bool) -> st
     if found and zoomed:
         return f"DigitalZoomRatio may be in it or not: {', '.join(said)} of film"
     if found:
-        return f"FocalPlaneResolutionUnit or ExifImageHeight is missing: {', '.join(said)} of film"
+        missing = [
+            name
+            for name in ("FocalPlaneResolutionUnit", "ExifImageHeight")
+            if detail.get(name) is None
+        ]
+        why = f"{missing[0]} is missing" if missing else "FocalPlaneYResolution is another"
+        return f"{why}: {', '.join(said)} of film"
     return f"its fields contradict each other: {', '.join(said)} of film"
 
 

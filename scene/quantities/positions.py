@@ -103,7 +103,10 @@ def _of_exif(gps: Mapping[str, object]) -> Reading[LatLon]:
     if datum and not datum.startswith(_DATUMS):
         name = plain_text(gps.get("GPSMapDatum"))
         return unknown(source, f"GPSMapDatum {name!r} is not WGS84")
-    return known((latitude.value, longitude.value), source)
+    # A receiver that has lost its satellites goes on with the last position.
+    void = plain_text(gps.get("GPSStatus")).upper() == "V"
+    doubts = ["GPSStatus V says that the receiver had no fix"] if void else []
+    return known((latitude.value, longitude.value), source, *doubts)
 
 
 def _of_xmp(xmp: Mapping[str, str]) -> Reading[LatLon]:

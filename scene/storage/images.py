@@ -7,9 +7,9 @@ import shutil
 import struct
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -22,9 +22,11 @@ from PIL.TiffImagePlugin import IFDRational
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
-from scene.quantities.altitudes import read_altitude
-from scene.quantities.focal import FILM_LENGTH, Lens, read_focal, size_taken
+from scene.quantities.altitudes import OF_SEA_LEVEL, read_altitude
+from scene.quantities.focal import FILM_LENGTH, FocalLength, Lens, is_turned, read_focal, size_taken
 from scene.quantities.positions import read_position
+from scene.quantities.reading import unknown
+from scene.quantities.times import read_time
 from scene.storage.atomic import atomic_write
 from scene.storage.files import require_readable
 from scene.storage.xmp import DroneXmp, parse_xmp
@@ -48,6 +50,11 @@ _MOST_PIXELS: Final = 2 * (Image.MAX_IMAGE_PIXELS or 0)
 warnings.filterwarnings("ignore", module=r"PIL\.")
 # The largest payload of a segment of a JPEG, with its identifier (bytes).
 _SEGMENT: Final = 65_500
+_TWO_BLOCKS: Final = "the file has two blocks of EXIF that differ, and the first is taken"
+# A number that we write has this denominator.
+_PARTS: Final = 10_000
+# How a segment of XMP begins.
+_XMP: Final = b"http://ns.adobe.com/xap/1.0/\0"
 # EXIF's unit of resolution that we write.
 _CENTIMETRE = 3
 
@@ -138,7 +145,10 @@ class Exif:
         model: model of the camera.
         focal_35mm: focal length in millimetres for film whose longer side is 36 mm, or None.
         xmp: what the drone wrote into the XMP; it is read only.
-        doubts: what is unknown or contradicts itself, with the names of fields.
+        place_doubts: what is unknown or contradicts itself of the position, with the names of
+            fields.
+        lens_doubts: the same of the focal length.
+        other_doubts: the same of time and attitude.
         focals: focal lengths in longest sides that its fields state where none of them can be
             believed before it is checked.
     """
@@ -149,8 +159,32 @@ class Exif:
     model: str = "simulated camera"
     focal_35mm: float | None = None
     xmp: DroneXmp = field(default_factory=DroneXmp)
-    doubts: tuple[str, ...] = ()
+    place_doubts: tuple[str, ...] = ()
+    lens_doubts: tuple[str, ...] = ()
+    other_doubts: tuple[str, ...] = ()
     focals: tuple[float, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Return all that is unknown or contradicts itself."""
+        return (*self.place_doubts, *self.lens_doubts, *self.other_doubts)
+
+    @property
+    def is_above_sea(self) -> bool:
+        """Return whether the altitude is above sea level instead of the ellipsoid."""
+        return any(doubt.endswith(OF_SEA_LEVEL) for doubt in self.place_doubts)
+
+    def above_ellipsoid(self, undulation_m: float) -> Exif:
+        """Return the metadata with an altitude above the ellipsoid, where it is above the sea.
+
+        Args:
+            undulation_m: height of the geoid above the ellipsoid at its position, metres.
+        """
+        if self.position is None or not self.is_above_sea:
+            return self
+        up = self.position.altitude + undulation_m
+        doubts = tuple(each for each in self.place_doubts if not each.endswith(OF_SEA_LEVEL))
+        return replace(self, position=self.position._replace(altitude=up), place_doubts=doubts)
 
     @property
     def gimbal(self) -> tuple[float, float, float] | None:
@@ -262,64 +296,65 @@ def read_exif(path: Path) -> Exif:
         InputError: the file is missing or not an image.
     """
     with _opened(path) as image:
-        size, xmp = image.size, image.info.get("xmp", b"")
+        size, packets, blocks = image.size, _packets(image), _blocks(image)
         try:
             tags = image.getexif()
             detail = tags.get_ifd(ExifTags.IFD.Exif)
             gps = tags.get_ifd(ExifTags.IFD.GPSInfo)
         except _DAMAGE:  # the image itself may be whole
             tags, detail, gps = Image.Exif(), {}, {}
-    stamp = detail.get(ExifTags.Base.DateTimeOriginal)
     fields, places = _names(detail, ExifTags.TAGS), _names(gps, ExifTags.GPSTAGS)
-    packet = xmp if isinstance(xmp, bytes) else str(xmp).encode()
-    drone = parse_xmp(packet, size_taken(fields) or size)
+    drone = parse_xmp(packets, size_taken(fields) or size)
     focal = read_focal(fields, size, _lens(drone.camera, drone.sized))
+    if drone.panorama:
+        why = f"it is a panorama (ProjectionType {drone.panorama[:40]}), which no lens takes"
+        focal = FocalLength(unknown("ProjectionType", why), agrees=False)
     if not focal.agrees:
         drone = replace(drone, camera=None)
+    if drone.gimbal and is_turned(fields, size, tags.get(ExifTags.Base.Orientation)):
+        turned = "it was turned, and GimbalYawDegree is of the picture as it was taken"
+        drone = replace(drone, gimbal=None, doubts=(*drone.doubts, turned))
+    time = read_time(fields, places)
     position = read_position(places, drone.places)
     altitude = read_altitude(places, drone.places)
     where = None
     if position.value is not None:
         up = math.nan if altitude.value is None else altitude.value
         where = Geodetic(*position.value, up)
-    doubts = [position.doubts, () if where is None else altitude.doubts, focal.reading.doubts]
     # A calibration in XMP alone is no field of EXIF.
     exact = focal.reading.value
     return Exif(
         position=where,
-        time=_decode_time(
-            stamp,
-            detail.get(ExifTags.Base.SubsecTimeOriginal),
-            detail.get(ExifTags.Base.OffsetTimeOriginal),
-        ),
+        time=time.value,
         make=_text(tags.get(ExifTags.Base.Make)),
         model=_text(tags.get(ExifTags.Base.Model)),
         focal_35mm=None if exact is None else exact * FILM_LENGTH,
         xmp=drone,
-        doubts=tuple(doubt for part in doubts for doubt in part),
+        place_doubts=(*position.doubts, *(() if where is None else altitude.doubts)),
+        lens_doubts=focal.reading.doubts,
+        other_doubts=(*drone.doubts, *time.doubts, *([_TWO_BLOCKS] if blocks > 1 else [])),
         focals=focal.candidates,
     )
+
+
+def _packets(image: Image.Image) -> list[bytes]:
+    """Return the packets of XMP, of which some programs write several into a JPEG."""
+    segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
+    packets = [data[len(_XMP) :] for data in segments if data.startswith(_XMP)]
+    whole = image.info.get("xmp", b"")
+    return packets or [whole if isinstance(whole, bytes) else str(whole).encode()]
+
+
+def _blocks(image: Image.Image) -> int:
+    """Return the number of different blocks of EXIF in a JPEG, of which the first is read."""
+    segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
+    begins = (b"Exif\0\0II*\0", b"Exif\0\0MM\0*")
+    return len({data for data in segments if data.startswith(begins)})
 
 
 def _text(value: object) -> str:
     """Return a text field without the zero bytes that cameras pad it with."""
     return str(value or "").strip("\0 ")
-
-
-def _decode_time(stamp: object, fraction: object, offset: object) -> datetime | None:
-    """Return a time stamp in UTC, with the decimal fraction of a second if the camera gives one.
-
-    Without an offset from UTC, as drones often write none, the time counts as UTC.
-    """
-    digits = _text(fraction)
-    try:
-        whole = datetime.strptime(str(stamp), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
-        with suppress(ValueError):
-            whole = datetime.strptime(f"{stamp}{_text(offset)}", "%Y:%m:%d %H:%M:%S%z")
-        whole = whole.astimezone(UTC)
-        return whole + timedelta(seconds=float(f"0.{digits}") if digits.isdecimal() else 0)
-    except (ValueError, OverflowError):  # a datetime ends with the year 9999
-        return None
 
 
 def _names(tags: Mapping[int, object], known: Mapping[int, str]) -> dict[str, object]:
@@ -331,12 +366,12 @@ def _lens(made: Camera | None, sized: bool) -> Lens | None:
     return None if made is None else Lens(made.focal[0] / max(made.width, made.height), sized)
 
 
-def _rational(value: float, denominator: int = 10_000) -> IFDRational:
+def _rational(value: float, denominator: int = _PARTS) -> IFDRational:
     return IFDRational(Fraction(round(value * denominator), denominator))
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:
-    whole = int(degrees)
-    minutes = (degrees - whole) * 60
-    seconds = (minutes - int(minutes)) * 60
-    return _rational(whole, 1), _rational(int(minutes), 1), _rational(seconds)
+    # Rounded first, so that no seconds become 60.
+    seconds = Fraction(round(degrees * 3600 * _PARTS), _PARTS)
+    minutes, seconds = divmod(seconds, 60)
+    return _rational(minutes // 60, 1), _rational(minutes % 60, 1), _rational(float(seconds))

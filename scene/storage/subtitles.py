@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import codecs
 import logging
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
+from typing import Final
 
 from scene.errors import InputError
 from scene.runtime.extras import import_extra
@@ -26,6 +28,9 @@ _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
+# A line of times; WebVTT leaves out hours, and settings follow there.
+_TIME: Final = r"(?:(\d+):)?(\d{1,2}):(\d{1,2})(?:[.,](\d{1,9}))?"
+_TIMES: Final = re.compile(rf"^[ \t]*{_TIME}[ \t]*-->[ \t]*{_TIME}(?=\s|$)", re.MULTILINE)
 # Which of the first four bytes are zero, without a byte order mark.
 _ZEROS = {
     "x0x0": "utf-16-le",
@@ -74,7 +79,7 @@ def read_subtitles(path: Path) -> list[Subtitle]:
         items = [
             Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)
             # What lies between subtitles and fits none is left out, as players do.
-            for item in srt.parse(_one_line_end(text), ignore_errors=True)
+            for item in srt.parse(_with_whole_times(_one_line_end(text)), ignore_errors=True)
         ]
     except (ValueError, OverflowError):
         raise InputError(f"{path} holds a time that is no time: it is damaged") from None
@@ -109,3 +114,23 @@ def _encoding(data: bytes) -> str:
 
 def _one_line_end(text: str) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _with_whole_times(text: str) -> str:
+    """Return a text whose times have hours and milliseconds of three digits.
+
+    Fractions of one length are decimal fractions of a second. Those of several lengths are
+    milliseconds without leading zeros.
+    """
+    lines = list(_TIMES.finditer(text))
+    digits = {len(part) for line in lines for part in line.group(4, 8) if part is not None}
+    padded = len(digits) <= 1 or max(digits) > 3
+
+    def time(hours: str | None, minutes: str, seconds: str, fraction: str | None) -> str:
+        fraction = fraction or "0"
+        fraction = fraction.ljust(3, "0")[:3] if padded else fraction.zfill(3)
+        return f"{int(hours or 0):02d}:{minutes:0>2}:{seconds:0>2},{fraction}"
+
+    return _TIMES.sub(
+        lambda line: f"{time(*line.groups()[:4])} --> {time(*line.groups()[4:])}", text
+    )

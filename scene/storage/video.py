@@ -50,6 +50,9 @@ class Video:
         rate_hz: frames a second.
         duration_s: seconds; None where the file does not say.
         created: when it was recorded, UTC; None where the file does not say.
+        pixel_aspect: width of a pixel for its height, which is 1 where the file does not say.
+        unread: kinds of the streams of subtitles and data, such as ``mov_text``, which no one reads
+            here.
     """
 
     width: int
@@ -57,6 +60,8 @@ class Video:
     rate_hz: float
     duration_s: float | None
     created: datetime | None
+    pixel_aspect: float = 1.0
+    unread: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,9 @@ def read_video(path: Path) -> Video:
         height, width = _shown(first, path).shape[:2]
         ticks = stream.duration
         duration = float(ticks * stream.time_base) if ticks else None
-        return Video(width, height, _rate(stream), duration, _created(container))
+        aspect = float(stream.sample_aspect_ratio or 0) or 1.0
+        created, unread = _created(container), _unread(container)
+        return Video(width, height, _rate(stream), duration, created, aspect, unread)
 
 
 def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFrame]:
@@ -296,7 +303,19 @@ def _shown(frame: Any, path: Path) -> NDArray[np.uint8]:
 def _rate(stream: Any) -> float:
     """Return frames a second; 30 where the file does not say."""
     rate = stream.average_rate or stream.guessed_rate
+    if not rate:
+        _say_once(f"{stream.container.name} does not say how many frames it has a second: 30")
     return float(rate) if rate else 30.0
+
+
+def _unread(container: Any) -> tuple[str, ...]:
+    """Return the kinds of the streams in which a drone may have written telemetry."""
+    kinds: dict[str, None] = {}
+    for stream in container.streams:
+        # The clock of a film is a stream of data, too.
+        if stream.type in ("subtitle", "data") and "timecode" not in stream.metadata:
+            kinds[str(stream.name or stream.type)] = None
+    return tuple(kinds)
 
 
 def _created(container: Any) -> datetime | None:

@@ -1,14 +1,16 @@
 """What a drone writes into a photograph as XMP: attitude, height, RTK, lens and shutter.
 
 The fields are DJI's of the namespace ``drone-dji``, as the manuals of Mavic 3 and Matrice 4 list
-them ("Photo File: XMP Data List"). Other makers that use the same names are read as well.
+them ("Photo File: XMP Data List"). Autel's have the same names and meaning. Attitudes in the
+namespaces of other makers count from other axes, and are not read.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 from xml.parsers import expat
@@ -27,6 +29,13 @@ _MOST: Final = 1e6
 _LONGEST: Final = 1000
 # A principal point further from the middle, in sizes of the picture, belongs to another size.
 _FARTHEST: Final = 0.1
+# Names of attitudes, and of namespaces and prefixes in which they are those of DJI.
+_ATTITUDE: Final = re.compile(r"Gimbal(Yaw|Pitch|Roll)Degree")
+_DJIS: Final = re.compile(r"dji|autel|^(drone)?:", re.IGNORECASE)
+# Angles beyond these (yaw, pitch, roll; degrees) are in another unit, or damaged.
+_TURNS: Final = (360.0, 180.0, 360.0)
+# Elements that hold the fields of other pictures, or of the places that a picture shows.
+_OTHERS: Final = re.compile(r"(.*:)?(LocationShown|LocationCreated|Pantry|Ingredients|History)")
 # Fields that tell where a photograph was taken.
 _PLACES: Final = (
     *("GpsLatitude", "GpsLongitude", "GpsLongtitude", "Latitude", "Longitude"),
@@ -48,6 +57,8 @@ class DroneXmp:
         sized: whether the optical centre shows that the calibration is of that size.
         speed: horizontal speed of the aircraft, m/s.
         shutter: kind of the shutter, such as ``Mechanical``.
+        panorama: projection of a panorama, such as ``equirectangular``.
+        doubts: why the attitude is not believed although it is there.
     """
 
     gimbal: tuple[float, float, float] | None = None
@@ -57,21 +68,27 @@ class DroneXmp:
     sized: bool = False
     speed: float | None = None
     shutter: str | None = None
+    panorama: str | None = None
+    doubts: tuple[str, ...] = ()
 
 
-def parse_xmp(packet: bytes, size: tuple[int, int]) -> DroneXmp:
-    """Return the fields of an XMP packet, in which each is an attribute or an element.
+def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneXmp:
+    """Return the fields of XMP packets, in which each is an attribute or an element.
 
+    A field that is there twice with several values has none of them.
     Of a damaged packet, what stands before the damage is read. So it is with a document type, which
     XMP does not have: no entity is ever expanded.
 
     Args:
-        packet: the packet, in an encoding that XML declares.
+        packets: a packet or several, each in an encoding that XML declares.
         size: width and height of the picture when it was taken, pixels.
     """
-    texts = _texts(packet)
+    texts: dict[str, str] = {}
+    foreign: set[str] = set()
+    for packet in [packets] if isinstance(packets, bytes) else packets:
+        _Fields(texts, foreign).read(packet)
     numbers = {name: value for name, text in texts.items() if (value := _number(text)) is not None}
-    gimbal = _three(numbers, "Gimbal{}Degree", "Yaw", "Pitch", "Roll")
+    gimbal, doubts = _gimbal(numbers, texts, foreign)
     sigma = _three(numbers, "RtkStd{}", "Lon", "Lat", "Hgt")
     fixed = numbers.get("RtkFlag") == _RTK_FIXED
     if sigma is not None and not (
@@ -87,35 +104,86 @@ def parse_xmp(packet: bytes, size: tuple[int, int]) -> DroneXmp:
         sized=all(f"CalibratedOpticalCenter{axis}" in numbers for axis in "XY"),
         speed=math.hypot(*velocity) if np.isfinite(velocity).all() else None,
         shutter=texts.get("ShutterType"),
+        panorama=texts.get("ProjectionType"),
+        doubts=doubts,
     )
 
 
-def _texts(packet: bytes) -> dict[str, str]:
-    """Return the texts of attributes and elements by their names without prefix."""
-    found: dict[str, str] = {}
-    inside: list[str] = []
+class _Fields:
+    """The texts of attributes and elements of packets by their names without prefix.
 
-    def start(_: str, attributes: dict[str, str]) -> None:
-        inside.clear()
-        found.update({k.rpartition(":")[2]: v[:_LONGEST].strip() for k, v in attributes.items()})
+    Attributes:
+        texts: the texts; of two values that differ, both.
+        foreign: attitudes in namespaces of other makers, with their prefix.
+    """
 
-    def end(name: str) -> None:
-        if text := "".join(inside)[:_LONGEST].strip():
-            found[name.rpartition(":")[2]] = text
-        inside.clear()
+    def __init__(self, texts: dict[str, str], foreign: set[str]) -> None:
+        self.texts, self.foreign = texts, foreign
+        self._spaces: dict[str, str] = {}
+        self._inside: list[str] = []
+        self._others = 0
 
-    def refuse(*_: object) -> None:
+    def read(self, packet: bytes) -> None:
+        """Add the fields of a packet; of a damaged one, those before the damage."""
+        # Namespaces are not resolved, for programs that edit photographs lose their declarations.
+        parser = expat.ParserCreate()
+        parser.buffer_text = True
+        parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
+        parser.CharacterDataHandler = self._inside.append
+        parser.StartDoctypeDeclHandler = self._refuse
+        with contextlib.suppress(expat.ExpatError, ValueError, LookupError):
+            parser.Parse(packet.strip(b"\0\r\n\t "), True)
+
+    def _start(self, element: str, attributes: dict[str, str]) -> None:
+        self._inside.clear()
+        self._others += self._others > 0 or _OTHERS.fullmatch(element) is not None
+        for name, value in attributes.items():
+            if name.startswith("xmlns:"):
+                self._spaces[name.partition(":")[2]] = value
+        for name, value in attributes.items():
+            self._add(name, value)
+
+    def _end(self, element: str) -> None:
+        if text := "".join(self._inside).strip():
+            self._add(element, text)
+        self._inside.clear()
+        self._others -= self._others > 0
+
+    def _add(self, name: str, value: str) -> None:
+        prefix, _, local = name.rpartition(":")
+        value = value[:_LONGEST].strip()
+        if self._others:
+            return
+        if _ATTITUDE.fullmatch(local) and not _DJIS.search(
+            f"{prefix}:{self._spaces.get(prefix, '')}"
+        ):
+            self.foreign.add(f"{prefix}:{local}")
+            return
+        before = self.texts.get(local, value)
+        number = parse_number(value)
+        same = before == value or (number is not None and parse_number(before) == number)
+        self.texts[local] = before if same else f"{before} and {value}"[:_LONGEST]
+
+    def _refuse(self, *_: object) -> None:
         raise ValueError("XMP has no document type")
 
-    # Namespaces are not resolved, for programs that edit photographs lose their declarations.
-    parser = expat.ParserCreate()
-    parser.buffer_text = True
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.CharacterDataHandler = inside.append
-    parser.StartDoctypeDeclHandler = refuse
-    with contextlib.suppress(expat.ExpatError, ValueError, LookupError):
-        parser.Parse(packet.strip(b"\0\r\n\t "), True)
-    return found
+
+def _gimbal(
+    numbers: Mapping[str, float], texts: Mapping[str, str], foreign: set[str]
+) -> tuple[tuple[float, float, float] | None, tuple[str, ...]]:
+    """Return yaw, pitch and roll, and why they are not believed although they are there."""
+    names = [f"Gimbal{part}Degree" for part in ("Yaw", "Pitch", "Roll")]
+    bad = [
+        f"{name} {texts[name][:40]!r} is no angle"
+        for name, most in zip(names, _TURNS, strict=True)
+        if name in texts and not abs(numbers.get(name, math.nan)) <= most
+    ]
+    if bad:
+        return None, (bad[0],)
+    found = _three(numbers, "Gimbal{}Degree", "Yaw", "Pitch", "Roll")
+    if found is None and foreign:
+        return None, (f"{min(foreign)} is not DJI's, and its axes are not known",)
+    return found, ()
 
 
 def _number(text: str) -> float | None:

@@ -148,3 +148,12 @@ def test_subtitles_without_numbers_hold_by_their_times() -> None:
     flight = [replace(item, frame=None) for item in numbered(120, 1 / 120)]
     timing = Timing.of(flight, Video(480, 270, 30.0, 4.0, None))
     assert timing == Timing()
+
+
+def test_pixels_that_are_not_square_need_a_camera(place: Place) -> None:
+    film = footage(said(0, 24.0))
+    film = replace(film, video=replace(film.video, pixel_aspect=4 / 3))
+    with pytest.raises(InputError, match=r"1\.333 times as wide as high: give its calibration"):
+        cameras_of_frames(film, None, place)
+    given = Camera("SIMPLE_PINHOLE", 480, 270, (320.0, 240.0, 135.0))
+    assert cameras_of_frames(film, given, place).is_given

@@ -319,3 +319,18 @@ def test_a_rendered_flight_is_found(rendered: Scene, tmp_path: Path) -> None:
     for name, pose in found.items():
         metres, degrees = pose.error_to(truth[name])
         assert float(metres) < 0.5 and float(degrees) < 1
+
+
+def test_a_frame_s_doubts_are_in_its_row(
+    scene: Path, video: Path, method: FakeLocalizer, tmp_path: Path
+) -> None:
+    """The latitude of one subtitle is no number."""
+    srt = video.with_suffix(".SRT")
+    texts = srt.read_text().split("\n\n")
+    texts[1] = texts[1].replace("[latitude: ", "[latitude: 4x")
+    srt.write_text("\n\n".join(texts))
+    out = tmp_path / "t.txt"
+    answer = run("--map", scene, "--video", video, "--rate", 1, "--out", out)
+    assert answer.exit_code == 0, answer.stderr
+    reasons = [row["reason"] for row in rows_of(out.with_suffix(".csv"))]
+    assert reasons[0] == reasons[2] == "" and reasons[1].startswith("latitude 4x")

@@ -21,7 +21,7 @@ from ingest.telemetry import Telemetry, read_telemetry
 from scene.errors import InputError
 
 pytest.importorskip("srt")
-FILES = 250
+FILES = 350
 SEED = 55
 FIELDS = re.compile("latitude|GPS|RTK|alt|height|focal_len|zoom|gimbal", re.IGNORECASE)
 # Drones write so many decimals at least; the truth is rounded by as much.

@@ -16,7 +16,7 @@ Field = tuple[int, int, bytes]
 
 GPS = {
     "GPSLatitudeRef": 1, "GPSLatitude": 2, "GPSLongitudeRef": 3, "GPSLongitude": 4,
-    "GPSAltitudeRef": 5, "GPSAltitude": 6, "GPSMapDatum": 18,
+    "GPSAltitudeRef": 5, "GPSAltitude": 6, "GPSStatus": 9, "GPSMapDatum": 18,
 }  # fmt: skip
 DETAIL = {
     "ExifVersion": 0x9000, "FocalLength": 0x920A, "ExifImageWidth": 0xA002,

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from scene.quantities.focal import FocalLength, Lens, read_focal
+from scene.quantities.focal import FocalLength, Lens, is_turned, read_focal
 
 # 8.8 mm on 13.2 mm of 5472 pixels: 24 mm of film.
 PLANE = {
@@ -100,3 +100,37 @@ def test_units_of_the_focal_plane(unit: int | None, per_unit: float) -> None:
 def test_nothing_is_no_doubt() -> None:
     found = read((1000, 667), SMALL, {"FocalLength": 8.8, "FocalLengthIn35mmFilm": 0})
     assert (found.reading.value, found.reading.doubts, found.candidates) == (None, (), ())
+
+
+@pytest.mark.parametrize("parts", [[FILM], [PLANE, FILM], [PLANE | {"ExifImageWidth": 8000}]])
+def test_a_panorama_has_no_focal_length(parts: list[dict[str, object]]) -> None:
+    """No sensor is so wide; the number for film is that of the pictures it was made of."""
+    found = read((8000, 2000), *parts)
+    assert not found.reading.known and not found.agrees and not found.candidates
+    assert "panorama" in found.reading.why
+
+
+def test_resolutions_of_two_sizes_contradict_each_other() -> None:
+    """A program that updates one of two fields."""
+    other = PLANE | {"FocalPlaneYResolution": 2072.7}
+    alone = read((1000, 667), other)
+    assert not alone.reading.known and len(alone.candidates) == 2
+    assert "FocalPlaneYResolution" in alone.reading.why
+    assert read((1000, 667), other, FILM).reading.value == TRUE
+
+
+@pytest.mark.parametrize(
+    ("size", "orientation", "turned"),
+    [
+        ((1000, 667), 1, False),
+        ((667, 1000), 1, True),
+        ((667, 1000), None, True),
+        # A program that writes the size as it is shown.
+        ((667, 1000), 6, False),
+    ],
+)
+def test_pictures_that_were_turned(
+    size: tuple[int, int], orientation: int | None, turned: bool
+) -> None:
+    assert is_turned(PLANE, size, orientation) is turned
+    assert not is_turned({}, size, orientation)

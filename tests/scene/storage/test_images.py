@@ -248,3 +248,12 @@ def test_grey_and_transparent_images_become_rgb(tmp_path: Path) -> None:
         path = tmp_path / f"{mode[0]}.png"
         Image.new(mode, (8, 6), 7).save(path)
         assert read_rgb(path).shape == (6, 8, 3)
+
+
+@pytest.mark.parametrize("degrees", [1.6 - 4e-16, 59.99999999, 0.9999999999, 179.9999999999])
+def test_no_seconds_are_rounded_to_60(tmp_path: Path, degrees: float) -> None:
+    path = tmp_path / "a.jpg"
+    write_jpeg(path, picture(), Exif(Geodetic(degrees / 2, -degrees, 5.0), None))
+    position = read_exif(path).position
+    assert position is not None
+    assert position[:2] == pytest.approx((degrees / 2, -degrees), abs=1e-7)

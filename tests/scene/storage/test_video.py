@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -222,3 +223,31 @@ def test_pictures_alone_are_no_video(tmp_path: Path) -> None:
     for path in (film(tmp_path / "a.mp4", COVER), film(tmp_path / "b.jpg", COVER)):
         with pytest.raises(InputError, match="a picture and no film"):
             read_video(path)
+
+
+def test_streams_that_are_not_read_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.ts"
+    with av.open(str(path), "w", format="mpegts") as container:
+        stream = container.add_stream("mpeg2video", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        data = container.add_data_stream("klv")
+        for k, picture in enumerate(noise(5)):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            packet = av.Packet(b"\x06\x0e\x2b\x34")
+            packet.stream, packet.pts, packet.dts = data, 3600 * k, 3600 * k
+            packet.time_base = Fraction(1, 90_000)
+            container.mux(packet)
+        container.mux(stream.encode())
+    assert read_video(path).unread == ("klv",)
+
+
+def test_pixels_that_are_not_square(tmp_path: Path) -> None:
+    path = tmp_path / "a.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = Fraction(4, 3)
+        for picture in noise(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    assert read_video(path).pixel_aspect == pytest.approx(4 / 3)

@@ -147,7 +147,9 @@ def test_hostile_packets_say_nothing() -> None:
 def test_a_damaged_end_does_not_hide_the_beginning() -> None:
     whole = packet()
     assert parse_xmp(whole[: whole.index(b"</rdf")], SIZE) == parse_xmp(whole, SIZE)
-    undeclared = b'<x drone-dji:GimbalYawDegree="1" a:GimbalPitchDegree="2" GimbalRollDegree="3"/>'
+    undeclared = (
+        b'<x drone-dji:GimbalYawDegree="1" drone:GimbalPitchDegree="2" GimbalRollDegree="3"/>'
+    )
     assert parse_xmp(undeclared, SIZE).gimbal == (1, 2, 3)
 
 
