@@ -169,7 +169,7 @@ def _fault(parts: Sequence[float]) -> str:
     if min(there) < 0 or math.copysign(1, min(there)) < 0:
         return "has a sign, which only its reference has in EXIF"
     for name, part in zip(_PARTS[1:], there[1:], strict=False):
-        if part >= 60:
+        if part > 60:  # programs round 59.99999 to 60
             return f"has {part:g} {name}"
     for k, part in enumerate(there):
         if abs(part - round(part)) > _WHOLE and any(there[k + 1 :]):

@@ -55,11 +55,17 @@ def test_degrees_in_all_forms(value: object) -> None:
     assert read_coordinate(value, "S", LATITUDE).value == pytest.approx(-46.8426, abs=1e-9)
 
 
+@pytest.mark.parametrize("value", [(46, 59, 60), (46, 60, 0), (47, 0, 0)])
+def test_sixty_of_a_part_is_one_of_the_part_before(value: object) -> None:
+    """Programs that round 59.99999 write it."""
+    assert read_coordinate(value, "N", LATITUDE).value == pytest.approx(47, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     "value",
     [
-        (46, 60, 0),
-        (46, 50, 60),
+        (46, 61, 0),
+        (46, 50, 60.01),
         (46, -50, 0),
         (-46, 50, 33.36),
         (46, 50, NAN),
