@@ -275,7 +275,5 @@ def _rational_limit(distortion: tuple[float, ...]) -> float:
     for polynomial in (slope.coeffs, below.coeffs):
         kept = polynomial[np.argmax(np.abs(polynomial) > _MIN_PRODUCT) :]
         roots = np.roots(kept)
-        limits += [
-            math.sqrt(r.real) for r in roots if r.real > 0 and abs(r.imag) <= _REAL * abs(r)
-        ]
+        limits += [math.sqrt(r.real) for r in roots if r.real > 0 and abs(r.imag) <= _REAL * abs(r)]
     return min(limits)

@@ -19,9 +19,9 @@ MIN_DEPTH: Final = 1e-6
 # So do points with a larger x/z or y/z, whose powers overflow single precision.
 MAX_SLOPE: Final = 1e4
 _NEWTON_STEPS = 30
-# Number of coefficients without a denominator, and how far Newton's method goes with one, in limits.
-_POLYNOMIAL, _INSIDE = 4, 0.9999
-_HALVINGS = 24
+# Coefficients of a perspective model without a denominator. With one, Newton's method goes this far
+# (in limits), and starts from where halving led.
+_POLYNOMIAL, _INSIDE, _HALVINGS = 4, 0.9999, 24
 # The least denominator: at its zeros, pixels stay finite.
 _LEAST_BELOW = 1e-6
 
@@ -212,7 +212,8 @@ class Intrinsics:
             stretch, _ = _rational(middle * middle, (k1, k2, *more))
             short = middle * stretch < distorted
             least, most = torch.where(short, middle, least), torch.where(short, most, middle)
-        return target * (middle / distorted.clamp_min(1e-12))[..., None]
+        start: Tensor = target * (middle / distorted.clamp_min(1e-12))[..., None]
+        return start
 
     def _within_limit(self, uv: Tensor) -> Tensor:
         """Return coordinates (..., N, 2), moved inside the limit where there is a denominator.

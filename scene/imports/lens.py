@@ -1,8 +1,8 @@
 """Lenses of other programs as cameras of this project.
 
 Photogrammetry programs describe a lens by up to four radial coefficients and skew. Two of them are
-those of COLMAP's OPENCV, three those of its FULL_OPENCV without a denominator. Where there are four,
-or skew, the nearest such camera is fitted, and a lens that it cannot describe is refused.
+those of COLMAP's OPENCV, and three those of its FULL_OPENCV without a denominator. Where there are
+four, or skew, the nearest such camera is fitted, and a lens that it cannot describe is refused.
 """
 
 from __future__ import annotations

@@ -169,9 +169,7 @@ def rays_within(radius: float, count: int = 200) -> Tensor:
 @pytest.mark.parametrize("seed", range(60))
 def test_random_rational_lenses_agree_with_colmap(seed: int) -> None:
     camera = random_lens(seed)
-    native = pycolmap.Camera(
-        model="FULL_OPENCV", width=640, height=480, params=list(camera.params)
-    )
+    native = pycolmap.Camera(model="FULL_OPENCV", width=640, height=480, params=list(camera.params))
     rays = rays_within(min(0.9 * camera.fold_limit(), 1.2))
     found = camera.project(rays)
     assert found.valid.double().mean() > 0.9
