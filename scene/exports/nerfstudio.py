@@ -104,8 +104,7 @@ def _intrinsics(camera: Camera) -> dict[str, float]:
     """
     (fl_x, fl_y), (cx, cy) = camera.focal, camera.principal
     names = ("k1", "k2", "k3", "k4") if camera.is_fisheye else ("k1", "k2", "p1", "p2")
-    if camera.model == "FULL_OPENCV":
-        names = ("k1", "k2", "k3", "p1", "p2")
+    more = ("k3",) if camera.model == "FULL_OPENCV" else ()
     return {
         "w": camera.width,
         "h": camera.height,
@@ -113,5 +112,5 @@ def _intrinsics(camera: Camera) -> dict[str, float]:
         "fl_y": fl_y,
         "cx": cx,
         "cy": cy,
-        **coefficients(camera, names, "transforms.json of nerfstudio"),
+        **coefficients(camera, (*names, *more), "transforms.json of nerfstudio"),
     }
