@@ -15,7 +15,6 @@ from simulate.calibrate import BOARD, board_points, board_pose, calibrate
 pytestmark = pytest.mark.thorough
 
 CAMERA = Camera("OPENCV", 400, 300, (346, 348, 198.5, 151.25, -0.15, 0.03, 1e-3, -2e-3))
-RATIONAL = Camera("FULL_OPENCV", 400, 300, (*CAMERA.params, 0.02, 0.1, 0.02, 0.01))
 FISHEYE = Camera("OPENCV_FISHEYE", 320, 240, (165, 164, 162, 118, 0.03, -0.008, 2e-3, 0))
 
 
@@ -23,7 +22,6 @@ FISHEYE = Camera("OPENCV_FISHEYE", 320, 240, (165, 164, 162, 118, 0.03, -0.008, 
     "camera",
     [
         CAMERA,
-        pytest.param(RATIONAL, marks=pytest.mark.slow),
         pytest.param(FISHEYE, marks=pytest.mark.slow),
         pytest.param(Camera("PINHOLE", 320, 240, (290, 290, 158, 121)), marks=pytest.mark.slow),
         pytest.param(Camera("PINHOLE", 512, 512, (443, 443, 256, 256)), marks=pytest.mark.slow),
