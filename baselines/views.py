@@ -218,10 +218,10 @@ def warp_image(
     if camera.is_fisheye:
         model, lens = "OPENCV_FISHEYE", camera.distortion
     else:
-        k1, k2, p1, p2 = camera.distortion
+        k1, k2, p1, p2, *more = camera.distortion
         # Radial distortion has no direction; tangential distortion turns with the picture.
         p2, p1 = (turn[:2, :2] @ [p2, p1]).tolist()
-        model, lens = "OPENCV", (k1, k2, p1, p2)
+        model, lens = "FULL_OPENCV" if more else "OPENCV", (k1, k2, p1, p2, *more)
     turned = Camera(model, int(wide[0]), int(wide[1]), (*(float(p) for p in params), *lens))
     # The inverse of a rotation after a scaling. LAPACK would wake its threads, which takes 2 ms.
     inverse = turn[:2, :2].T / per_axis[:, None]

@@ -322,7 +322,7 @@ def _solve(camera: Camera, views: list[str], corners: Array, poses: Array) -> Ca
             criteria=stop,
         )
     else:
-        flags = cv2.CALIB_FIX_K3
+        flags = cv2.CALIB_RATIONAL_MODEL if "k6" in names else cv2.CALIB_FIX_K3
         for name, flag in (
             ("k1", cv2.CALIB_FIX_K1),
             ("k2", cv2.CALIB_FIX_K2),
@@ -335,12 +335,12 @@ def _solve(camera: Camera, views: list[str], corners: Array, poses: Array) -> Ca
             [c[:, None].astype(np.float32) for c in corners],
             size,
             np.eye(3),
-            np.zeros(5),
+            np.zeros(8 if "k6" in names else 5),
             flags=flags,
             criteria=stop,
         )
-    values = dict(zip(("k1", "k2", "k3" if camera.is_fisheye else "p1"), d.ravel(), strict=False))
-    values["k4" if camera.is_fisheye else "p2"] = d.ravel()[3]
+    last = ("k3", "k4") if camera.is_fisheye else ("p1", "p2", "k3", "k4", "k5", "k6")
+    values = dict(zip(("k1", "k2", *last), d.ravel(), strict=False))
     values |= {"f": k[0, 0], "fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
     estimated = Camera(camera.model, *size, tuple(float(values[name]) for name in names))
 

@@ -1,7 +1,8 @@
 """Loops over points that Numba compiles for ``baselines.align.compiled``.
 
 A point is finished before the next begins: its twelve cells are read once, and only its products
-are written. All loops are in this file, by which Numba knows what it kept of them.
+are written. It is over 400 lines because all loops are in this file, by which Numba knows what it
+kept of them.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ Around = tuple[Flags, Singles, Singles, Singles, Singles, Singles]
 """The fields of ``residuals.Linearisation``."""
 
 _HALF, _ONE = np.float32(0.5), np.float32(1)
+# Coefficients of a lens without a denominator.
+_POLYNOMIAL = 4
 
 
 def descend(
@@ -249,17 +252,30 @@ def _project(
 @njit(**CALLED)  # type: ignore[untyped-decorator]
 def _bend(u: np.float32, v: np.float32, by: Singles, limit: np.float32, out: Singles) -> bool:
     """Write what distortion makes of a ray, with derivatives xx, xy and yy, if it is inside."""
-    k1, k2, p1, p2 = by
+    k1, k2, p1, p2 = by[0], by[1], by[2], by[3]
     uu, vv, uv2 = u * u, v * v, 2 * u * v
     r2 = uu + vv
     radial = _ONE + r2 * (k1 + k2 * r2)
     slope = 2 * (k1 + 2 * k2 * r2)
+    if len(by) > _POLYNOMIAL:
+        radial, slope = _stretch(r2, by)
     out[0] = u * radial + p1 * uv2 + p2 * (r2 + 2 * uu)
     out[1] = v * radial + p2 * uv2 + p1 * (r2 + 2 * vv)
     out[2] = radial + slope * uu + 2 * p1 * v + 6 * p2 * u
     out[3] = slope * u * v + 2 * p1 * u + 2 * p2 * v
     out[4] = radial + slope * vv + 2 * p2 * u + 6 * p1 * v
     return bool(r2 < limit * limit and out[2] * out[4] - out[3] * out[3] > 0)
+
+
+@njit(**CALLED)  # type: ignore[untyped-decorator]
+def _stretch(r2: np.float32, by: Singles) -> tuple[np.float32, np.float32]:
+    """Return the rational factor at a squared radius, and twice its derivative."""
+    k1, k2, k3, k4, k5, k6 = by[0], by[1], by[4], by[5], by[6], by[7]
+    below = _ONE + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = (_ONE + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+    above_slope = k1 + r2 * (2 * k2 + 3 * k3 * r2)
+    below_slope = k4 + r2 * (2 * k5 + 3 * k6 * r2)
+    return radial, 2 * (above_slope - radial * below_slope) / below
 
 
 @njit(**CALLED)  # type: ignore[untyped-decorator]

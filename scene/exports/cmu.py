@@ -21,6 +21,7 @@ from scene.bundle.scene import Scene
 from scene.colmap.models import write_posed
 from scene.errors import InputError
 from scene.exports.cmu_names import CAMERAS, FIRST_SLICES, SIMULATED, ImageName, surroundings
+from scene.exports.lens import coefficients
 from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
 from scene.maps.photographs import PosedImage
@@ -101,8 +102,13 @@ def _two_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
 
 
 def _opencv(camera: Camera) -> Camera:
-    """Return the same camera under the model of this data set."""
-    params = (*camera.focal, *camera.principal, *camera.distortion)
+    """Return the same camera under the model of this data set.
+
+    Raises:
+        InputError: its lens has more coefficients.
+    """
+    bent = coefficients(camera, ("k1", "k2", "p1", "p2"), "a tree of OPENCV cameras")
+    params = (*camera.focal, *camera.principal, *bent.values())
     return Camera("OPENCV", camera.width, camera.height, params)
 
 

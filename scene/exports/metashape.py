@@ -16,6 +16,7 @@ import numpy as np
 from scene.bundle.frames import Frames
 from scene.bundle.scene import Scene
 from scene.exports.flat_names import flat_names
+from scene.exports.lens import coefficients
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import ecef_from_geodetic, enu_axes
 
@@ -33,7 +34,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     """Write ``cameras.xml``; see ``formats.Writer``.
 
     Raises:
-        InputError: photographs of two sessions have one file name.
+        InputError: photographs of two sessions have one file name, or a lens has a denominator.
     """
     names, origin = flat_names(sessions, stems=True), scene.manifest.origin
     cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))
@@ -68,18 +69,17 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
 
 def _add_sensor(sensors: ET.Element, number: int, camera: Camera) -> None:
     (fx, fy), (cx, cy) = camera.focal, camera.principal
-    a, b, c, d = camera.distortion
     kind = "fisheye" if camera.is_fisheye else "frame"
-    # Metashape's P1 and P2 are OpenCV's in the other order.
-    last = {"k3": c, "k4": d} if camera.is_fisheye else {"p1": d, "p2": c}
+    names = ("k1", "k2", "k3", "k4") if camera.is_fisheye else ("k1", "k2", "k3", "p2", "p1")
+    bent = coefficients(camera, names, "cameras.xml of Metashape")
+    if not camera.is_fisheye:  # Metashape's P1 and P2 are OpenCV's in the other order.
+        bent["p1"], bent["p2"] = bent["p2"], bent["p1"]
     values = {
         "f": fy,
         "cx": cx - camera.width / 2,
         "cy": cy - camera.height / 2,
         "b1": fx - fy,
-        "k1": a,
-        "k2": b,
-        **last,
+        **bent,
     }
     sensor = ET.SubElement(sensors, "sensor", id=str(number), label=f"camera {number}", type=kind)
     size = {"width": str(camera.width), "height": str(camera.height)}

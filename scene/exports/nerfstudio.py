@@ -17,6 +17,7 @@ import numpy as np
 from scene.bundle.frames import Frames
 from scene.bundle.scene import Scene
 from scene.errors import InputError
+from scene.exports.lens import coefficients
 from scene.geometry.camera import Camera
 from scene.runtime.progress import progress_bar
 
@@ -28,7 +29,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     """Write ``transforms.json``; see ``formats.Writer``.
 
     Raises:
-        InputError: the sessions mix perspective and fisheye cameras.
+        InputError: the sessions mix perspective and fisheye cameras, or a lens has a denominator.
     """
     _write_document(scene, sessions, folder, final, {})
 
@@ -41,7 +42,8 @@ def write_with_depth(
     Depth maps are NumPy files, because those of a flight exceed the 65 m of a 16-bit picture.
 
     Raises:
-        InputError: a session has no depth, or the sessions mix perspective and fisheye cameras.
+        InputError: a session has no depth, the sessions mix perspective and fisheye cameras, or a
+            lens has a denominator.
     """
     depths: dict[str, str] = {}
     count = sum(len(frames) for frames in sessions.values())
@@ -95,9 +97,14 @@ def _write_document(
 
 
 def _intrinsics(camera: Camera) -> dict[str, float]:
-    """Return intrinsics under nerfstudio's names; its pixel coordinates are COLMAP's."""
+    """Return intrinsics under nerfstudio's names; its pixel coordinates are COLMAP's.
+
+    Raises:
+        InputError: the lens has a denominator.
+    """
     (fl_x, fl_y), (cx, cy) = camera.focal, camera.principal
     names = ("k1", "k2", "k3", "k4") if camera.is_fisheye else ("k1", "k2", "p1", "p2")
+    more = ("k3",) if camera.model == "FULL_OPENCV" else ()
     return {
         "w": camera.width,
         "h": camera.height,
@@ -105,5 +112,5 @@ def _intrinsics(camera: Camera) -> dict[str, float]:
         "fl_y": fl_y,
         "cx": cx,
         "cy": cy,
-        **dict(zip(names, camera.distortion, strict=True)),
+        **coefficients(camera, (*names, *more), "transforms.json of nerfstudio"),
     }

@@ -17,6 +17,7 @@ from typing import Any
 from scene.bundle.frames import Frames
 from scene.bundle.scene import Scene
 from scene.exports.flat_names import flat_names
+from scene.exports.lens import coefficients
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import geodetic_from_enu
 
@@ -25,7 +26,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     """Write the two files; see ``formats.Writer``.
 
     Raises:
-        InputError: photographs of two sessions have one file name.
+        InputError: photographs of two sessions have one file name, or a lens has a denominator.
     """
     from scene.geometry.pose import so3_log
 
@@ -69,6 +70,9 @@ def _camera(camera: Camera) -> dict[str, Any]:
 
     A camera that OpenSfM's simplest model describes is written in it, because more programs read
     that one.
+
+    Raises:
+        InputError: the lens has a denominator, which no model of OpenSfM has.
     """
     side = max(camera.width, camera.height)
     (fx, fy), (cx, cy) = camera.focal, camera.principal
@@ -78,7 +82,7 @@ def _camera(camera: Camera) -> dict[str, Any]:
     if middle and fx == fy and not fisheye and not any(lens[2:]):
         kind = {"projection_type": "perspective"}
         return {**kind, **size, "focal": fx / side, "k1": lens[0], "k2": lens[1]}
-    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2")
+    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "k3", "p1", "p2")
     return {
         "projection_type": "fisheye_opencv" if fisheye else "brown",
         **size,
@@ -86,8 +90,7 @@ def _camera(camera: Camera) -> dict[str, Any]:
         "focal_y": fy / side,
         "c_x": (cx - camera.width / 2) / side,
         "c_y": (cy - camera.height / 2) / side,
-        **({} if fisheye else {"k3": 0.0}),
-        **dict(zip(names, lens, strict=True)),
+        **coefficients(camera, names, "reconstruction.json of OpenSfM"),
     }
 
 

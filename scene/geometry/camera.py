@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 _MAX_PARAMETER = 1e9
 # A distortion coefficient below this moves no point by a measurable amount.
 _MIN_COEFFICIENT = 1e-12
+# Perspective models with more coefficients have a denominator.
+_POLYNOMIAL = 4
+# A product of coefficients below this is nothing, and a root with a smaller imaginary part, for its
+# size, is a real one.
+_MIN_PRODUCT, _REAL = 1e-30, 1e-6
 
 MODELS: Final[dict[str, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -36,6 +41,7 @@ MODELS: Final[dict[str, tuple[str, ...]]] = {
     "RADIAL": ("f", "cx", "cy", "k1", "k2"),
     "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
     "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+    "FULL_OPENCV": (*("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"), "k3", "k4", "k5", "k6"),
 }
 """The parameter names of every supported camera model, in COLMAP's order."""
 
@@ -131,14 +137,15 @@ class Camera:
         return self._value("cx"), self._value("cy")
 
     @property
-    def distortion(self) -> tuple[float, float, float, float]:
+    def distortion(self) -> tuple[float, ...]:
         """Return (k1, k2, p1, p2), or (k1, k2, k3, k4) for the fisheye model.
 
+        For FULL_OPENCV, they are (k1, k2, p1, p2, k3, k4, k5, k6), as OpenCV orders them.
         Coefficients that the model does not have are zero.
         """
         last = ("k3", "k4") if self.is_fisheye else ("p1", "p2")
-        k1, k2, c, d = (self._value(n) for n in ("k1", "k2", *last))
-        return k1, k2, c, d
+        more = ("k3", "k4", "k5", "k6") if self.model == "FULL_OPENCV" else ()
+        return tuple(self._value(n) for n in ("k1", "k2", *last, *more))
 
     @property
     def is_fisheye(self) -> bool:
@@ -152,12 +159,11 @@ class Camera:
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
 
     def fold_limit(self) -> float:
-        """Return where the distortion polynomial stops growing: radius x/z, or angle (rad) for
-        fisheye.
+        """Return where the distorted radius stops growing: radius x/z, or angle (rad) for fisheye.
 
         Points beyond this limit lie far outside the field of view but would be projected back into
-        the image. The limit is infinite (for the fisheye: a right angle) when the polynomial always
-        grows.
+        the image. The limit is infinite (for the fisheye: a right angle) when the radius always
+        grows. A rational distortion also ends where its denominator vanishes.
         """
         return _fold_limit(self.is_fisheye, self.distortion)
 
@@ -242,8 +248,10 @@ class Camera:
 
 
 @lru_cache(maxsize=1024)
-def _fold_limit(fisheye: bool, distortion: tuple[float, float, float, float]) -> float:
+def _fold_limit(fisheye: bool, distortion: tuple[float, ...]) -> float:
     """Return what ``Camera.fold_limit`` describes; it is asked for at every projection."""
+    if len(distortion) > _POLYNOMIAL:
+        return _rational_limit(distortion)
     k1, k2, k3, k4 = distortion
     if fisheye:
         slope, unbounded = [9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0], math.pi / 2
@@ -254,3 +262,18 @@ def _fold_limit(fisheye: bool, distortion: tuple[float, float, float, float]) ->
     roots = np.roots(slope)
     squares = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and r.real > 0]
     return min([unbounded, *(math.sqrt(s) for s in squares)])
+
+
+def _rational_limit(distortion: tuple[float, ...]) -> float:
+    """Return the radius at which a rational distortion folds back or its denominator vanishes."""
+    k1, k2, _, _, k3, k4, k5, k6 = distortion
+    above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+    # The derivative of r above / below by r, times the squared denominator, in squares of r.
+    bend = above.deriv() * below - above * below.deriv()
+    slope = above * below + 2 * np.poly1d([1.0, 0.0]) * bend
+    limits = [math.inf]
+    for polynomial in (slope.coeffs, below.coeffs):
+        kept = polynomial[np.argmax(np.abs(polynomial) > _MIN_PRODUCT) :]
+        roots = np.roots(kept)
+        limits += [math.sqrt(r.real) for r in roots if r.real > 0 and abs(r.imag) <= _REAL * abs(r)]
+    return min(limits)

@@ -1,8 +1,8 @@
 """COLMAP's camera models that equal a model of this project, for all parameters or for some.
 
 A fisheye with fewer coefficients is an OPENCV_FISHEYE whose other ones are zero. A model with more
-coefficients equals a smaller one where those that the smaller one lacks are zero. Anything else is
-refused by its name: no camera is replaced by a similar one.
+coefficients equals a smaller one where those that the smaller one lacks are zero: so FULL_OPENCV
+becomes OPENCV. Anything else is refused by its name: no camera is replaced by a similar one.
 """
 
 from __future__ import annotations
@@ -13,13 +13,11 @@ from typing import Final
 from scene.errors import InputError
 
 _FISHEYE: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
-_OPENCV: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 _PINHOLE: Final = ("fx", "fy", "cx", "cy")
 
 # Our model, and the parameters in COLMAP's order by our names. Those that our model does not have
 # must be zero.
 _EQUAL: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
-    "FULL_OPENCV": ("OPENCV", (*_OPENCV, "k3", "k4", "k5", "k6")),
     "SIMPLE_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy")),
     "FISHEYE": ("OPENCV_FISHEYE", _PINHOLE),
     "SIMPLE_RADIAL_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy", "k1")),
@@ -37,7 +35,6 @@ _EQUAL: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "DIVISION": ("PINHOLE", (*_PINHOLE, "k")),
 }
 _OURS: Final = {
-    "OPENCV": _OPENCV,
     "OPENCV_FISHEYE": _FISHEYE,
     "PINHOLE": _PINHOLE,
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -65,6 +62,9 @@ MODEL_IDS: Final[dict[int, str]] = {
 }
 """COLMAP's names by the identifiers of its binary format."""
 
+# Numbers of parameters of FULL_OPENCV and of OPENCV, with which it begins.
+_FULL, _SHORT = 12, 8
+
 READ: Final = tuple(_EQUAL)
 """Models of COLMAP that are read as another one."""
 
@@ -78,7 +78,8 @@ def equal_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, 
     """Return the equal camera of this project's models.
 
     Args:
-        model: name of COLMAP. A name that is none of ``READ`` is returned as it is.
+        model: name of COLMAP. A name that is none of ``READ`` is returned as it is, except for
+            FULL_OPENCV.
         params: parameters in COLMAP's order.
 
     Returns:
@@ -92,6 +93,8 @@ def equal_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, 
         >>> equal_model("SIMPLE_RADIAL_FISHEYE", (500.0, 320.0, 240.0, 0.01))
         ('OPENCV_FISHEYE', (500.0, 500.0, 320.0, 240.0, 0.01, 0.0, 0.0, 0.0))
     """
+    if model == "FULL_OPENCV" and len(params) == _FULL and not any(params[_SHORT:]):
+        return "OPENCV", tuple(params[:_SHORT])
     if model not in _EQUAL:
         return model, tuple(params)
     ours, names = _EQUAL[model]

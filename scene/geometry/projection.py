@@ -1,22 +1,29 @@
 """Batched projection with analytic Jacobians, for every camera model of the project.
 
-All perspective models are one formula in which some coefficients may be zero; the fisheye model
-is another. Pixels are COLMAP's: the centre of the top-left pixel is (0.5, 0.5).
+All perspective models are one formula in which some coefficients may be zero, or are not there; the
+fisheye model is another. Pixels are COLMAP's: the centre of the top-left pixel is (0.5, 0.5).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 # Points with a smaller z (in units of the camera frame) count as behind the camera.
 MIN_DEPTH: Final = 1e-6
 # So do points with a larger x/z or y/z, whose powers overflow single precision.
 MAX_SLOPE: Final = 1e4
 _NEWTON_STEPS = 30
+# Coefficients of a perspective model without a denominator. With one, Newton's method goes this far
+# (in limits), and starts from where halving led.
+_POLYNOMIAL, _INSIDE, _HALVINGS = 4, 0.9999, 24
+# The least denominator: at its zeros, pixels stay finite.
+_LEAST_BELOW = 1e-6
 
 
 class Projection(NamedTuple):
@@ -43,7 +50,8 @@ class Intrinsics:
         fisheye: whether the model is equidistant (OPENCV_FISHEYE) rather than perspective.
         focal: focal lengths, (..., 2) pixels.
         principal: principal points, (..., 2) pixels.
-        distortion: k1 k2 p1 p2, or k1 k2 k3 k4 for the fisheye, (..., 4).
+        distortion: k1 k2 p1 p2, or k1 k2 k3 k4 for the fisheye, (..., 4); or k1 k2 p1 p2 k3 k4 k5
+            k6, (..., 8), of which the last three are those of a denominator.
         limit: where the distortion folds back, (...): radius x/z, or angle (rad) for the fisheye.
     """
 
@@ -52,6 +60,23 @@ class Intrinsics:
     principal: Tensor
     distortion: Tensor
     limit: Tensor
+
+    @classmethod
+    def stacked(cls, cameras: Sequence[Intrinsics]) -> Intrinsics:
+        """Return cameras that are all perspective, or all fisheye, as one batch.
+
+        Args:
+            cameras: at least one, of equal batch dimensions; they may be of several models.
+        """
+        most = max(camera.distortion.shape[-1] for camera in cameras)
+        bent = [pad(c.distortion, (0, most - c.distortion.shape[-1])) for c in cameras]
+        return cls(
+            fisheye=cameras[0].fisheye,
+            focal=torch.stack([camera.focal for camera in cameras]),
+            principal=torch.stack([camera.principal for camera in cameras]),
+            distortion=torch.stack(bent),
+            limit=torch.stack([camera.limit for camera in cameras]),
+        )
 
     def project(self, points: Tensor, jacobian: bool = False) -> Projection:
         """Project points (..., N, 3) of the camera frame.
@@ -111,7 +136,7 @@ class Intrinsics:
             scale = torch.where(radius < 1e-9, torch.ones_like(scale), scale)
             uv = target * scale[..., None]
         else:
-            uv = target
+            uv = self._without_tangential(target)
             distorted = bool(self.distortion.any())
             for _ in range(_NEWTON_STEPS if distorted else 0):
                 value, local, _ = self._distort(uv, jacobian=True)
@@ -122,7 +147,7 @@ class Intrinsics:
                 det = torch.where(det.abs() < 1e-6, torch.full_like(det, 1e-6), det)
                 rx, ry = (target - value).unbind(-1)
                 step = torch.stack([d * rx - b * ry, a * ry - c * rx], -1) / det[..., None]
-                uv = uv + step.clamp(-1, 1)
+                uv = self._within_limit(uv + step.clamp(-1, 1))
                 if not (step.abs() > torch.finfo(step.dtype).eps).any():
                     break
             value, _, inside = self._distort(uv, jacobian=False)
@@ -144,11 +169,15 @@ class Intrinsics:
             inside = uv.square().sum(-1) < self.limit[..., None] ** 2
             eye = torch.eye(2, dtype=uv.dtype, device=uv.device)
             return uv, eye.expand(*uv.shape[:-1], 2, 2) if jacobian else None, inside
-        k1, k2, p1, p2 = (c[..., None] for c in self.distortion.unbind(-1))
+        k1, k2, p1, p2, *more = (c[..., None] for c in self.distortion.unbind(-1))
         u, v = uv.unbind(-1)
         uu, vv, uv2 = u * u, v * v, 2 * u * v
         r2 = uu + vv
-        radial = 1 + r2 * (k1 + k2 * r2)
+        if more:
+            radial, slope = _rational(r2, (k1, k2, *more))
+        else:
+            radial = 1 + r2 * (k1 + k2 * r2)
+            slope = 2 * (k1 + 2 * k2 * r2)  # d(radial)/d(r2) times 2
         distorted = torch.stack(
             [
                 u * radial + p1 * uv2 + p2 * (r2 + 2 * uu),
@@ -156,7 +185,6 @@ class Intrinsics:
             ],
             -1,
         )
-        slope = 2 * (k1 + 2 * k2 * r2)  # d(radial)/d(r2) times 2
         j00 = radial + slope * uu + 2 * p1 * v + 6 * p2 * u
         j11 = radial + slope * vv + 2 * p2 * u + 6 * p1 * v
         j01 = slope * u * v + 2 * p1 * u + 2 * p2 * v
@@ -166,6 +194,37 @@ class Intrinsics:
             return distorted, None, inside
         local = torch.stack([j00, j01, j01, j11], -1).reshape(*uv.shape[:-1], 2, 2)
         return distorted, local, inside
+
+    def _without_tangential(self, target: Tensor) -> Tensor:
+        """Return where Newton's method starts from distorted coordinates (..., N, 2).
+
+        A rational distortion can be so steep that it starts from the solution without tangential
+        terms, which is found by halving.
+        """
+        k1, k2, _, _, *more = (c[..., None] for c in self.distortion.unbind(-1))
+        if not more:
+            return target
+        distorted = target.norm(dim=-1)
+        middle = least = torch.zeros_like(distorted)
+        most = (_INSIDE * self.limit[..., None]).clamp_max(MAX_SLOPE).expand_as(distorted)
+        for _ in range(_HALVINGS):
+            middle = (least + most) / 2
+            stretch, _ = _rational(middle * middle, (k1, k2, *more))
+            short = middle * stretch < distorted
+            least, most = torch.where(short, middle, least), torch.where(short, most, middle)
+        start: Tensor = target * (middle / distorted.clamp_min(1e-12))[..., None]
+        return start
+
+    def _within_limit(self, uv: Tensor) -> Tensor:
+        """Return coordinates (..., N, 2), moved inside the limit where there is a denominator.
+
+        Beyond its zeros, Newton's method would search on another branch.
+        """
+        if self.distortion.shape[-1] == _POLYNOMIAL:
+            return uv
+        most = (_INSIDE * self.limit[..., None]).clamp_max(MAX_SLOPE)
+        radius = uv.norm(dim=-1)
+        return uv * torch.where(radius > most, most / radius.clamp_min(MIN_DEPTH), 1)[..., None]
 
     def _fisheye_angle(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Return the distorted angle and its derivative, both (..., N), of angles (..., N)."""
@@ -193,3 +252,19 @@ class Intrinsics:
         eye = torch.eye(2, dtype=uv.dtype, device=uv.device)
         local = scale[..., None, None] * eye + (d_radial - scale)[..., None, None] * outer
         return distorted, local, inside
+
+
+def _rational(r2: Tensor, coefficients: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    """Return the stretch of squared radii (..., N), and twice its derivative by them.
+
+    Args:
+        r2: (..., N).
+        coefficients: k1 to k3 of the numerator and k4 to k6 of the denominator.
+    """
+    k1, k2, k3, k4, k5, k6 = coefficients
+    below = 1 + r2 * (k4 + r2 * (k5 + k6 * r2))
+    below = torch.where(below.abs() < _LEAST_BELOW, torch.full_like(below, _LEAST_BELOW), below)
+    radial = (1 + r2 * (k1 + r2 * (k2 + k3 * r2))) / below
+    above_slope = k1 + r2 * (2 * k2 + 3 * k3 * r2)
+    below_slope = k4 + r2 * (2 * k5 + 3 * k6 * r2)
+    return radial, 2 * (above_slope - radial * below_slope) / below

@@ -1,11 +1,13 @@
 """Lenses of other programs as cameras of this project.
 
-Photogrammetry programs describe a lens by more radial coefficients than COLMAP's OPENCV has. The
-nearest OPENCV camera is then fitted, and a lens that it cannot describe is refused.
+Photogrammetry programs describe a lens by up to four radial coefficients and skew. Two of them are
+those of COLMAP's OPENCV, and three those of its FULL_OPENCV without a denominator. Where there are
+four, or skew, the nearest such camera is fitted, and a lens that it cannot describe is refused.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,7 +19,7 @@ from scene.geometry.camera import Camera
 
 MOST_OFF: Final = 1e-3
 """Largest distance between a lens and the camera that stands in for it, in longer sides of the
-picture. A usual lens with k3 = -0.03 is off by half of that, in the corners."""
+picture."""
 
 LARGEST_SIDE: Final = 1_000_000
 """No picture is wider or higher (pixels)."""
@@ -52,21 +54,26 @@ class BrownLens:
     skew: float = 0.0
 
     def camera(self) -> Camera:
-        """Return the OPENCV camera of this lens, or the nearest one within ``MOST_OFF``.
+        """Return the camera of this lens: OPENCV, FULL_OPENCV with k3, or the nearest of these.
 
         Raises:
-            InputError: the numbers are those of no camera, or no OPENCV camera is so near.
+            InputError: the numbers are those of no camera, or none is within ``MOST_OFF``.
         """
         k1, k2, k3, k4 = self.radial
-        exact = Camera(
-            "OPENCV", *self.size, (*self.focal, *self.principal, k1, k2, *self.tangential)
-        )
-        if not (k3 or k4 or self.skew):
+        exact = self._with((*self.focal, *self.principal, k1, k2, *self.tangential, k3))
+        if not (k4 or self.skew):
             return exact
-        numbers = (k3, k4, self.skew)
+        numbers = (k4, self.skew)
         if not np.isfinite(numbers).all() or np.abs(numbers).max() > 1e9:
             raise InputError("camera parameters are out of range")
         return self._fitted()
+
+    def _with(self, params: Sequence[float]) -> Camera:
+        """Return the camera of fx, fy, cx, cy, k1, k2, p1, p2 and k3."""
+        *most, k3 = params
+        if k3 == 0:
+            return Camera("OPENCV", *self.size, tuple(most))
+        return Camera("FULL_OPENCV", *self.size, (*most, k3, 0.0, 0.0, 0.0))
 
     def project(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the pixels (N, 2) of rays (x, y, 1), each (N,)."""
@@ -92,14 +99,14 @@ class BrownLens:
         return x[kept], y[kept]
 
     def _fitted(self) -> Camera:
-        """Fit focal length and coefficients of OPENCV by least squares over the picture."""
+        """Fit focal length and five coefficients by least squares over the picture."""
         with np.errstate(over="ignore", invalid="ignore"):
             x, y = self._rays()
         r2, ratio = x * x + y * y, self.focal[1] / self.focal[0]
         if len(x) < _STEPS:
             raise InputError("the lens folds within the picture: its coefficients are no lens's")
-        along_x = np.stack([x, x * r2, x * r2 * r2, 2 * x * y, r2 + 2 * x * x], -1)
-        along_y = np.stack([y, y * r2, y * r2 * r2, r2 + 2 * y * y, 2 * x * y], -1)
+        along_x = np.stack([x, x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], -1)
+        along_y = np.stack([y, y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], -1)
         rows = np.concatenate([along_x, along_y])
         # Focal length times each coefficient is linear in the pixels.
         pixels = ((self.project(x, y) - np.array(self.principal)) / [1.0, ratio]).T.ravel()
@@ -115,8 +122,7 @@ class BrownLens:
         most = float(off.max()) / max(self.size)
         if not (most <= MOST_OFF and f > 0):
             raise InputError(
-                f"the lens is {most * max(self.size):.1f} px from the nearest OPENCV camera: "
+                f"the lens is {most * max(self.size):.1f} px from the nearest FULL_OPENCV camera: "
                 "undistort the photographs, or calibrate without skew and with fewer coefficients"
             )
-        params = (f, f * ratio, *self.principal, *(value / f for value in bent))
-        return Camera("OPENCV", *self.size, params)
+        return self._with((f, f * ratio, *self.principal, *(value / f for value in bent)))

@@ -221,31 +221,18 @@ def _camera(numbers: Mapping[str, float], dewarp: str, size: tuple[int, int]) ->
 def _measured(dewarp: str, size: tuple[int, int]) -> Camera | None:
     """Return the camera of ``date;fx,fy,cx,cy,k1,k2,p1,p2,k3``, cx and cy from the middle.
 
-    The coefficients are OpenCV's. No model of COLMAP here has k3: it is replaced by the k1 and k2
-    that move points of the picture most alike.
+    The coefficients are OpenCV's, and so is the camera.
     """
     try:
         fx, fy, x, y, k1, k2, p1, p2, k3 = map(float, dewarp.rpartition(";")[2].split(","))
         if not _amid(x, y, size):
             return None
-        k1, k2 = _without_k3(k1, k2, k3, math.hypot(*size) / (fx + fy))
         params = (fx, fy, size[0] / 2 + x, size[1] / 2 + y, k1, k2, p1, p2)
-        return Camera("OPENCV", *size, params)
+        if k3 == 0:
+            return Camera("OPENCV", *size, params)
+        return Camera("FULL_OPENCV", *size, (*params, k3, 0.0, 0.0, 0.0))
     except (ValueError, ArithmeticError, InputError):
         return None
-
-
-def _without_k3(k1: float, k2: float, k3: float, corner: float) -> tuple[float, float]:
-    """Return k1 and k2 fitted to three coefficients, up to a distorted radius ``corner`` (x/z)."""
-    radius = np.linspace(0, 2 * corner, 400)
-    distorted = radius * (1 + k1 * radius**2 + k2 * radius**4 + k3 * radius**6)
-    inside = np.logical_and.accumulate((distorted < corner) & (np.gradient(distorted) > 0))
-    radius = radius[inside]
-    # Rings of a picture hold pixels in proportion to their radius.
-    weight = np.sqrt(radius)
-    powers = np.stack([radius**3, radius**5], 1)
-    more = np.linalg.lstsq(powers * weight[:, None], k3 * radius**7 * weight, rcond=None)[0]
-    return k1 + float(more[0]), k2 + float(more[1])
 
 
 def _amid(x: float, y: float, size: tuple[int, int]) -> bool:

@@ -73,6 +73,7 @@ class Brightest(Extractor):
 
 
 LENS = Camera("OPENCV", 120, 80, (90.0, 90.0, 61.0, 38.0, -0.1, 0.02, 0.004, -0.003))
+FULL = Camera("FULL_OPENCV", 120, 80, (*LENS.params, 0.02, 0.2, -0.05, 0.01))
 OBLONG = Camera("PINHOLE", 120, 80, (90.0, 99.0, 58.0, 41.0))
 FISHEYE = Camera("OPENCV_FISHEYE", 120, 80, (60.0, 60.0, 61.0, 38.0, 0.01, -0.002, 0.0, 0.0))
 ANGLES = [0.0, 0.4, np.pi / 2, 2.5, -1.0]
@@ -94,7 +95,7 @@ def test_the_edge_of_the_picture_is_no_feature() -> None:
     assert len(Brightest().seen(spot(2, 2), OBLONG, 0.3).xy) == 0
 
 
-@pytest.mark.parametrize("camera", [LENS, OBLONG, FISHEYE], ids=lambda camera: camera.model)
+@pytest.mark.parametrize("camera", [LENS, FULL, OBLONG, FISHEYE], ids=lambda camera: camera.model)
 @pytest.mark.parametrize("angle", ANGLES)
 @pytest.mark.parametrize("scale", [1.0, 0.6, 1.7])
 def test_a_view_is_what_its_camera_sees(camera: Camera, angle: float, scale: float) -> None:
@@ -113,7 +114,7 @@ def test_a_view_is_what_its_camera_sees(camera: Camera, angle: float, scale: flo
         assert found == pytest.approx([int(x) + 0.5, int(y) + 0.5], abs=0.25)
 
 
-@pytest.mark.parametrize("camera", [LENS, OBLONG, FISHEYE], ids=lambda camera: camera.model)
+@pytest.mark.parametrize("camera", [LENS, FULL, OBLONG, FISHEYE], ids=lambda camera: camera.model)
 @pytest.mark.parametrize("scale", [1.0, 0.6])
 def test_a_levelled_view_is_what_its_camera_sees(camera: Camera, scale: float) -> None:
     turn = Rotation.from_euler("xz", [25, 10], degrees=True).as_matrix()

@@ -13,11 +13,12 @@ from scene.geometry.camera import Camera
 from scene.maps.sparse_map import MapImage, SparseMap
 
 BARREL = Camera("OPENCV", 160, 120, (140.0, 141.0, 79.0, 61.0, -0.2, 0.05, 1e-3, -1e-3))
+RATIONAL = Camera("FULL_OPENCV", 160, 120, (*BARREL.params, 0.02, 0.2, -0.05, 0.01))
 CUSHION = Camera("SIMPLE_RADIAL", 160, 120, (140.0, 80.0, 60.0, 0.15))
 FISHEYE = Camera("OPENCV_FISHEYE", 160, 120, (90.0, 90.0, 80.0, 60.0, 0.02, 0.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("camera", [BARREL, CUSHION, FISHEYE], ids=lambda c: c.model)
+@pytest.mark.parametrize("camera", [BARREL, RATIONAL, CUSHION, FISHEYE], ids=lambda c: c.model)
 def test_the_pinhole_sees_nothing_the_photograph_lacks(camera: Camera) -> None:
     pinhole = pinhole_of(camera, 4000)
     rays, _ = pinhole.unproject(pinhole.pixel_grid())
@@ -47,10 +48,13 @@ def gradient(camera: Camera) -> np.ndarray:
 
 
 @pytest.mark.parametrize("size", [4000, 80])
-def test_a_photograph_is_resampled_where_its_rays_go(tmp_path: Path, size: int) -> None:
-    Image.fromarray(gradient(BARREL)).save(tmp_path / "in.png")
-    pinhole = pinhole_of(BARREL, size)
-    write_undistorted(tmp_path / "in.png", BARREL, pinhole, tmp_path / "out.png")
+@pytest.mark.parametrize("camera", [BARREL, RATIONAL], ids=lambda c: c.model)
+def test_a_photograph_is_resampled_where_its_rays_go(
+    tmp_path: Path, size: int, camera: Camera
+) -> None:
+    Image.fromarray(gradient(camera)).save(tmp_path / "in.png")
+    pinhole = pinhole_of(camera, size)
+    write_undistorted(tmp_path / "in.png", camera, pinhole, tmp_path / "out.png")
     found = np.asarray(Image.open(tmp_path / "out.png")).astype(int)
     assert found.shape == (pinhole.height, pinhole.width, 3)
     # 180 grey values a unit of x/z are more than one a pixel: half a pixel off would show.

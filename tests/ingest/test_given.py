@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image
 
@@ -133,3 +134,23 @@ def test_a_camera_of_another_shape_is_refused(rendered: Scene, tmp_path: Path) -
     poses = tmp_path / "given" / "reconstruction.json"
     with pytest.raises(InputError, match="the camera is 400 x 300 pixels but 000000.jpg"):
         ingest(photographs_of(rendered), tmp_path / "scene", poses=poses, camera=camera)
+
+
+def test_poses_with_a_rational_lens(rendered: Scene, tmp_path: Path) -> None:
+    """Numerator and denominator cancel: only with all coefficients is it the pictures' lens."""
+    export(rendered.path, "colmap", tmp_path / "given", [SESSION])
+    model = pycolmap.Reconstruction(tmp_path / "given")
+    ((fx, fy), (cx, cy)) = rendered.frames(SESSION).cameras[0].focal, (160.0, 160.0)
+    params = (fx, fy, cx, cy, 0.3, 0.05, 0.0, 0.0, 0.02, 0.3, 0.05, 0.02)
+    for camera in model.cameras.values():
+        assert tuple(camera.params[-2:]) == (cx, cy)
+        camera.model, camera.params = pycolmap.CameraModelId.FULL_OPENCV, list(params)
+    model.write(tmp_path / "given")
+    report = ingest(photographs_of(rendered), tmp_path / "scene", poses=tmp_path / "given")
+    assert report.registered == 12
+    assert report.reprojection_error_px < 1
+    assert report.map_points > 200
+    scene = Scene.open(tmp_path / "scene")
+    (camera,) = set(scene.frames("flight").cameras)
+    assert (camera.model, camera.params) == ("FULL_OPENCV", params)
+    assert scene.sparse_map().reprojection_error() < 1

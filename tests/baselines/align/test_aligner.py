@@ -9,7 +9,9 @@ from baselines.align.aligner import Alignment, align
 from baselines.align.damping import damping_factors
 from baselines.align.options import Options
 from baselines.align.problem import Problem
+from scene.geometry.camera import Camera
 from scene.geometry.pose import Pose
+from scene.geometry.projection import Intrinsics
 from tests.baselines.align.problems import DAMPING, PLAIN, Small, batch, small, stacked
 from tests.baselines.align.world import DISTORTED, PINHOLE, World, looking_down, wrong
 
@@ -32,13 +34,17 @@ def test_finds_the_pose_from_3_m_and_5_degrees() -> None:
     assert (all_at_once.align(starts).iterations < 25).all()  # where plain steps take 45
 
 
-def test_lens_with_distortion() -> None:
+RATIONAL = Camera("FULL_OPENCV", 320, 256, (*DISTORTED.params, 0.05, 0.3, -0.1, 0.04))
+
+
+@pytest.mark.parametrize("camera", [DISTORTED, RATIONAL], ids=lambda c: c.model)
+def test_lens_with_distortion(camera: Camera) -> None:
     world, truth = World(5, strides=(16, 4, 2)), looking_down(5)
-    points = world.points(DISTORTED, truth, 200)
-    levels = world.levels(DISTORTED, truth, points, confident=True)
+    points = world.points(camera, truth, 200)
+    levels = world.levels(camera, truth, points, confident=True)
     at = torch.as_tensor(points)[None]
     start = one(wrong(truth, 3, 5, 0))
-    found = align(Problem(levels, at, DISTORTED.intrinsics(), start, DAMPING, Options()))
+    found = align(Problem(levels, at, camera.intrinsics(), start, DAMPING, Options()))
     assert not found.failed.any()
     assert found.pose.error_to(truth)[0] < 0.1
     without = align(Problem(levels, at, PINHOLE.intrinsics(), start, DAMPING, Options()))
@@ -81,13 +87,7 @@ def test_cameras_of_their_own() -> None:
     problems, cameras = [small(0), small(0)], [PINHOLE, PINHOLE.resized(640, 512)]
     both = batch(problems)
     intrinsics = [camera.intrinsics() for camera in cameras]
-    stack = replace(
-        intrinsics[0],
-        focal=torch.stack([i.focal for i in intrinsics]),
-        principal=torch.stack([i.principal for i in intrinsics]),
-        distortion=torch.stack([i.distortion for i in intrinsics]),
-        limit=torch.stack([i.limit for i in intrinsics]),
-    )
+    stack = Intrinsics.stacked(intrinsics)
     start = wrong(problems[0].truth, 1, 1, 0)
     found = align(
         Problem(both.levels, both.points, stack, stacked([start] * 2), DAMPING, Options())

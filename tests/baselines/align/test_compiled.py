@@ -164,8 +164,15 @@ def test_a_step_where_the_hessian_is_not_positive() -> None:
             np.testing.assert_allclose(ours, theirs[0].numpy(), rtol=1e-6)
 
 
-def test_fisheye_cameras() -> None:
-    camera = Camera("OPENCV_FISHEYE", 320, 240, (160.0, 160.0, 160.0, 120.0, 0.02, 0.0, 0.0, 0.0))
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera("OPENCV_FISHEYE", 320, 240, (160.0, 160.0, 160.0, 120.0, 0.02, 0.0, 0.0, 0.0)),
+        Camera("FULL_OPENCV", 320, 256, (*DISTORTED.params, 0.05, 0.3, -0.1, 0.04)),
+    ],
+    ids=["fisheye", "rational"],
+)
+def test_other_lenses(camera: Camera) -> None:
     cost, pose = level_cost(camera, 3, smooth=True)
     ours, theirs = (linearised(cost, pose, by_torch=each) for each in (False, True))
     assert ours.seen.any() and torch.equal(ours.seen, theirs.seen)
@@ -173,7 +180,7 @@ def test_fisheye_cameras() -> None:
     torch.testing.assert_close(ours.hessian, theirs.hessian, rtol=1e-4, atol=1e-4 * most)
     alive = torch.ones(3, dtype=torch.bool)
     here, there = (descended(cost, pose, alive, by_torch=each) for each in (False, True))
-    torch.testing.assert_close(here.pose.matrix(), there.pose.matrix(), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(here.pose.matrix(), there.pose.matrix(), rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 3), (3, 4), (4, 3), (4, 4), (5, 9)])

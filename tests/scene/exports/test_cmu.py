@@ -216,6 +216,15 @@ def test_a_tree_has_two_cameras(street: Path, tmp_path: Path) -> None:
         export(street, "cmu", tmp_path / "out", ["map-left", "map-right"])
 
 
+def test_a_tree_holds_four_coefficients(street: Path, tmp_path: Path) -> None:
+    path = street / "sessions" / "map-left" / "frames.h5"
+    full = Camera("FULL_OPENCV", 96, 64, (*LEFT.params, 0.01, 0.0, 0.0, 0.0))
+    write_frames(path, dataclasses.replace(read_frames(path), cameras=(full,) * 6), (), iter(()))
+    with pytest.raises(InputError, match="cannot hold k3 of a camera of the model FULL_OPENCV"):
+        export(street, "cmu", tmp_path / "out", ["map-left", "map-right"])
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_slice_needs_a_map(street: Path, tmp_path: Path) -> None:
     objects = read_json(street / "objects.json", Objects, "objects")
     parts = (strip("urban", -50, 7), strip("park", 7, 50))

@@ -194,6 +194,47 @@ def test_exports_are_read_again(
     assert (back.origin is None) == (file_format == "nerfstudio")
 
 
+FORMATS = ("opensfm", "metashape", "nerfstudio")
+BROWN = Camera(
+    "FULL_OPENCV",
+    320,
+    320,
+    (300.0, 303.0, 150.0, 165.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0),
+)
+
+
+@pytest.mark.parametrize("file_format", FORMATS)
+def test_three_radial_coefficients_are_read_again(
+    rendered_copy: Path, tmp_path: Path, file_format: str
+) -> None:
+    with_cameras(rendered_copy, SESSION, [BROWN])
+    export(rendered_copy, file_format, tmp_path / "out", [SESSION])
+    files = {"opensfm": "reconstruction.json", "metashape": "cameras.xml", "nerfstudio": ""}
+    (camera,) = set(read_foreign(tmp_path / "out" / files[file_format]).cameras)
+    assert camera is not None and camera.model == "FULL_OPENCV"
+    np.testing.assert_allclose(camera.params, BROWN.params, rtol=1e-12)
+
+
+@pytest.mark.parametrize("file_format", FORMATS)
+def test_a_denominator_is_refused_by_formats_that_have_none(
+    rendered_copy: Path, tmp_path: Path, file_format: str
+) -> None:
+    rational = Camera("FULL_OPENCV", 320, 320, (*BROWN.params[:9], 0.2, 0.0, 0.01))
+    with_cameras(rendered_copy, SESSION, [rational])
+    with pytest.raises(InputError, match="cannot hold k4, k6 of a camera of the model FULL_OPENCV"):
+        export(rendered_copy, file_format, tmp_path / "out", [SESSION])
+    assert not (tmp_path / "out").exists()
+
+
+def test_colmap_holds_every_coefficient(rendered_copy: Path, tmp_path: Path) -> None:
+    rational = Camera("FULL_OPENCV", 320, 320, (*BROWN.params[:9], 0.2, 0.0, 0.01))
+    with_cameras(rendered_copy, SESSION, [rational])
+    export(rendered_copy, "colmap", tmp_path / "out", [SESSION])
+    (camera,) = pycolmap.Reconstruction(tmp_path / "out").cameras.values()
+    assert camera.model.name == "FULL_OPENCV"
+    assert tuple(camera.params) == rational.params
+
+
 @pytest.mark.parametrize("file_format", ["opensfm", "metashape"])
 def test_photographs_of_one_name_are_refused(
     rendered: Scene, tmp_path: Path, file_format: str

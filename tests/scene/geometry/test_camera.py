@@ -25,7 +25,8 @@ def test_text_round_trip(camera: Camera) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("FULL_OPENCV 640 480 1 1 1 1", "unknown camera model 'FULL_OPENCV'"),
+        ("EUCM 640 480 1 1 1 1 1 1", "unknown camera model 'EUCM'"),
+        ("FULL_OPENCV 640 480 1 1 1 1", "FULL_OPENCV takes 12 parameters"),
         ("PINHOLE 640 480 500 320 240", "takes 4 parameters"),
         ("PINHOLE 640 480 500 500 320 240 0", "takes 4 parameters"),
         ("PINHOLE 640", "expected 'MODEL width height params...'"),
@@ -114,6 +115,21 @@ def test_fold_limit_of_fisheyes() -> None:
     assert folding.fold_limit() == pytest.approx(math.sqrt(1 / 1.5))
 
 
+def test_fold_limit_of_rational_lenses() -> None:
+    params = (500.0, 510.0, 320.0, 240.0)
+
+    def limit(k1: float, k2: float, k3: float, *below: float) -> float:
+        lens = (k1, k2, 0.0, 0.0, k3, *below)
+        return Camera("FULL_OPENCV", 640, 480, (*params, *lens)).fold_limit()
+
+    assert limit(-0.4, 0.0, 0.0, 0.0, 0.0, 0.0) == pytest.approx(math.sqrt(1 / 1.2))
+    assert limit(0.0, 0.0, -0.1, 0.0, 0.0, 0.0) == pytest.approx((1 / 0.7) ** (1 / 6))
+    assert limit(0.3, 0.1, 0.2, 0.3, 0.1, 0.2) == math.inf
+    # r / (1 + r^2) is greatest at 1, and r / (1 - r^2 / 4) has a pole at 2.
+    assert limit(0.0, 0.0, 0.0, 1.0, 0.0, 0.0) == pytest.approx(1.0)
+    assert limit(0.0, 0.0, 0.0, -0.25, 0.0, 0.0) == pytest.approx(2.0)
+
+
 small = st.floats(-1, 1)
 
 
@@ -127,6 +143,15 @@ def test_distorted_radius_grows_up_to_the_fold_limit(k1: float, k2: float) -> No
     if math.isfinite(limit) and limit < 1e3:
         scale = 1 + abs(3 * k1) * limit**2 + abs(5 * k2) * limit**4
         assert abs(slope[-1]) < 1e-6 * scale
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=8, max_size=8))
+def test_any_rational_distortion_is_refused_or_has_a_limit(coefficients: list[float]) -> None:
+    try:
+        camera = Camera("FULL_OPENCV", 64, 48, (50.0, 50.0, 32.0, 24.0, *coefficients))
+    except InputError:
+        return
+    assert camera.fold_limit() > 0
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=4, max_size=4))

@@ -31,9 +31,9 @@ def test_names_and_counts_are_colmaps() -> None:
     for name, native in known.items():
         number = int(native.value) if hasattr(native, "value") else int(native)
         assert MODEL_IDS[number] == name
-        if name in READ:
+        if name in READ or name in MODELS:
             made = pycolmap.Camera.create_from_model_name(0, name, 500.0, 640, 480)
-            assert parameter_count(name) == len(made.params)
+            assert (parameter_count(name) or len(MODELS[name])) == len(made.params)
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -54,9 +54,7 @@ def test_it_projects_as_colmap_does(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "place", "message"),
     [
-        ("FULL_OPENCV", 8, "FULL_OPENCV is supported only where k3 is zero"),
-        ("FULL_OPENCV", 11, "k6 is zero"),
-        ("THIN_PRISM_FISHEYE", 10, "sx1 is zero"),
+        ("THIN_PRISM_FISHEYE", 10, "THIN_PRISM_FISHEYE is supported only where sx1 is zero"),
         ("THIN_PRISM_FISHEYE", 7, "p2 is zero"),
         ("RAD_TAN_THIN_PRISM_FISHEYE", 15, "s4 is zero"),
         ("DIVISION", 4, "k is zero"),
@@ -67,3 +65,11 @@ def test_a_coefficient_that_we_lack_is_named(name: str, place: int, message: str
     params[place] = 0.01
     with pytest.raises(InputError, match=message):
         equal_model(name, params)
+
+
+@pytest.mark.parametrize("place", range(8, 12))
+def test_full_opencv_is_opencv_only_without_its_tail(place: int) -> None:
+    params = [*EXACT["FULL_OPENCV"]]
+    assert equal_model("FULL_OPENCV", params) == ("OPENCV", EXACT["FULL_OPENCV"][:8])
+    params[place] = 0.01
+    assert equal_model("FULL_OPENCV", params) == ("FULL_OPENCV", tuple(params))

@@ -152,6 +152,75 @@ def test_valid_points_keep_their_orientation(camera: Camera) -> None:
     assert (torch.linalg.det(projected.jacobian[..., :2])[projected.valid] > 0).all()
 
 
+def random_lens(seed: int) -> Camera:
+    rng = np.random.default_rng(seed)
+    radial, below = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.8, 3)
+    lens = (*radial[:2], *rng.uniform(-1e-3, 1e-3, 2), radial[2], *below)
+    return Camera("FULL_OPENCV", 640, 480, (500.0, 510.0, 322.0, 237.5, *map(float, lens)))
+
+
+def rays_within(radius: float, count: int = 200) -> Tensor:
+    """Rays (count, 3) with z = 1 up to a radius."""
+    rng = np.random.default_rng(0)
+    angle, r = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.uniform(0, 1, count))
+    return torch.from_numpy(np.stack([r * np.cos(angle), r * np.sin(angle), np.ones(count)], -1))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_rational_lenses_agree_with_colmap(seed: int) -> None:
+    camera = random_lens(seed)
+    native = pycolmap.Camera(model="FULL_OPENCV", width=640, height=480, params=list(camera.params))
+    rays = rays_within(min(0.9 * camera.fold_limit(), 1.2))
+    found = camera.project(rays)
+    assert found.valid.double().mean() > 0.9
+    np.testing.assert_allclose(found.xy, native.img_from_cam(rays.numpy()), rtol=1e-9)
+    back, valid = camera.unproject(found.xy)
+    assert valid[found.valid].all()
+    assert (back - rays)[found.valid].abs().max() < 1e-6
+    theirs = native.cam_from_img(found.xy.numpy())
+    exact = found.valid.numpy() & (np.abs(theirs - rays[:, :2].numpy()) < 1e-4).all(1)
+    assert exact.mean() > 0.4  # COLMAP starts from the pixel, and does not always arrive
+    np.testing.assert_allclose(back[exact, :2], theirs[exact], atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_rational_lens_ends_where_it_folds_or_its_denominator_vanishes(seed: int) -> None:
+    camera = random_lens(seed)
+    k1, k2, _, _, k3, k4, k5, k6 = camera.distortion
+
+    def distorted(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        s = r * r
+        below = 1 + k4 * s + k5 * s**2 + k6 * s**3
+        return r * (1 + k1 * s + k2 * s**2 + k3 * s**3) / below, below
+
+    limit = camera.fold_limit()
+    radius, below = distorted(np.linspace(0, min(0.9999 * limit, 50.0), 5000))
+    assert (below > 0).all()
+    assert (np.diff(radius) > -1e-12 * np.abs(radius[1:])).all()
+    if math.isfinite(limit):
+        radius, below = distorted(limit * np.array([1.0005, 1.002]))
+        assert radius[1] < radius[0] or below[0] < 0
+        beyond = rays_within(1.0) * torch.tensor([1.0, 1.0, 0.0]).double()
+        beyond = beyond / beyond.norm(dim=-1, keepdim=True)
+        for far in (1.001, 1.1, 2.0, 10.0):
+            rays = far * limit * beyond + torch.tensor([0.0, 0.0, 1.0])
+            projected = camera.project(rays.float(), jacobian=True)
+            assert not projected.valid.any()
+            assert projected.xy.isfinite().all()
+
+
+def test_points_beyond_a_vanishing_denominator_would_be_in_the_picture() -> None:
+    """COLMAP puts them there."""
+    params = (500.0, 510.0, 322.0, 237.5, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0)
+    camera = Camera("FULL_OPENCV", 640, 480, params)
+    assert camera.fold_limit() == pytest.approx(1.0)
+    rays = rays_within(1.0) * torch.tensor([9.0, 9.0, 1.0])
+    rays = rays[rays[:, :2].norm(dim=-1) > 4.0]
+    native = pycolmap.Camera(model="FULL_OPENCV", width=640, height=480, params=list(params))
+    assert camera.contains(torch.from_numpy(native.img_from_cam(rays.numpy()))).any()
+    assert not camera.project(rays).valid.any()
+
+
 def test_pixels_no_ray_reaches_are_not_valid() -> None:
     camera = Camera("RADIAL", 640, 480, (500.0, 320.0, 240.0, -0.4, 0.0))
     reach = 500 * (2 / 3) * math.sqrt(1 / 1.2)
@@ -191,14 +260,7 @@ def test_single_precision_stays_finite_beside_the_camera(camera: Camera) -> None
 @pytest.mark.parametrize("fisheye", [False, True], ids=["perspective", "fisheye"])
 def test_a_batch_of_cameras_equals_the_loop(fisheye: bool) -> None:
     cameras = [camera for camera in CAMERAS.values() if camera.is_fisheye == fisheye]
-    single = [camera.intrinsics() for camera in cameras]
-    batch = Intrinsics(
-        fisheye,
-        *(
-            torch.stack([getattr(one, name) for one in single])
-            for name in ("focal", "principal", "distortion", "limit")
-        ),
-    )
+    batch = Intrinsics.stacked([camera.intrinsics() for camera in cameras])
     points = torch.stack([points_in_view(camera, 50) for camera in cameras])
     points[:, 0, 2] *= -1
     together = batch.project(points, jacobian=True)

@@ -60,8 +60,16 @@ def made_truth(rng: np.random.Generator) -> Truth:
 
 
 def brown(rng: np.random.Generator) -> tuple[str, list[float]]:
+    """A lens with two radial coefficients or three."""
     bent = [rng.uniform(-0.1, 0.1), rng.uniform(-0.02, 0.02), *rng.uniform(-2e-3, 2e-3, 2)]
-    return "OPENCV", [900.0, 910.0, 605.0, 447.0, *bent]
+    third = rng.uniform(-0.02, 0.02) if rng.random() < 0.5 else 0.0
+    return "FULL_OPENCV", [900.0, 910.0, 605.0, 447.0, *bent, third, 0.0, 0.0, 0.0]
+
+
+def coefficients(truth: Truth, fish: bool) -> dict[str, float]:
+    """The coefficients by OpenCV's names."""
+    names = ("k1", "k2", "k3", "k4") if fish else ("k1", "k2", "p1", "p2", "k3")
+    return dict(zip(names, truth.lens[1][4:], strict=False))
 
 
 def fisheye(rng: np.random.Generator) -> tuple[str, list[float]]:
@@ -76,12 +84,17 @@ def write_colmap(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
     params = [float(value) for value in native.params]
     names = [word.strip() for word in native.params_info.split(",")]
     tail = rng.random() < 0.3
+    if number == 6:
+        params[4:] = [*rng.uniform(-0.02, 0.02, 8)] if tail else [0.05, -0.01, 1e-3, 2e-3, *4 * [0]]
+        params = [float(value) for value in params]
     ours = ("k", "k1", "k2") if number not in (7, 12, 13) else ()
     for k, name in enumerate(names):
+        if number == 6:
+            break
         if name in ours or (tail and name not in ("f", "fx", "fy", "cx", "cy", "w", "h")):
             params[k] = float(rng.uniform(0.001, 0.02))
     truth.lens = (model, params)
-    if number > 5:
+    if number > 6:
         truth.fields = [model]
     (folder / "cameras.bin").write_bytes(
         struct.pack("<QIiQQ", 1, 1, number, WIDTH, HEIGHT)
@@ -153,18 +166,17 @@ def write_opensfm(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
     truth.lens = fisheye(rng) if fish else brown(rng)
     params = truth.lens[1]
     if kind in ("fisheye", "perspective"):
-        params[1], params[2:4], params[6:] = params[0], [WIDTH / 2, HEIGHT / 2], [0.0, 0.0]
+        params[1], params[2:4], params[6:8] = params[0], [WIDTH / 2, HEIGHT / 2], [0.0, 0.0]
     if kind == "spherical":
         truth.fields.append("projection 'spherical'")
-    fx, fy, cx, cy, *bent = params
+    fx, fy, cx, cy = params[:4]
     lens: dict[str, Any] = {"projection_type": str(kind), "width": WIDTH, "height": HEIGHT}
     if kind in ("fisheye", "perspective"):
         lens["focal"] = fx / WIDTH
     else:
         lens |= {"focal_x": fx / WIDTH, "focal_y": fy / WIDTH}
         lens |= {"c_x": (cx - WIDTH / 2) / WIDTH, "c_y": (cy - HEIGHT / 2) / WIDTH}
-    last = ("k3", "k4") if fish else ("p1", "p2")
-    lens |= dict(zip(("k1", "k2", *last), bent, strict=True))
+    lens |= coefficients(truth, fish)
     reference = dict(zip(("latitude", "longitude", "altitude"), truth.origin, strict=True))
     noise = rng.choice([0.0, 0.05, 2.0])
     there = truth.world_from_cam[:, :3, 3]
@@ -214,10 +226,11 @@ def write_metashape(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth
     truth.placed = bool(rng.random() < 0.7)
     fish = rng.random() < 0.3
     truth.lens = fisheye(rng) if fish else brown(rng)
-    fx, fy, cx, cy, *bent = truth.lens[1]
-    names = ("k1", "k2", "k3", "k4") if fish else ("k1", "k2", "p2", "p1")
+    fx, fy, cx, cy = truth.lens[1][:4]
     values = {"f": fy, "cx": cx - WIDTH / 2, "cy": cy - HEIGHT / 2, "b1": fx - fy}
-    values |= dict(zip(names, bent, strict=True))
+    bent = coefficients(truth, fish)
+    other = {"p1": "p2", "p2": "p1"}
+    values |= {other.get(name, name): value for name, value in bent.items()}
     kind = "fisheye" if fish else "frame"
     size, own_size, own_kind = f'width="{WIDTH}" height="{HEIGHT}"', "", kind
     fault = rng.choice([*[""] * 8, "size", "type", "p3", "rotation", "scale", "component", "chunk"])
@@ -284,11 +297,10 @@ def write_nerfstudio(rng: np.random.Generator, folder: Path) -> tuple[Path, Trut
     truth = made_truth(rng)
     fish = rng.random() < 0.5
     truth.lens = fisheye(rng) if fish else brown(rng)
-    fx, fy, cx, cy, *bent = truth.lens[1]
-    last = ("k3", "k4") if fish else ("p1", "p2")
+    fx, fy, cx, cy = truth.lens[1][:4]
     number = rng.choice([int, float])
     lens: dict[str, Any] = {"w": number(WIDTH), "h": number(HEIGHT), "fl_x": fx, "fl_y": fy}
-    lens |= {"cx": cx, "cy": cy, **dict(zip(("k1", "k2", *last), bent, strict=True))}
+    lens |= {"cx": cx, "cy": cy, **coefficients(truth, fish)}
     model = "OPENCV_FISHEYE" if fish else "OPENCV"
     if rng.random() < 0.5:
         flag = [fish, str(fish), str(fish).lower(), int(fish)][int(rng.integers(4))]

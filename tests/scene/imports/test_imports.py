@@ -170,13 +170,15 @@ def test_metashape_of_a_local_system(tmp_path: Path) -> None:
 
 
 def test_metashape_of_a_lens_with_more_coefficients(tmp_path: Path) -> None:
-    """OPENCV has two radial coefficients: the nearest camera is near everywhere."""
+    """Three are FULL_OPENCV's; of four, the nearest camera is near everywhere."""
     bent = "<k1>-0.1</k1><k2>0.02</k2><k3>-0.006</k3>"
     poses = read_foreign(metashape(tmp_path, bent, local=True))
     expected = metashape_pixel((-0.1, 0.02, -0.006))
+    np.testing.assert_allclose(pixel(poses, 0, POINT), expected, atol=1e-6)
+    poses = read_foreign(metashape(tmp_path, f"{bent}<k4>1e-3</k4>", local=True))
     np.testing.assert_allclose(pixel(poses, 0, POINT), expected, atol=0.3)
-    steep = "<k1>-0.1</k1><k2>0.02</k2><k3>-0.6</k3><k4>2</k4>"
-    with pytest.raises(InputError, match="px from the nearest OPENCV camera"):
+    steep = "<k1>-0.1</k1><k2>0.02</k2><k3>-0.6</k3><k4>9</k4><b2>30</b2>"
+    with pytest.raises(InputError, match="px from the nearest FULL_OPENCV camera"):
         read_foreign(metashape(tmp_path, steep, local=True))
 
 
@@ -190,7 +192,7 @@ def test_a_brown_lens_is_colmaps(tmp_path: Path) -> None:
     for x, y in ((0.0, 0.0), (0.5, -0.35), (-0.55, 0.4), (0.2, 0.1)):
         expected = full.img_from_cam(np.array([[x, y, 1.0]]))[0]
         found = fitted.project(torch.tensor([[x, y, 1.0]], dtype=torch.float64)).xy[0].numpy()
-        np.testing.assert_allclose(found, expected, atol=0.2)
+        np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def nerfstudio(folder: Path) -> Path:

@@ -83,6 +83,7 @@ def test_equals_what_colmap_wrote(model: Path) -> None:
         ("RADIAL", [900.0, 512, 384, 0.05, -0.01]),
         ("OPENCV", [900.0, 910, 512, 384, 0.05, -0.01, 1e-3, -2e-3]),
         ("OPENCV_FISHEYE", [900.0, 910, 512, 384, 0.05, -0.01, 1e-3, -2e-3]),
+        ("FULL_OPENCV", [900.0, 910, 512, 384, 0.05, -0.01, 1e-3, -2e-3, 0.03, 0.2, 0.01, -0.02]),
     ],
 )
 def test_every_camera_model(name: str, params: list[float], tmp_path: Path) -> None:
@@ -116,7 +117,6 @@ def test_models_that_equal_ours(name: str, params: list[float], tmp_path: Path) 
 @pytest.mark.parametrize(
     ("name", "params", "message"),
     [
-        ("FULL_OPENCV", [900.0, 900, 512, 384, 0, 0, 0, 0, 0.01, 0, 0, 0], "where k3 is zero"),
         ("FOV", [900.0, 900, 512, 384, 0.5], "FOV is supported only where omega is zero"),
         ("EUCM", [900.0, 900, 512, 384, 0.5, 1.0], "model EUCM is not supported; supported: SI"),
     ],
