@@ -31,6 +31,8 @@ _FEWEST, _LEAST_SHARE = 16, 1e-4
 # The most pixels within the step above the constant, as a share of its own: resampling leaves some.
 _BETWEEN = 0.1
 _MOST_HOLES = 4
+# Constants in fewer steps, or in a lesser share of the steps between them, are made surfaces.
+_FEW_STEPS, _CROWDED = 5, 0.5
 # Heights beside no data that are further outside all others are resampled with it, metres.
 _BELOW_M, _ABOVE_M = 10.0, 100.0
 # So many pixels beside no data are not asked for the lowest and highest ground.
@@ -112,7 +114,7 @@ def holes(census: Census) -> list[Hole]:
         enough = counts[first] >= _FEWEST and share >= _LEAST_SHARE
         # Water and plains of one height reach the edge too, but nothing rises from them by a cliff.
         placed = height in census.edge or height == 0
-        if not (constant and enough and placed and rest) or _is_flat(census, counts, first):
+        if not (constant and enough and placed and rest) or _is_flat(census, steps[1:]):
             break
         if counts[first + 1 : first + 1 + _STEP_M].sum() > _BETWEEN * counts[first]:
             near = counts[first + 1 : first + 1 + _REMARK_M].sum()
@@ -136,10 +138,8 @@ def _above(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
     height, share = float(census.high[last]), counts[last] / total
     constant = census.low[last] == census.high[last] and height in census.edge
     enough = counts[last] >= _FEWEST and share >= _LEAST_SHARE
-    others = steps[:-1]
-    flat = bool((census.low[others] == census.high[others]).all())
     near = counts[max(0, last - _CLIFF_M) : last].sum() > _BETWEEN * counts[last]
-    if not (constant and enough) or flat or near:
+    if not (constant and enough) or near or _is_flat(census, steps[:-1]):
         return []
     sure = bool(2 * counts[last] <= counts.sum())
     counts[last] = 0
@@ -266,8 +266,12 @@ def _beside(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def _is_flat(census: Census, counts: NDArray[np.int64], first: int) -> bool:
-    """Return whether all heights above the first step are constants, as in made surfaces."""
-    others = np.flatnonzero(counts)
-    others = others[others > first]
-    return bool((census.low[others] == census.high[others]).all())
+def _is_flat(census: Census, others: NDArray[np.intp]) -> bool:
+    """Return whether heights in steps are a few constants, as in made surfaces.
+
+    Ground in whole metres has constants too, but in most steps between its lowest and highest.
+    """
+    if not (census.low[others] == census.high[others]).all():
+        return False
+    span = int(others[-1] - others[0]) + 1 if others.size else 0
+    return len(others) < _FEW_STEPS or len(others) < _CROWDED * span
