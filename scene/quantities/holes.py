@@ -215,9 +215,7 @@ def ground_of(
                 f"{hole.height:g} declares it, or another value where it is a plain"
             )
         elif hole.sure:
-            doubts.append(
-                f"{said}, {hole.where}: taken as no data, which it is not declared as"
-            )
+            doubts.append(f"{said}, {hole.where}: taken as no data, which it is not declared as")
             values.append(hole.height)
     if not (unknown or values):
         return Ground(doubts=tuple(doubts))

@@ -2,8 +2,8 @@
 
 QGroundControl saves no commands with a scan of version 3. It makes them of the fields that are read
 here: the polygon is flown at ``DistanceToSurface`` outside, at one height in each layer. Layers are
-``AdjustedFootprintFrontal`` apart, photographs ``AdjustedFootprintSide``. The corner at which a scan
-begins can be changed, but is not saved; the first one is taken, as QGroundControl itself does.
+``AdjustedFootprintFrontal`` apart, photographs ``AdjustedFootprintSide``. The corner at which a
+scan begins can be changed, but is not saved; the first one is taken, as QGroundControl itself does.
 """
 
 from __future__ import annotations
@@ -105,7 +105,9 @@ class StructureScan(BaseModel):
                 "QGroundControl"
             )
         if len(self.polygon) < 3:
-            raise InputError(f"{where} has a polygon of {len(self.polygon)} corners: draw 3 or more")
+            raise InputError(
+                f"{where} has a polygon of {len(self.polygon)} corners: draw 3 or more"
+            )
         if any(abs(lat) > 90 or abs(lon) > 180 for lat, lon in self.polygon):
             raise InputError(f"{where} has a polygon that is not on earth: correct it")
 
