@@ -1,4 +1,4 @@
-"""Rims of pictures that are all white or all black, although their files declare no such no data."""
+"""Rims of pictures that are all white or all black, which their files do not declare as no data."""
 
 from __future__ import annotations
 
