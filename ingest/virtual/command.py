@@ -29,6 +29,7 @@ from scene.geo.local import at_height, world_from
 from scene.geo.rasters import Grid, Patch, Raster
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, geodetic_from_enu
+from scene.quantities.collars import collar_of
 from scene.runtime.progress import progress_bar
 from scene.storage.atomic import atomic_folder
 from scene.storage.files import sha256_of
@@ -115,7 +116,8 @@ def photograph_orthophoto(
     survey = _survey(*rasters, undulation or 0.0, options, origin)
     colours, heights = rasters
     place = survey.surface.origin
-    notes = (*colours.notes(place), *heights.notes(place, undulation))
+    collar = [f"{orthophoto.name}: {survey.collar}"] if survey.collar else []
+    notes = (*colours.notes(place), *collar, *heights.notes(place, undulation))
     camera = camera_of(options)
     planned = _planned(survey, camera, options)
     if len(planned.poses) < _FEWEST:
@@ -151,6 +153,7 @@ class _Survey:
         low: (2,) west and south ends of what both rasters cover, world metres.
         high: (2,) its other ends.
         altitude: height of the views above the ground, metres.
+        collar: what a rim of the orthophoto looks like that may be no data; None for no such rim.
     """
 
     surface: Surface
@@ -158,6 +161,7 @@ class _Survey:
     low: Array
     high: Array
     altitude: float
+    collar: str | None = None
 
     def above_ground(self, place: Array) -> Array:
         """Return the point (3,) at the altitude of the views above a place (2,)."""
@@ -185,8 +189,7 @@ def _survey(
     origin: Geodetic | None,
 ) -> _Survey:
     """Read both rasters whole, and find what they cover."""
-    for _ in _known(colours):
-        pass  # damage is found before the views are rendered
+    collar = collar_of(_strips(colours))  # damage is found before the views are rendered
     low, high = np.inf, -np.inf
     for known in _known(heights):
         low, high = min(low, float(known.min())), max(high, float(known.max()))
@@ -208,17 +211,23 @@ def _survey(
     if (first >= last).any():
         raise InputError(f"{colours.path} and {heights.path} do not overlap")
     surface = Surface(colours, heights, undulation, origin, low + undulation, high + undulation)
-    return _Survey(surface, ground, first, last, altitude)
+    return _Survey(surface, ground, first, last, altitude, collar)
 
 
 def _known(raster: Raster) -> Iterator[NDArray[np.float32]]:
     """Read a whole raster; yield the values of some rows that have data, (N,), N > 0."""
+    for values in _strips(raster):
+        known = values[np.isfinite(values)]
+        if known.size:
+            yield known
+
+
+def _strips(raster: Raster) -> Iterator[NDArray[np.float32]]:
+    """Read a whole raster; yield the values of some rows, (bands, H, W)."""
     with progress_bar(f"read {raster.kind}", raster.grid.height) as advance:
         done = 0
         for strip in raster.strips(_ROWS):
-            known = strip.values[np.isfinite(strip.values)]
-            if known.size:
-                yield known
+            yield strip.values
             done += strip.grid.height
             advance(done)
 

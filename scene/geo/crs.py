@@ -170,7 +170,7 @@ class Projection:
     def reaches(self, place: Geodetic) -> bool:
         """Return whether a place has coordinates here: within the area of use, or near its border,
         as sites that two zones share."""
-        area = self._crs.area_of_use
+        area = _area_of(self._crs)
         if area is not None:
             east = (place.longitude - area.west) % 360
             width = (area.east - area.west) % 360 or 360
@@ -214,6 +214,15 @@ def geoid_undulation(place: Geodetic) -> float | None:
 
 def _transformer(pyproj: Any, start: Any, end: Any) -> Any:
     return pyproj.Transformer.from_crs(start, end, always_xy=True, allow_ballpark=False)
+
+
+def _area_of(crs: Any) -> Any:
+    """Return the area of use, which WKT names by a code alone; None where it is not known."""
+    if crs.area_of_use is not None:
+        return crs.area_of_use
+    horizontal = _without_heights(crs)
+    code = horizontal.to_epsg(min_confidence=100)
+    return horizontal.area_of_use if code is None else type(crs).from_epsg(code).area_of_use
 
 
 def _without_heights(crs: Any) -> Any:

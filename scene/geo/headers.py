@@ -92,6 +92,10 @@ def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
     if place.a <= 0 or place.e >= 0:
         raise InputError(f"{kind} {path} does not have north above: gdalwarp turns it upright")
     grid = Grid(projection, place.c, place.f, (place.a, -place.e), source.width, source.height)
+    try:
+        _ = grid.middle
+    except InputError as error:
+        raise InputError(f"{kind} {path}: {error}: check its system, axes and units") from None
     _check_world_file(grid, path, kind)
     return grid
 

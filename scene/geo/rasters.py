@@ -107,9 +107,16 @@ class Raster:
         Raises:
             InputError: ``undulation`` contradicts the file.
         """
-        lines = [self.grid.projection.doubt_at(place), *self.doubts]
+        projection = self.grid.projection
+        lines = [projection.doubt_at(place), *self.doubts]
+        if not projection.reaches(self.grid.middle):
+            at = self.grid.middle
+            lines.append(
+                f"{self.path.name} lies at {at.latitude:.3f}, {at.longitude:.3f}, far outside the "
+                f"area that {projection.name} is for: check its system, axes and units"
+            )
         if self.kind == "surface model":
-            check_undulation(self.grid.projection, self.path, undulation or 0.0)
+            check_undulation(projection, self.path, undulation or 0.0)
             lines.append(heights_note(self.layout, self.path, undulation is not None) or "")
         return tuple(line for line in lines if line)
 

@@ -21,6 +21,9 @@ MOST_OFF: Final = 1e-3
 """Largest distance between a lens and the camera that stands in for it, in longer sides of the
 picture."""
 
+LONGEST_FOCAL: Final = 100.0
+"""No lens of these programs has a focal length of more longer sides of the picture."""
+
 LARGEST_SIDE: Final = 1_000_000
 """No picture is wider or higher (pixels)."""
 
@@ -28,6 +31,27 @@ LARGEST_SIDE: Final = 1_000_000
 _DIRECTIONS, _STEPS = 48, 60
 # Iterations that bring the fit from the least squares near the least maximum (Lawson's method).
 _ROUNDS = 20
+
+
+def require_inside(
+    principal: tuple[float, float], size: tuple[int, int], names: tuple[str, str]
+) -> None:
+    """Refuse a principal point (pixels) that lies outside the picture.
+
+    Args:
+        principal: (cx, cy), COLMAP pixels.
+        size: width and height, pixels.
+        names: fields of the file, for the message.
+
+    Raises:
+        InputError: it does; another program counts it from another point, or in another unit.
+    """
+    for at, side, name in zip(principal, size, names, strict=True):
+        if not 0 <= at <= side:
+            raise InputError(
+                f"{name} puts the principal point at {at:.0f} of {side} pixels, outside the "
+                "picture: it is counted from another point or in another unit"
+            )
 
 
 @dataclass(frozen=True)

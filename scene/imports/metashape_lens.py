@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.geometry.camera import Camera
-from scene.imports.lens import LARGEST_SIDE, BrownLens
+from scene.imports.lens import LARGEST_SIDE, BrownLens, require_inside
 
 log = logging.getLogger(__name__)
 
@@ -132,6 +132,7 @@ def _lens(kind: str, size: tuple[int, int], part: dict[str, float]) -> Camera:
     f, b1, b2, p1, p2 = (part.get(name, 0.0) for name in ("f", "b1", "b2", "p1", "p2"))
     k1, k2, k3, k4 = (part.get(name, 0.0) for name in ("k1", "k2", "k3", "k4"))
     cx, cy = (part.get(name, 0.0) + side / 2 for name, side in zip(("cx", "cy"), size, strict=True))
+    require_inside((cx, cy), size, ("cx", "cy"))
     if kind == "frame":
         radial = (k1, k2, k3, k4)
         return BrownLens(size, (f + b1, f), (cx, cy), radial, (p2, p1), b2).camera()

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scene.errors import InputError
 from scene.geometry.camera import Camera
-from scene.imports.lens import LARGEST_SIDE, BrownLens
+from scene.imports.lens import LARGEST_SIDE, BrownLens, require_inside
 from scene.quantities.flags import parse_flag
 from scene.quantities.view_angle import contradicts, focal_lengths
 
@@ -86,6 +86,7 @@ class Intrinsics(BaseModel):
         )
         if max(map(abs, principal)) <= _LARGEST_RELATIVE < min(width, height):
             raise InputError(f"cx, cy {principal} are not in pixels of {width} x {height}")
+        require_inside(principal, (width, height), ("cx", "cy"))
         k1, k2, k3, k4, p1, p2 = (getattr(self, name) or 0.0 for name in _COEFFICIENTS["OPENCV"])
         if fisheye:
             params = (*focal, *principal, k1, k2, k3, k4)

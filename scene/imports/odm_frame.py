@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,6 +42,8 @@ _FARTHEST_M: Final = 100_000.0
 _SAME_M, _SAME_RAD, _SAME_PART, _SCALE = 0.02, 2e-3, 1e-3, 0.01
 # Axes closer than this are not told apart (radians): over a flight they differ by centimetres.
 _SMALL_TURN: Final = 2e-4
+# Names of folders of ODM's projects.
+_NAMES_ODM: Final = re.compile(r"\b(web)?odm\b|odm_|opendronemap")
 
 
 @dataclass(frozen=True)
@@ -211,7 +214,8 @@ def _alone(path: Path, shots: Shots) -> Shots:
         raise InputError(
             f"{path}: its poses are in a projected system ({axes.why}, as a UTM grid is): {_REMEDY}"
         )
-    if axes.value != "east and north" and np.isfinite(shots.measured).any():
+    told = np.isfinite(shots.measured).any() or (abs(grid) > _SMALL_TURN and _is_of_odm(path))
+    if axes.value != "east and north" and told:
         log.warning(
             "%s is read as metres east and north; whether ODM has moved it to a projected system "
             "cannot be told: %s",
@@ -219,3 +223,10 @@ def _alone(path: Path, shots: Shots) -> Shots:
             axes.why,
         )
     return shots
+
+
+def _is_of_odm(path: Path) -> bool:
+    """Return whether the names of a file's folders are those of ODM's projects."""
+    folder = path.absolute().parent
+    names = [part.lower() for part in folder.parts[-2:]]
+    return names[-1:] == ["opensfm"] or any(map(_NAMES_ODM.search, names))

@@ -19,7 +19,7 @@ from scene.bundle.manifest import Vector, read_json
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, is_on_earth, is_same_place
-from scene.imports.lens import LARGEST_SIDE, BrownLens
+from scene.imports.lens import LARGEST_SIDE, LONGEST_FOCAL, BrownLens, require_inside
 from scene.imports.odm_frame import TOPOCENTRIC, Shots, topocentric
 from scene.imports.poses import ForeignPoses, Format, begins_with, posed
 
@@ -58,8 +58,11 @@ class _Lens(_Part):
         fy = self.focal_y if self.focal_y is not None else fx
         if fx is None or fy is None:
             raise InputError("no focal length")
+        if not max(fx, fy) <= LONGEST_FOCAL:
+            raise InputError(f"focal {max(fx, fy):g} is not in longer sides of the picture")
         focal = (fx * size, fy * size)
         principal = (self.width / 2 + self.c_x * size, self.height / 2 + self.c_y * size)
+        require_inside(principal, (self.width, self.height), ("c_x", "c_y"))
         radial = (self.k1, self.k2, self.k3, self.k4)
         if self.projection_type in ("fisheye", "fisheye_opencv"):
             params = (*focal, *principal, *radial)

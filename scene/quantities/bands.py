@@ -13,8 +13,15 @@ _ALPHA, _PALETTE = "alpha", "palette"
 _GREY = ("gray", "pan", "undefined")
 # What a file says of bands whose writer said nothing.
 _SILENT = ("gray", "undefined")
-_INFRARED = re.compile(r"nir|infra")
-_WORDS = re.compile(r"[a-z]+")
+_INFRARED = re.compile(r"\bn?ir\b|\bpir\b|nir|infra")
+_WORDS = re.compile(r"[^\W\d_]+")
+# Words of other languages; a letter alone stands for its colour.
+_OTHER_WORDS = {
+    **dict.fromkeys(("rouge", "rot", "rojo", "roja", "rosso", "vermelho", "rood"), "red"),
+    **dict.fromkeys(("vert", "verte", "grün", "gruen", "verde", "groen"), "green"),
+    **dict.fromkeys(("bleu", "bleue", "blau", "azul", "blu", "blauw"), "blue"),
+}
+_LETTERS = {"r": "red", "g": "green", "b": "blue", "a": "alpha", "n": "nir"}
 
 
 @dataclass(frozen=True)
@@ -77,5 +84,8 @@ def _described(description: str | None) -> str | None:
         return "nir"
     if "edge" in text:
         return "rededge"
-    found = {word for word in _WORDS.findall(text) if word in (*_COLOURS, _ALPHA)}
+    if text.strip() in _LETTERS:
+        return _LETTERS[text.strip()]
+    words = [_OTHER_WORDS.get(word, word) for word in _WORDS.findall(text)]
+    found = {word for word in words if word in (*_COLOURS, _ALPHA)}
     return found.pop() if len(found) == 1 else None

@@ -19,13 +19,20 @@ HIGHEST_M: Final = 9_000.0
 _BINS = round(HIGHEST_M - LOWEST_M)
 # A constant that stands for no data is this far below all other heights, metres.
 _STEP_M = 10
+# A constant above all others is no roof where it is this far above them, metres.
+_CLIFF_M = 100
 # From this share and this far below all others, heights of 0 are worth a remark.
 _REMARK_SHARE, _REMARK_M = 0.01, 1
+# Heights of 0 between others are remarked where those within a metre are at most so many times as
+# many: rasters in steps of a tenth of a metre have more.
+_CROWD = 4
 # The fewest pixels of a constant that stands for no data, and their least share.
 _FEWEST, _LEAST_SHARE = 16, 1e-4
 # The most pixels within the step above the constant, as a share of its own: resampling leaves some.
 _BETWEEN = 0.1
 _MOST_HOLES = 4
+# Constants in fewer steps, or in a lesser share of the steps between them, are made surfaces.
+_FEW_STEPS, _CROWDED = 5, 0.5
 # Heights beside no data that are further outside all others are resampled with it, metres.
 _BELOW_M, _ABOVE_M = 10.0, 100.0
 # So many pixels beside no data are not asked for the lowest and highest ground.
@@ -45,15 +52,18 @@ class Census:
         low: lowest height in each, infinite where there is none.
         high: highest one.
         edge: heights at the edge of the raster.
+        zeros: number of heights of 0.
     """
 
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS, np.int64))
     low: Heights = field(default_factory=lambda: np.full(_BINS, np.inf, np.float32))
     high: Heights = field(default_factory=lambda: np.full(_BINS, -np.inf, np.float32))
     edge: set[float] = field(default_factory=set)
+    zeros: int = 0
 
     def add(self, heights: Heights) -> None:
         """Count finite heights between ``LOWEST_M`` and ``HIGHEST_M``."""
+        self.zeros += int((heights == 0).sum())
         steps = (np.floor(heights) - LOWEST_M).astype(np.intp)
         self.counts += np.bincount(steps, minlength=_BINS)
         np.minimum.at(self.low, steps, heights)
@@ -72,21 +82,23 @@ class Hole:
         height: the height, metres.
         share: share of the pixels that have it.
         sure: whether it is no data; otherwise it can be a plain.
+        where: where it lies among the other heights.
         remark: whether it can also be water, and is kept.
     """
 
     height: float
     share: float
     sure: bool
+    where: str = "far below all others"
     remark: bool = False
 
 
 def holes(census: Census) -> list[Hole]:
-    """Return heights that many pixels share, far below all others, as no ground does.
+    """Return heights that many pixels share, far below or above all others, as no ground does.
 
     A plain of one height with towers on it looks the same where the plain is most of the raster and
     the towers have flat roofs; it is kept. Holes above 0 that are most of the raster are not sure.
-    Heights of 0 a little below all others can be the sea and are only remarked.
+    Heights of 0 a little below all others, or between them, can be the sea and are only remarked.
     """
     counts = census.counts.copy()
     total = int(counts.sum())
@@ -102,16 +114,48 @@ def holes(census: Census) -> list[Hole]:
         enough = counts[first] >= _FEWEST and share >= _LEAST_SHARE
         # Water and plains of one height reach the edge too, but nothing rises from them by a cliff.
         placed = height in census.edge or height == 0
-        if not (constant and enough and placed and rest) or _is_flat(census, counts, first):
+        if not (constant and enough and placed and rest) or _is_flat(census, steps[1:]):
             break
         if counts[first + 1 : first + 1 + _STEP_M].sum() > _BETWEEN * counts[first]:
             near = counts[first + 1 : first + 1 + _REMARK_M].sum()
             if height == 0 and not near and share >= _REMARK_SHARE:
-                found.append(Hole(height, float(share), sure=False, remark=True))
+                found.append(Hole(height, float(share), False, "below all others", remark=True))
             break
         found.append(Hole(height, float(share), sure=counts[first] <= rest or height <= 0))
         counts[first] = 0
+    found += _above(census, counts, total)
+    if total and not any(hole.height == 0 for hole in found):
+        found += _zeros(census, counts, total)
     return found
+
+
+def _above(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
+    """Return the height that many pixels share far above all others, and remove it."""
+    steps = np.flatnonzero(counts)
+    if len(steps) < 2:
+        return []
+    last = int(steps[-1])
+    height, share = float(census.high[last]), counts[last] / total
+    constant = census.low[last] == census.high[last] and height in census.edge
+    enough = counts[last] >= _FEWEST and share >= _LEAST_SHARE
+    near = counts[max(0, last - _CLIFF_M) : last].sum() > _BETWEEN * counts[last]
+    if not (constant and enough) or near or _is_flat(census, steps[:-1]):
+        return []
+    sure = bool(2 * counts[last] <= counts.sum())
+    counts[last] = 0
+    return [Hole(height, float(share), sure, "far above all others")]
+
+
+def _zeros(census: Census, counts: NDArray[np.int64], total: int) -> list[Hole]:
+    """Return heights of exactly 0 between others that are many, as a remark."""
+    zero = round(-LOWEST_M)
+    below = np.flatnonzero(counts[:zero])
+    share = census.zeros / total
+    beside = int(counts[zero - 1 : zero + 1].sum())
+    whole = bool((census.low[below] == census.high[below]).all())
+    if whole or share < _REMARK_SHARE or _CROWD * census.zeros < beside:
+        return []
+    return [Hole(0.0, float(share), False, "between the others", remark=True)]
 
 
 @dataclass(frozen=True)
@@ -144,7 +188,7 @@ def ground_of(
         where: words for the raster in messages.
 
     Raises:
-        InputError: most pixels share one height far below all others: no data or a plain.
+        InputError: most pixels share one height far from all others: no data or a plain.
     """
     census, unknown, last = Census(), False, None
     for strip in strips():
@@ -163,17 +207,15 @@ def ground_of(
         said = f"{100 * hole.share:.1f} % of the pixels have the height {hole.height:g} m"
         if hole.remark:
             doubts.append(
-                f"{said}, below all others: if it is no data, gdal_edit -a_nodata declares it"
+                f"{said}, {hole.where}: if it is no data, gdal_edit -a_nodata declares it"
             )
         elif not hole.sure and not declared:
             raise InputError(
-                f"{where}: {said}, far below all others: no data or a plain? gdal_edit -a_nodata "
+                f"{where}: {said}, {hole.where}: no data or a plain? gdal_edit -a_nodata "
                 f"{hole.height:g} declares it, or another value where it is a plain"
             )
         elif hole.sure:
-            doubts.append(
-                f"{said}, far below all others: taken as no data, which it is not declared as"
-            )
+            doubts.append(f"{said}, {hole.where}: taken as no data, which it is not declared as")
             values.append(hole.height)
     if not (unknown or values):
         return Ground(doubts=tuple(doubts))
@@ -222,8 +264,12 @@ def _beside(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def _is_flat(census: Census, counts: NDArray[np.int64], first: int) -> bool:
-    """Return whether all heights above the first step are constants, as in made surfaces."""
-    others = np.flatnonzero(counts)
-    others = others[others > first]
-    return bool((census.low[others] == census.high[others]).all())
+def _is_flat(census: Census, others: NDArray[np.intp]) -> bool:
+    """Return whether heights in steps are a few constants, as in made surfaces.
+
+    Ground in whole metres has constants too, but in most steps between its lowest and highest.
+    """
+    if not (census.low[others] == census.high[others]).all():
+        return False
+    span = int(others[-1] - others[0]) + 1 if others.size else 0
+    return len(others) < _FEW_STEPS or len(others) < _CROWDED * span

@@ -13,6 +13,11 @@ _METRES: Final = {
     "m": 1.0,
     "metre": 1.0,
     "meter": 1.0,
+    "mètre": 1.0,
+    "metro": 1.0,
+    "dm": 0.1,
+    "decimetre": 0.1,
+    "decimeter": 0.1,
     "cm": 0.01,
     "centimetre": 0.01,
     "centimeter": 0.01,
@@ -52,5 +57,5 @@ def metres_per(unit: str) -> float | None:
         >>> metres_per("fathom") is None
         True
     """
-    name = re.sub(r"[\s_.()-]", "", unit.lower())
+    name = re.sub(r"[\s_.()\[\]-]", "", unit.lower())
     return _METRES.get(name, _METRES.get(name.removesuffix("s")))

@@ -27,6 +27,7 @@ _RETRACT, _NEUTRAL, _YAW_LOCK, _IN_VEHICLE, _IN_EARTH = 1, 2, 16, 32, 64
 # Rotations that a plan may state in MAV_CMD_DO_MOUNT_CONFIGURE.
 _FROM_NOSE, _BY_RATE, _FROM_NORTH = 0, 1, 2
 
+_HALF_TURN: Final = 180.0
 _FULL_TURN: Final = 360.0
 _LOOKS_STRAIGHT_M = 0.01  # closer to the vertical than this, a direction has no heading
 
@@ -156,11 +157,13 @@ class Gimbal:
             return Anywhere(f"{command.title} has left the camera in mode {mode:g}")
         _require_level(command, 1)
         pitch, yaw = command.number(0, "pitch"), command.number(2, "yaw")
+        _require_degrees(command, {0: _HALF_TURN, 2: _FULL_TURN})
         return Angles(math.radians(pitch), math.radians(yaw), self._yaw_input == _FROM_NORTH)
 
     def _manage(self, command: Command) -> Aim:
         """Return the aim of MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW."""
         pitch, yaw, pitch_rate, yaw_rate, flags_now = command.params[:5]
+        _require_degrees(command, {0: _HALF_TURN, 1: _FULL_TURN})
         flags = int(flags_now or 0)
         if flags & (_RETRACT | _NEUTRAL):
             return Anywhere(f"{command.title} has retracted the camera or left it neutral")
@@ -204,6 +207,7 @@ def mount_target(command: Command) -> int | None:
 def towards_next(command: Command) -> TowardsNext:
     """Return the aim of a command whose last parameters are offsets of pitch, roll and yaw."""
     _require_level(command, 5)
+    _require_degrees(command, {4: _HALF_TURN, 6: _FULL_TURN})
     pitch, yaw = (math.radians(command.params[k] or 0.0) for k in (4, 6))
     return TowardsNext(pitch, yaw)
 
@@ -213,6 +217,17 @@ def _require_level(command: Command, index: int) -> None:
         raise command.fault(
             f"rolls the camera (params[{index}]), which cannot be flown", "set the roll to 0"
         )
+
+
+def _require_degrees(command: Command, most: dict[int, float]) -> None:
+    """Require that parameters are at most so many degrees, either way."""
+    for index, degrees in most.items():
+        angle = command.params[index]
+        if angle is not None and abs(angle) > degrees:
+            raise command.fault(
+                f"turns the camera by {angle:g} degrees (params[{index}]), which no camera can",
+                "set it in degrees, not in hundredths",
+            )
 
 
 def _direction(way: Array, nose: float) -> tuple[float, float]:

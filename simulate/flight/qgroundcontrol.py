@@ -2,7 +2,7 @@
 
 The format is https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. The
 reader interprets simple items, and surveys and corridor scans by the items that they contain, or by
-their transects where they contain none.
+their transects where they contain none. ``structure_scan`` reads structure scans.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from scene.bundle.manifest import read_json
 from scene.errors import InputError
@@ -25,6 +25,7 @@ from simulate.flight.gimbal import Aims
 from simulate.flight.mission import Aircraft
 from simulate.flight.positions import Positions
 from simulate.flight.site import GroundHeight
+from simulate.flight.structure_scan import StructureScan
 from simulate.flight.vehicle import Vehicle
 
 log = logging.getLogger(__name__)
@@ -63,6 +64,8 @@ class _Transects(_Part):
 
 
 class _ComplexItem(_Part):
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False, frozen=True)
+
     type: Literal["ComplexItem"]
     kind: str = Field("ComplexItem", alias="complexItemType")
     transects: _Transects | None = Field(None, alias="TransectStyleComplexItem")
@@ -150,10 +153,38 @@ def _commands(mission: _Mission) -> Iterator[Command]:
                 yield command.model_copy(update={"where": f"{where}.Items[{row}]"})
         elif "landing" in item.kind.lower():
             yield from _landing(item, f"{where}, {item.kind}")
+        elif item.kind.lower() == "structurescan":
+            yield from _scan(item, where).commands(where)
         else:
             raise InputError(
                 f"{where} is a {item.kind}, which is not understood: fly it by waypoints"
             )
+
+
+def _scan(item: _ComplexItem, where: str) -> StructureScan:
+    """Return a structure scan.
+
+    Raises:
+        InputError: A field is missing or wrong.
+    """
+    fields = item.model_extra or {}
+    calculated = fields.get("CameraCalc")
+    camera = calculated if isinstance(calculated, dict) else {}
+    lengths = {
+        "distance_m": "DistanceToSurface",
+        "along_m": "AdjustedFootprintSide",
+        "layer_m": "AdjustedFootprintFrontal",
+    }
+    try:
+        known = {name: camera[key] for name, key in lengths.items() if key in camera}
+        return StructureScan.model_validate(fields | known)
+    except ValidationError as error:
+        name = str(error.errors()[0]["loc"][0])
+        field = lengths.get(name, name)
+        raise InputError(
+            f"{where} is a StructureScan whose field {field!r} is missing or wrong: save it again "
+            "in QGroundControl"
+        ) from None
 
 
 def _landing(item: _ComplexItem, where: str) -> Iterator[Command]:

@@ -12,6 +12,8 @@ from simulate.flight.site import MAX_PHOTOGRAPHS
 # A photograph is due when it lacks no more than this way, metres, or time, seconds.
 _DUE = 1e-6
 _PER_MILLISECOND = 0.001
+# No camera of a drone takes photographs so quickly one after the other, seconds.
+_QUICKEST_S = 0.05
 # No camera is released again by a distance after so short a way, metres.
 _ONE_PLACE_M = 0.1
 
@@ -177,6 +179,11 @@ class Triggers:
         The first cycle begins with a photograph.
         """
         cycle_ms = command.number(0, "cycle")
+        if 0 < _PER_MILLISECOND * cycle_ms < _QUICKEST_S:
+            raise command.fault(
+                f"has a cycle of {cycle_ms:g} ms (params[0]), which no camera keeps",
+                "set it in milliseconds, not seconds",
+            )
         if cycle_ms > 0:
             self._start(command, _PER_MILLISECOND * cycle_ms)
             return True
@@ -219,7 +226,7 @@ class Triggers:
         if count == 1:
             return True
         every = command.number(1, "interval")
-        if not every > 0:
+        if not every >= _QUICKEST_S:
             raise command.fault(f"has an interval of {every:g} s (params[1])", "set it in seconds")
         self._start(command, every, int(count) - 1 if count else None)
         return True

@@ -171,6 +171,20 @@ def test_oblique_views_look_to_four_sides(
     assert report.left_out > 0
 
 
+def test_a_white_rim_is_told(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
+    ortho, dsm = files[SYSTEMS[0]]
+    with rasterio.open(ortho) as file:
+        profile, values = file.profile, file.read()
+    values[:, :80] = 255
+    with rasterio.open(tmp_path / "white.tif", "w", **profile) as file:
+        file.write(values)
+    few = ViewOptions(altitude=30, overlap=0.0, size=64)
+    report = photograph_orthophoto(tmp_path / "white.tif", dsm, tmp_path / "out", options=few)
+    assert "% of the pixels are white, at the edge too" in report.notes[0]
+    report = photograph_orthophoto(ortho, dsm, tmp_path / "plain", options=few)
+    assert "white" not in report.text()
+
+
 def test_what_cannot_be_photographed(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
     ortho, dsm = files[SYSTEMS[0]]
     elsewhere, far_dsm = _moved(ortho, tmp_path / "o.tif"), _moved(dsm, tmp_path / "d.tif")

@@ -26,7 +26,7 @@ Item = dict[str, Any]
 
 ORIGIN = Geodetic(47.0, 8.0, 450.0)
 GEOID_M = 48.0
-PLANS = 250
+PLANS = 350
 
 
 def hills(x: Any, y: Any) -> Any:

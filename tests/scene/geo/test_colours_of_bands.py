@@ -58,6 +58,21 @@ def test_descriptions_where_nothing_else_tells(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "words", ["Bleu Vert Rouge", "Blau Grün Rot", "azul verde rojo", "blu verde rosso", "B G R"]
+)
+def test_descriptions_in_other_languages(tmp_path: Path, words: str) -> None:
+    def say(file: Any) -> None:
+        file.descriptions = words.split()
+
+    values = stack("blue", "green", "red")
+    path = written(tmp_path / "o.tif", values, after=say, photometric="minisblack")
+    assert np.array_equal(values_of(path, "orthophoto"), RGB)
+    # GDAL calls three bands red, green and blue where its user does not say what they are.
+    with pytest.raises(InputError, match="ColorInterp of band 1 is red, its description"):
+        Raster.open(written(tmp_path / "p.tif", values, after=say), "orthophoto")
+
+
+@pytest.mark.parametrize(
     ("interpretations", "descriptions", "says"),
     [
         ("gray undefined undefined", "", "3 bands: gray, undefined, undefined"),
@@ -74,6 +89,7 @@ def test_descriptions_where_nothing_else_tells(tmp_path: Path) -> None:
             "ColorInterp of band 1 is red, its description 'blue'",
         ),
         ("red green blue alpha", "red green blue NIR", "band 4 is alpha, its description 'NIR'"),
+        ("red green blue", "PIR Rouge Vert", "band 1 is red, its description 'PIR'"),
         ("alpha red green blue alpha", "", "alpha, red"),
     ],
 )

@@ -43,6 +43,9 @@ def unit(name: str) -> Any:
         ("m", 1.0),
         ("cm", 0.01),
         ("yard", 0.9144),
+        ("[m]", 1.0),
+        ("dm", 0.1),
+        ("mètre", 1.0),
     ],
 )
 def test_units(tmp_path: Path, name: str, metres: float) -> None:
@@ -122,6 +125,46 @@ def test_resampled_holes_are_no_cliffs(tmp_path: Path, height: float) -> None:
     path = written(tmp_path / "d.tif", values)
     read = values_of(path, "surface model")
     assert np.nanmin(read) > 165
+
+
+@pytest.mark.parametrize(
+    ("dtype", "scale", "number"),
+    [
+        ("uint16", 0.1, 65535),  # 6553.5 m, which is on earth
+        ("int16", 0.1, 32767),
+        ("uint16", 1.0, 0),
+        ("int16", 1.0, -1),
+        ("uint16", 1.0, 5000),
+    ],
+)
+def test_holes_of_whole_numbers_are_no_cliffs(
+    tmp_path: Path, dtype: str, scale: float, number: int
+) -> None:
+    values = np.rint(HILLS / scale).astype(dtype)
+    values[0, :10] = number
+
+    def say(file: Any) -> None:
+        file.scales = [scale]
+
+    raster = Raster.open(written(tmp_path / "d.tif", values, after=say), "surface model")
+    read = raster.patch(raster.grid.box).values
+    assert np.isnan(read[0, :10]).all()
+    np.testing.assert_allclose(read[0, 10:], HILLS[0, 10:], atol=0.6)
+    assert "all others: taken as no data" in raster.doubts[0]
+
+
+def test_zeros_above_low_ground(tmp_path: Path) -> None:
+    """Far above they are no data; between heights they may be water, which is told."""
+    deep, polder = HILLS - 600, HILLS - 190
+    deep[0, :10] = polder[0, :10] = 0
+    read = values_of(written(tmp_path / "d.tif", deep), "surface model")
+    assert np.array_equal(np.isnan(read), deep == 0)
+    raster = Raster.open(written(tmp_path / "e.tif", polder), "surface model")
+    assert np.array_equal(raster.patch(raster.grid.box).values, polder)
+    assert "have the height 0 m, between the others" in raster.doubts[0]
+    steps = np.rint(10 * (HILLS - 190)) / 10
+    stepped = written(tmp_path / "f.tif", steps.astype(np.float32))
+    assert Raster.open(stepped, "surface model").doubts == ()
 
 
 def test_a_lake_and_a_pit_stay(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from rasterio.transform import from_origin
 from scene.errors import InputError
 from scene.geo.rasters import Kind, Raster
 
-FILES = 300
+FILES = 350
 SHAPE = (24, 32)
 _UNITS = {
     None: 1.0, "metre": 1.0, "m": 1.0, "foot": 0.3048, "ft": 0.3048, "US survey foot": 1200 / 3937,

@@ -44,6 +44,32 @@ def test_grid_and_values(dsm: Path) -> None:
     assert (column[0], row[0]) == (0.5, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("crs", "left", "top"),
+    [
+        ("EPSG:32632", 5_200_000, 500_000),  # exchanged
+        ("EPSG:32632", 0, 5_200_000),  # without its false easting
+        ("EPSG:31467", 500_000, 5_300_000),  # without the number of its zone
+        ("EPSG:2048", -50_000, -3_000_000),  # counted to the east and north, not west and south
+        ("EPSG:32632", 1_640_000, 17_060_000),  # in feet
+    ],
+)
+def test_a_place_beside_its_system_is_told(
+    tmp_path: Path, crs: str, left: float, top: float
+) -> None:
+    place = from_origin(left, top, 0.5, 0.5)
+    path = write(tmp_path / "d.tif", HEIGHTS.astype(np.uint8), crs=crs, transform=place)
+    raster = Raster.open(path, "class mask")
+    assert "far outside the area that" in raster.notes(raster.grid.middle)[-1]
+
+
+def test_a_place_that_no_system_has_is_named(tmp_path: Path) -> None:
+    place = from_origin(32_500_000, 5_300_000, 0.5, 0.5)
+    path = write(tmp_path / "d.tif", HEIGHTS, crs="EPSG:25832", transform=place)
+    with pytest.raises(InputError, match=r"d\.tif: .* is no position in ETRS89 / UTM"):
+        Raster.open(path, "surface model")
+
+
 def test_a_patch_covers_its_box_and_knows_its_place(dsm: Path) -> None:
     patch = Raster.open(dsm, "surface model").patch(
         Box(500_001.1, 5_199_998.1, 500_001.9, 5e6 + 2e5 - 1.1)

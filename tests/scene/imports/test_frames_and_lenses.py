@@ -97,6 +97,44 @@ def test_without_gps_the_frame_in_a_project_of_odm_is_unknown(odm: tuple[Path, T
         read_foreign(path)
 
 
+@pytest.mark.parametrize(
+    ("folder", "told"), [("opensfm", True), ("my-odm", True), ("odm_x", True), ("photos", False)]
+)
+def test_a_file_without_gps_in_a_folder_of_odm_is_doubted(
+    odm: tuple[Path, Truth],
+    tmp_path: Path,
+    folder: str,
+    told: bool,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    _, truth = odm
+    path = tmp_path / "site" / folder / "reconstruction.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(shots_of(truth, truth.world_from_cam, False))
+    assert_true(path, truth)
+    assert ("read as metres east and north; whether ODM has moved it" in caplog.text) is told
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"focal_x": 3200.0, "focal_y": 3200.0}, "focal 3200 is not in longer sides"),
+        ({"c_x": 0.7}, "c_x puts the principal point"),
+        ({"c_y": 1500.0}, "c_y puts the principal point"),
+    ],
+)
+def test_lenses_in_pixels_are_no_lenses_of_opensfm(
+    odm: tuple[Path, Truth], keys: dict[str, float], says: str
+) -> None:
+    path = odm[0].with_name("reconstruction.topocentric.json")
+    document = json.loads(path.read_text())
+    for lens in document[0]["cameras"].values():
+        lens.update(projection_type="brown", **keys)
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=says):
+        read_foreign(path)
+
+
 def test_coordinates_of_export_geocoords_are_no_metres_from_here(
     odm: tuple[Path, Truth], tmp_path: Path
 ) -> None:
@@ -191,6 +229,8 @@ def test_models_of_transforms(tmp_path: Path, keys: dict[str, Any], model: str) 
         ({"camera_angle_y": 1.138}, "fl_y 500 and camera_angle_y 1.138 contradict each other"),
         ({"fl_x": 0.78}, "fl_x, fl_y 0.78, 0.78 are no focal lengths in pixels"),
         ({"cx": 0.5, "cy": 0.5}, r"cx, cy \(0.5, 0.5\) are not in pixels"),
+        ({"cx": 900}, "cx puts the principal point at 900 of 640 pixels"),
+        ({"cy": -3}, "cy puts the principal point at -3 of 480 pixels"),
         ({"w": 640.5}, "w is 640.5, but a picture has whole pixels"),
         ({"latlong": True}, "the key 'latlong' changes the camera"),
         ({"ftheta_p1": 0.1}, "the key 'ftheta_p1' changes the camera"),
@@ -249,6 +289,7 @@ EMPTY = "<sensor id='7' label='x'><calibration type='frame' class='adjusted'/></
         (('type="frame"', 'type="spherical"'), "type 'spherical' .*not supported"),
         (("<b1>", "<p4>0.1</p4><b1>"), "the coefficient p4 is not supported"),
         (("<b1>", "<k5>0.1</k5><b1>"), "the coefficient k5 is not supported"),
+        (("<b1>", "<cx>4000</cx><b1>"), "cx puts the principal point at .* outside the picture"),
         (("<scale>20.0</scale>", ""), "transform of component '' has no scale"),
         (("<scale>20.0</scale>", "<scale>-1</scale>"), "the scale of component must be positive"),
         (("<translation>", "<t>"), "has no translation"),

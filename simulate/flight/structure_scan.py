@@ -1,0 +1,154 @@
+"""Structure scans of QGroundControl: layers of a flight around a polygon, looking inwards.
+
+QGroundControl saves no commands with a scan of version 3. It makes them of the fields that are read
+here: the polygon is flown at ``DistanceToSurface`` outside, at one height in each layer. Layers are
+``AdjustedFootprintFrontal`` apart, photographs ``AdjustedFootprintSide``. The corner at which a
+scan begins can be changed, but is not saved; the first one is taken, as QGroundControl itself does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from scene.errors import InputError
+from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
+from simulate.flight.commands import Command, Mav
+
+Array = NDArray[np.float64]
+
+_VERSION: Final = 3
+_ABOVE_HOME: Final = 3  # MAV_FRAME
+# From a corner to the next, the structure is on the right.
+_TO_THE_RIGHT_DEG: Final = 90.0
+_MOST_LAYERS: Final = 1000
+_ROUNDING: Final = 1e-6  # of a number of rounds
+
+_Length = Annotated[float, Field(gt=0, le=10_000)]
+
+
+class StructureScan(BaseModel):
+    """The fields of a scan.
+
+    Attributes:
+        version: That of the fields.
+        polygon: Latitude and longitude of the corners, degrees.
+        entrance_m: Height above home at which the aircraft comes and leaves.
+        bottom_m: Height of the lowest photographs' ground line above home.
+        top_m: Height of the structure above home.
+        layers: Number of rounds.
+        pitch_deg: Pitch of the camera.
+        from_top: Whether the first round is the highest.
+        distance_m: Distance of the flight to the polygon.
+        along_m: Distance between photographs.
+        layer_m: Distance between rounds.
+    """
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
+
+    version: int
+    polygon: tuple[tuple[float, float], ...]
+    entrance_m: float = Field(alias="EntranceAltitude")
+    bottom_m: float = Field(alias="ScanBottomAlt")
+    top_m: float = Field(alias="StructureHeight")
+    layers: float = Field(alias="Layers")
+    pitch_deg: float = Field(alias="GimbalPitch")
+    from_top: bool = Field(alias="StartFromTop")
+    distance_m: _Length
+    along_m: _Length
+    layer_m: _Length
+
+    def commands(self, where: str) -> Iterator[Command]:
+        """Yield the commands of the scan, as QGroundControl sends them.
+
+        Args:
+            where: Place in the file, for messages.
+
+        Raises:
+            InputError: The fields tell no flight.
+        """
+        self._check(where)
+        corners = [(float(lat), float(lon)) for lat, lon in self._flown(where)]
+        step = -self.layer_m if self.from_top else self.layer_m
+        height = (self.top_m if self.from_top else self.bottom_m) + step / 2
+        look = (0.0, 0.0, 0.0, 0.0, self.pitch_deg, 0.0, _TO_THE_RIGHT_DEG)
+        yield _waypoint(corners[0], self.entrance_m, where)
+        yield Command(command=Mav.ROI_NEXT, params=look, where=where)
+        for _ in range(int(self.layers)):
+            yield _waypoint(corners[0], height, where)
+            yield _trigger(self.along_m, where)
+            for corner in (*corners[1:], corners[0]):
+                yield _waypoint(corner, height, where)
+            yield _trigger(0.0, where)
+            height += step
+        yield Command(command=Mav.ROI_NONE, params=(0.0,) * 7, where=where)
+        yield _waypoint(corners[0], self.entrance_m, where)
+
+    def _check(self, where: str) -> None:
+        if self.version != _VERSION:
+            raise InputError(
+                f"{where} is a StructureScan of version {self.version}, which is not understood: "
+                "save it again in QGroundControl"
+            )
+        if not 1 <= self.layers <= _MOST_LAYERS or self.layers != int(self.layers):
+            raise InputError(f"{where} has {self.layers:g} Layers: set a whole number from 1")
+        rounds = max(self.top_m - self.bottom_m, 0.0) / self.layer_m
+        if self.layers not in [max(math.ceil(rounds + off), 1) for off in (-_ROUNDING, 0.0)]:
+            raise InputError(
+                f"{where} has {self.layers:g} Layers, but StructureHeight, ScanBottomAlt and "
+                f"AdjustedFootprintFrontal make {max(math.ceil(rounds), 1)}: save it again in "
+                "QGroundControl"
+            )
+        if len(self.polygon) < 3:
+            raise InputError(
+                f"{where} has a polygon of {len(self.polygon)} corners: draw 3 or more"
+            )
+        if any(abs(lat) > 90 or abs(lon) > 180 for lat, lon in self.polygon):
+            raise InputError(f"{where} has a polygon that is not on earth: correct it")
+
+    def _flown(self, where: str) -> Array:
+        """Return latitude and longitude of the corners of the flight, (N, 2) degrees."""
+        origin = Geodetic(*self.polygon[0], 0.0)
+        places = [Geodetic(lat, lon, 0.0) for lat, lon in self.polygon]
+        corners = np.array([enu_from_geodetic(place, origin)[:2] for place in places])
+        ahead = np.roll(corners, -1, axis=0) - corners
+        length = np.linalg.norm(ahead, axis=1, keepdims=True)
+        after = np.roll(corners, -1, axis=0)
+        area = float((corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum())
+        if not area < 0 or not length.all():
+            raise InputError(
+                f"{where} has a polygon that does not run clockwise, around which the camera would "
+                "look away: draw it again"
+            )
+        ahead /= length
+        outwards = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+        flown = [
+            _meet(corners[k] + self.distance_m * outwards[[k - 1, k]], ahead[[k - 1, k]], where)
+            for k in range(len(corners))
+        ]
+        found = [geodetic_from_enu(np.array([*xy, 0.0]), origin) for xy in flown]
+        return np.array([[place.latitude, place.longitude] for place in found])
+
+
+def _meet(starts: Array, ways: Array, where: str) -> Array:
+    """Return where two lines through (2, 2) points along (2, 2) unit directions meet."""
+    if abs(float(np.linalg.det(ways))) < 1e-6:
+        raise InputError(f"{where} has a polygon with a corner that is none: remove it")
+    along = np.linalg.solve(np.column_stack([ways[0], -ways[1]]), starts[1] - starts[0])
+    return np.asarray(starts[0] + along[0] * ways[0])
+
+
+def _waypoint(corner: tuple[float, float], height: float, where: str) -> Command:
+    place = (0.0, 0.0, 0.0, None, *corner, height)
+    return Command(command=Mav.WAYPOINT, frame=_ABOVE_HOME, params=place, where=where)
+
+
+def _trigger(every_m: float, where: str) -> Command:
+    at_once = 1.0 if every_m else 0.0
+    params = (every_m, 0.0, at_once, 0.0, 0.0, 0.0, 0.0)
+    return Command(command=Mav.TRIGGER_DISTANCE, params=params, where=where)
