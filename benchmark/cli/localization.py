@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from benchmark.cli.arguments import (
+    check_jobs,
     claim_folders,
     open_distinct_datasets,
     parse_camera,
@@ -249,6 +250,7 @@ def evaluate(
     from benchmark.starts import parse_start
 
     # Everything that can be wrong is checked before the first minute is spent.
+    check_jobs(jobs, cluster)
     settings = parse_settings(overrides)
     localizers = {name: create(name, settings) for name in method}
     started_from = parse_start(start)
