@@ -64,6 +64,17 @@ def check_jobs(jobs: int, cluster: str | None) -> None:
         )
 
 
+def check_methods(names: Sequence[str]) -> None:
+    """Refuse a method that is given twice, whose results would be written twice.
+
+    Raises:
+        InputError: there is one.
+    """
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(f"--method {name} is given {count} times: give it once")
+
+
 def parse_camera(words: str | None) -> Camera | None:
     """Read the value of ``--camera``, "MODEL W H PARAMS".
 

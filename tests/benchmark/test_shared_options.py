@@ -151,6 +151,14 @@ def test_an_option_is_no_value(words: tuple[str, ...], taken: str) -> None:
     assert taken in error_line(result.stderr)
 
 
+@pytest.mark.parametrize("command", ["evaluate", "basin"])
+def test_a_method_is_given_once(command: str) -> None:
+    words = ("DATASET", "--out", "OUT", "--method", "sift", "--method", "prior", "--method", "sift")
+    result = invoke(command, *words)
+    assert result.exit_code == 2
+    assert "--method sift is given 2 times" in error_line(result.stderr)
+
+
 def test_arguments_may_be_called_as_they_like() -> None:
     """An argument of click has a name, too, and a path of that name is no option."""
     for command in COMMANDS.values():
