@@ -30,6 +30,7 @@ class Disagreement(NamedTuple):
         across_m: median horizontal distance, metres.
         up_m: median height of the answers above the positions, metres; None where no height was
             measured.
+        apart_m: median difference of the heights, whatever its sign, metres; None as ``up_m``.
         far_across: whether the horizontal distances are far larger than the sigmas.
         far_up: the same of the heights.
     """
@@ -37,6 +38,7 @@ class Disagreement(NamedTuple):
     photographs: int
     across_m: float
     up_m: float | None
+    apart_m: float | None
     far_across: bool
     far_up: bool
 
@@ -59,10 +61,11 @@ def measure_disagreement(located: Sequence[Located], geography: Geography) -> Di
         return None
     across, across_sigmas = np.median(compared[:, :2], axis=0).tolist()
     heights = compared[np.isfinite(compared[:, 2])]
-    up, far_up = None, False
+    up, apart, far_up = None, None, False
     if len(heights) >= _FEWEST:
-        up, far_up = float(np.median(heights[:, 2])), bool(np.median(heights[:, 3]) > _FAR)
-    return Disagreement(len(compared), across, up, across_sigmas > _FAR, far_up)
+        up, apart = float(np.median(heights[:, 2])), float(np.median(abs(heights[:, 2])))
+        far_up = bool(np.median(heights[:, 3]) > _FAR)
+    return Disagreement(len(compared), across, up, apart, across_sigmas > _FAR, far_up)
 
 
 def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> None:
@@ -71,8 +74,11 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
     if found is None or not (found.far_across or found.far_up):
         return
     parts = [f"{found.across_m:.1f} m beside"] if found.far_across else []
-    if found.far_up and found.up_m is not None:
-        parts.append(f"{abs(found.up_m):.1f} m {'above' if found.up_m > 0 else 'below'}")
+    if found.far_up and found.up_m is not None and found.apart_m is not None:
+        # Heights that scatter have a median near 0, which would say that they agree.
+        scattered = abs(found.up_m) < found.apart_m / 2
+        where = "above or below" if scattered else "above" if found.up_m > 0 else "below"
+        parts.append(f"{found.apart_m:.1f} m {where}")
     log.warning(
         "the answers lie %s the GPS positions of the photographs (median of %d), far more than "
         "the sigmas of both: the map's place on earth is off, or the GPS is%s",

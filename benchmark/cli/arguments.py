@@ -27,14 +27,16 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
     Values are read as YAML, so that 0.7 is a number.
 
     Raises:
-        InputError: a word that is not ``KEY=VALUE`` or holds several, or a value that is not YAML
-            or is empty.
+        InputError: a word that is not ``KEY=VALUE`` or holds several, a key that is given twice, or
+            a value that is not YAML or is empty.
     """
     settings: dict[str, Any] = {}
     for word in overrides or ():
         key, equals, value = word.partition("=")
         if not key or not equals:
             raise InputError(f"--set takes KEY=VALUE, got {word!r}")
+        if key in settings:
+            raise InputError(f"--set {key} is given twice: give each key one value")
         if _ANOTHER.match(value) and not Path(value).exists():
             raise InputError(
                 f"--set {key}: {value!r} holds another KEY=VALUE: --set is given once per value"
@@ -47,6 +49,30 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
         if settings[key] is None and not value.strip():
             raise InputError(f"--set {key}: {value!r} is no value; leave it out for the default")
     return settings
+
+
+def check_jobs(jobs: int, cluster: str | None) -> None:
+    """Refuse a number of jobs beside a cluster, whose cores it would not count.
+
+    Raises:
+        InputError: both are given.
+    """
+    if cluster is not None and jobs != 1:
+        raise InputError(
+            f"--jobs {jobs} is for this machine alone, and --cluster takes the cores of its nodes: "
+            "leave one out"
+        )
+
+
+def check_methods(names: Sequence[str]) -> None:
+    """Refuse a method that is given twice, whose results would be written twice.
+
+    Raises:
+        InputError: there is one.
+    """
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(f"--method {name} is given {count} times: give it once")
 
 
 def parse_camera(words: str | None) -> Camera | None:

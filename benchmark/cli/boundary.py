@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from typer.core import TyperGroup
 
-from benchmark.cli.stray import refuse_stray_settings
+from benchmark.cli.stray import refuse_stray_settings, refuse_taken_options
 from scene.errors import InputError
 from scene.runtime.escaping import for_terminal
 
@@ -70,10 +70,11 @@ class Boundary(TyperGroup):
             raise _StoppedError(error) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """See ``TyperGroup.resolve_command``; a word that was meant for ``--set`` is refused."""
+        """See ``TyperGroup.resolve_command``; words that were meant otherwise are refused."""
         found = super().resolve_command(ctx, args)
         _, command, words = found
         if command is not None:
+            refuse_taken_options(command, words)
             refuse_stray_settings(command, words)
         return found
 

@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from benchmark.cli.arguments import (
+    check_jobs,
+    check_methods,
     claim_folders,
     open_distinct_datasets,
     parse_camera,
@@ -249,6 +251,8 @@ def evaluate(
     from benchmark.starts import parse_start
 
     # Everything that can be wrong is checked before the first minute is spent.
+    check_jobs(jobs, cluster)
+    check_methods(method)
     settings = parse_settings(overrides)
     localizers = {name: create(name, settings) for name in method}
     started_from = parse_start(start)
@@ -296,6 +300,7 @@ def basin(
     from benchmark.basin import basin as run
     from benchmark.registry import create
 
+    check_methods(method)
     sizes = DEFAULT_SIZES if errors is None else parse_sizes(errors)
     settings = parse_settings(overrides)
     localizers = [create(name, settings) for name in method]

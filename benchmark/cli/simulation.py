@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmark.cli.arguments import check_jobs
 from benchmark.cli.choices import listed, one_of
 from benchmark.cli.options import ClusterAddress, Jobs, Json, options_of
 from benchmark.cli.output import Summary, emit
@@ -114,6 +115,7 @@ def simulate(
     from simulate.command import simulate as run
     from simulate.twin.report import REPORT, SiteReport
 
+    check_jobs(jobs, cluster)
     site = {"ortho": ortho, "dsm": dsm, "scene": from_scene, "classes": classes, "taken": taken}
     sited = {f"site.{name}": value for name, value in site.items()}
     wanted = SimulateConfig.load(config, settings | sited | {"sessions": session})
@@ -185,6 +187,7 @@ def track(
     from benchmark.tracks.description import BOARD
     from scene.errors import InputError
 
+    check_jobs(jobs, cluster)
     if update and board is None:
         raise InputError("--update writes into the board: name its folder by --board")
     emit(run(name, out, place or (), jobs, cluster, board or BOARD, update), as_json)

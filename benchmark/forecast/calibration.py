@@ -37,16 +37,16 @@ class Calibration(Record):
 
     Attributes:
         weights: of ``FEATURES``.
-        eph_scale: factor of predicted horizontal standard deviations.
-        epv_scale: factor of predicted vertical ones.
+        across_scale: factor of predicted horizontal standard deviations.
+        up_scale: factor of predicted vertical ones.
         false_share: share of the true queries that were false fixes.
         queries: number of true queries it was fitted to; 0 for none.
         source: the training towns.
     """
 
     weights: tuple[float, float, float, float]
-    eph_scale: float = 1.0
-    epv_scale: float = 1.0
+    across_scale: float = 1.0
+    up_scale: float = 1.0
     false_share: float = 0.02
     queries: int = 0
     source: str = "none: the smoothed share of views that were found"
@@ -64,9 +64,9 @@ class Evidence(NamedTuple):
         false: weighted number of false fixes, (N,).
         inliers: weighted mean of log(1 + inliers), (N,).
         points: weighted mean of log(1 + points of the map in view), (N,).
-        eph_m: predicted horizontal standard deviation of fixes, geometric mean, (N,); NaN where
-            there is no fix.
-        epv_m: the vertical one.
+        sigma_across_m: predicted horizontal standard deviation of fixes within the map, geometric
+            mean, (N,); NaN where there is no fix.
+        sigma_up_m: the vertical one.
     """
 
     views: Array
@@ -74,8 +74,8 @@ class Evidence(NamedTuple):
     false: Array
     inliers: Array
     points: Array
-    eph_m: Array
-    epv_m: Array
+    sigma_across_m: Array
+    sigma_up_m: Array
 
 
 class Seen(NamedTuple):
@@ -86,8 +86,8 @@ class Seen(NamedTuple):
     false: bool
     inliers: int
     points: int
-    eph_m: float
-    epv_m: float
+    sigma_across_m: float
+    sigma_up_m: float
 
 
 def pool(seen: Sequence[Seen], centres: Array, pool_m: float) -> Evidence:
@@ -116,7 +116,7 @@ def pool(seen: Sequence[Seen], centres: Array, pool_m: float) -> Evidence:
         )
 
     everything = np.ones(len(seen))
-    sigma = np.array([(view.eph_m, view.epv_m) for view in seen]).reshape(-1, 2)
+    sigma = np.array([(view.sigma_across_m, view.sigma_up_m) for view in seen]).reshape(-1, 2)
     known = fix * (np.isfinite(sigma) & (sigma > 0)).all(1)
     log_sigma = np.log(np.where(known[:, None] > 0, sigma, 1.0))
     return Evidence(
@@ -125,8 +125,8 @@ def pool(seen: Sequence[Seen], centres: Array, pool_m: float) -> Evidence:
         false=weight @ np.array([view.false for view in seen], float),
         inliers=mean(np.log1p([view.inliers for view in seen]), everything),
         points=mean(np.log1p([view.points for view in seen]), everything),
-        eph_m=np.exp(mean(log_sigma[:, 0], known)),
-        epv_m=np.exp(mean(log_sigma[:, 1], known)),
+        sigma_across_m=np.exp(mean(log_sigma[:, 0], known)),
+        sigma_up_m=np.exp(mean(log_sigma[:, 1], known)),
     )
 
 

@@ -47,8 +47,9 @@ class Observation(Named):
         reason: why there is no pose.
         t_err_m: position error, metres; None without a pose.
         r_err_deg: rotation error, degrees; None without a pose.
-        eph_m: predicted horizontal standard deviation, metres; None if unknown.
-        epv_m: predicted vertical standard deviation, metres; None if unknown.
+        sigma_across_m: predicted horizontal standard deviation within the map, metres; None if
+            unknown.
+        sigma_up_m: predicted vertical standard deviation within the map, metres; None if unknown.
         h_err_m: horizontal error, metres; None without a pose.
         v_err_m: vertical error, metres; None without a pose.
         inliers: number of inliers of the estimate.
@@ -62,8 +63,8 @@ class Observation(Named):
     reason: str = ""
     t_err_m: float | None = None
     r_err_deg: float | None = None
-    eph_m: float | None = None
-    epv_m: float | None = None
+    sigma_across_m: float | None = None
+    sigma_up_m: float | None = None
     h_err_m: float | None = None
     v_err_m: float | None = None
     inliers: int = 0
@@ -182,12 +183,12 @@ def _observation(
     t_err, r_err = pose.error_to(query.reference)
     off = (pose.centre() - query.reference.centre()).numpy()
     sigmas = Located(query.name, estimate, None).sigmas
-    eph, epv = (None, None) if sigmas is None or not np.isfinite(sigmas).all() else sigmas
+    across, up = (None, None) if sigmas is None or not np.isfinite(sigmas).all() else sigmas
     return told(
         t_err_m=float(t_err),
         r_err_deg=float(r_err),
-        eph_m=eph,
-        epv_m=epv,
+        sigma_across_m=across,
+        sigma_up_m=up,
         h_err_m=float(np.hypot(*off[:2])),
         v_err_m=abs(float(off[2])),
     )

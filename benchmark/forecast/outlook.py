@@ -107,8 +107,8 @@ def _season(waypoints: Sequence[Waypoint], name: str, config: ForecastConfig) ->
         lowest=min(chances),
         longest_gap_m=round(gap_m, 1),
         false_risk=round(sum(o.false_risk for o in outlooks) / len(outlooks), 4),
-        eph_m=_median(o.eph_m for o in outlooks),
-        epv_m=_median(o.epv_m for o in outlooks),
+        sigma_across_m=_median(o.sigma_across_m for o in outlooks),
+        sigma_up_m=_median(o.sigma_up_m for o in outlooks),
         stretches=stretches,
     )
 
@@ -139,8 +139,8 @@ def _outlooks(
                 {
                     "probability": round(chance, 4),
                     "false_risk": round(float(risks[k]), 4),
-                    "eph_m": _scaled(evidence.eph_m[k], calibration.eph_scale),
-                    "epv_m": _scaled(evidence.epv_m[k], calibration.epv_scale),
+                    "sigma_across_m": _scaled(evidence.sigma_across_m[k], calibration.across_scale),
+                    "sigma_up_m": _scaled(evidence.sigma_up_m[k], calibration.up_scale),
                     "found": 0,
                     "views": 0,
                     "cause": cause,
@@ -162,8 +162,8 @@ def _seen(observation: Observation, config: ForecastConfig) -> Seen:
         observation.is_false,
         observation.inliers,
         observation.points,
-        nan if observation.eph_m is None else observation.eph_m,
-        nan if observation.epv_m is None else observation.epv_m,
+        nan if observation.sigma_across_m is None else observation.sigma_across_m,
+        nan if observation.sigma_up_m is None else observation.sigma_up_m,
     )
 
 

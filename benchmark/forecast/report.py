@@ -14,7 +14,7 @@ from scene.storage.records import Record
 Cause = Literal["few points", "look"]
 Verdict = Literal["holds", "gaps", "fails"]
 
-SCHEMA = "objconnect forecast 1"
+SCHEMA = "objconnect forecast 2"
 CAUSES: Mapping[Cause, str] = {
     "few points": "few points of the map are in view: photograph the ground there for the map",
     "look": "the map has points there, but the season hides them: fly the map again in a season or "
@@ -33,9 +33,9 @@ class Outlook(Record):
     Attributes:
         probability: of a fix.
         false_risk: probability of a false fix.
-        eph_m: expected horizontal standard deviation of a fix, metres; None where no view of the
-            waypoint or its neighbours was found.
-        epv_m: the vertical one.
+        sigma_across_m: expected horizontal standard deviation of a fix within the map, metres;
+            None where no view of the waypoint or its neighbours was found.
+        sigma_up_m: the vertical one.
         found: views of this waypoint that were found.
         views: its views.
         cause: why the probability is low; None where it is not.
@@ -43,8 +43,8 @@ class Outlook(Record):
 
     probability: float
     false_risk: float
-    eph_m: float | None
-    epv_m: float | None
+    sigma_across_m: float | None
+    sigma_up_m: float | None
     found: int
     views: int
     cause: Cause | None
@@ -102,8 +102,8 @@ class Season(Record):
         lowest: lowest probability.
         longest_gap_m: longest way between two likely fixes.
         false_risk: mean probability of a false fix.
-        eph_m: median of the waypoints' horizontal standard deviations; None without any.
-        epv_m: the vertical one.
+        sigma_across_m: median of the waypoints' horizontal standard deviations; None without any.
+        sigma_up_m: the vertical one.
         stretches: weak stretches, the longest gap first.
     """
 
@@ -113,8 +113,8 @@ class Season(Record):
     lowest: float
     longest_gap_m: float
     false_risk: float
-    eph_m: float | None
-    epv_m: float | None
+    sigma_across_m: float | None
+    sigma_up_m: float | None
     stretches: tuple[Stretch, ...]
 
 
@@ -159,7 +159,7 @@ class Forecast(Record):
         views: every view: season, waypoint, answer and errors.
     """
 
-    file: Literal["objconnect forecast 1"] = "objconnect forecast 1"
+    file: Literal["objconnect forecast 2"] = "objconnect forecast 2"
     scene: str
     scene_sha256: str
     flight: str
@@ -186,7 +186,8 @@ class Forecast(Record):
     def _lines(self) -> Iterator[str]:
         yield f"{for_terminal(self.flight)} by {self.method.name}: {len(self.waypoints)} waypoints"
         for season in self.seasons:
-            sigma = "" if season.eph_m is None else f", eph {season.eph_m:.2f} m"
+            across = season.sigma_across_m
+            sigma = "" if across is None else f", sigma across {across:.2f} m within the map"
             yield (
                 f"{season.name}: {VERDICTS[season.verdict]}; a fix at {100 * season.share:.0f} % "
                 f"of the waypoints, longest gap {season.longest_gap_m:.0f} m, false fixes "

@@ -6,6 +6,7 @@ the like. No other file is ever removed: a folder that is replaced keeps what ot
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import stat
@@ -216,9 +217,12 @@ def remove_owned(folder: Path, owned: Collection[str]) -> None:
 
 
 def _reason(error: OSError, partial: Path | None) -> str:
-    """Return what went wrong, with the name of the file if it is not the one being written."""
+    """Return what went wrong, with the name of the file if it is not the one being written.
+
+    An error of copying names the file that is read, although it is the other disk that is full.
+    """
     reason = error.strerror or str(error)
-    named = error.filename
+    named = None if error.errno in (errno.ENOSPC, errno.EDQUOT) else error.filename
     if partial is None or named is None or Path(str(named)).is_relative_to(partial):
         return reason
     return f"{named}: {reason}"

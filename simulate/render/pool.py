@@ -159,6 +159,8 @@ class _Child:
         last = text.splitlines()[-1] if text else "it said nothing"
         if "cannot open shared object file" in last:
             last += f"; try: apt-get install {_APT_PACKAGES}"
+        if "could not be saved" in last:
+            last += ": the disk may be full"
         how = f"was killed by signal {-code}" if code < 0 else f"failed with exit code {code}"
         raise RenderError(f"the rendering process {how}: {last}")
 

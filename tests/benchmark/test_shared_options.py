@@ -10,7 +10,7 @@ import typer.main
 
 from benchmark.cli import app
 from benchmark.cli.arguments import parse_settings
-from benchmark.cli.stray import refuse_stray_settings
+from benchmark.cli.stray import refuse_stray_settings, refuse_taken_options
 from scene.errors import InputError
 from tests.benchmark.test_cli import error_line, invoke
 
@@ -106,6 +106,65 @@ def test_a_data_set_may_have_an_equals_sign(
 def test_commands_without_settings_are_left_alone() -> None:
     assert "stands alone" not in invoke("validate", "a=1").stderr
     assert "No such option" in invoke("evaluate", "--sett", "a=1", "b=2").stderr
+
+
+@pytest.mark.parametrize(
+    "words", [("a=1", "a=2"), ("a=1", "b=1", "a=1"), ("search.again=true", "search.again=false")]
+)
+def test_two_values_of_one_key_are_refused(words: tuple[str, ...]) -> None:
+    key = words[0].partition("=")[0]
+    with pytest.raises(InputError, match=f"^--set {key} is given twice"):
+        parse_settings(words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("evaluate", "DATASET", "--method", "sift", "--out", "OUT"),
+        ("simulate", "--out", "OUT"),
+        ("track", "uav-seasons", "--out", "OUT"),
+    ],
+)
+def test_jobs_beside_a_cluster_are_refused(words: tuple[str, ...]) -> None:
+    """Jobs are those of this machine; beside a cluster they would change nothing."""
+    having = {command for command in COMMANDS if option_of(command, "--jobs") is not None}
+    both = {command for command in having if option_of(command, "--cluster") is not None}
+    assert both == {"evaluate", "simulate", "track"}
+    result = invoke(*words, "--jobs", "3", "--cluster", "local")
+    assert result.exit_code == 2
+    assert "--jobs 3 is for this machine alone" in error_line(result.stderr)
+
+
+@pytest.mark.parametrize(
+    ("words", "taken"),
+    [
+        (("evaluate", "DATASET", "--start", "--out", "OUT"), "--start has no value: --out"),
+        (("evaluate", "--set", "--method", "sift", "DATASET"), "--set has no value: --method"),
+        (("localize", "--map", "--images", "DIR"), "--map has no value: --images"),
+        (("view", "SCENE", "--results", "--out=a.html"), "--results has no value: --out=a.html"),
+        (("view", "scene", "--out", "--json"), "--out has no value: --json"),
+    ],
+)
+def test_an_option_is_no_value(words: tuple[str, ...], taken: str) -> None:
+    result = invoke(*words)
+    assert result.exit_code == 2
+    assert taken in error_line(result.stderr)
+
+
+@pytest.mark.parametrize("command", ["evaluate", "basin"])
+def test_a_method_is_given_once(command: str) -> None:
+    words = ("DATASET", "--out", "OUT", "--method", "sift", "--method", "prior", "--method", "sift")
+    result = invoke(command, *words)
+    assert result.exit_code == 2
+    assert "--method sift is given 2 times" in error_line(result.stderr)
+
+
+def test_arguments_may_be_called_as_they_like() -> None:
+    """An argument of click has a name, too, and a path of that name is no option."""
+    for command in COMMANDS.values():
+        words = [part.name for part in command.params]
+        refuse_taken_options(command, [*words, "--out", "out", "--json", "--", "--out", "--out"])
+        refuse_taken_options(command, ["--out=--json", "--out", "-x"])
 
 
 @pytest.mark.parametrize("word", ["a=1 b=2", "a=1,b=2", "a=x.pth, c.d=true", "a=0.7;b=2"])

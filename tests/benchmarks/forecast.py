@@ -144,8 +144,8 @@ def fit_all(towns: Sequence[Town]) -> Calibration:
     false = np.concatenate([town.false for town in towns])
     return Calibration(
         weights=fit(np.concatenate([town.rows for town in towns]), happened),
-        eph_scale=scale,
-        epv_scale=scale,
+        across_scale=scale,
+        up_scale=scale,
         false_share=round((false.sum() + 0.5) / (len(false) + 1), 4),
         queries=len(happened),
         source=", ".join(town.name for town in towns),

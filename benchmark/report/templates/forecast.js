@@ -33,7 +33,7 @@ function verdicts() {
   row("fix at a waypoint", share(season.share)),
   row("longest way between fixes", `${season.longest_gap_m.toFixed(0)} m`),
   row("false fixes", rare(season.false_risk)),
-  row("sigma across, up", season.eph_m === null ? "–" : `${season.eph_m.toFixed(2)}, ${season.epv_m.toFixed(2)} m`))));
+  row("sigma across, up, within the map", season.sigma_across_m === null ? "–" : `${season.sigma_across_m.toFixed(2)}, ${season.sigma_up_m.toFixed(2)} m`))));
 }
 
 function map() {
@@ -69,8 +69,8 @@ function facts() {
     el("dl", { class: "facts" },
       fact("probability of a fix", share(outlook.probability)),
       fact("false fix", rare(outlook.false_risk)),
-      fact("sigma across", sigma(outlook.eph_m)),
-      fact("sigma up", sigma(outlook.epv_m)),
+      fact("sigma across", sigma(outlook.sigma_across_m)),
+      fact("sigma up", sigma(outlook.sigma_up_m)),
       fact("map points in view", looked.points.toFixed(0)),
       fact("views found", `${outlook.found} of ${outlook.views}`),
       fact("position", `${looked.latitude.toFixed(6)}, ${looked.longitude.toFixed(6)}, ${looked.altitude_m.toFixed(1)} m`, true),
@@ -116,7 +116,7 @@ function photographs() {
 function everyWaypoint() {
   return rows([["waypoint"], ["probability"], ["false fix"], ["sigma across"], ["sigma up"], ["map points"], ["views found"]], data.waypoints.map((w) => {
     const outlook = w.seasons[chosen];
-    return el("tr", {}, [w.number, share(outlook.probability), rare(outlook.false_risk), sigma(outlook.eph_m), sigma(outlook.epv_m), w.points.toFixed(0), `${outlook.found} of ${outlook.views}`].map((cell) => el("td", {}, String(cell))));
+    return el("tr", {}, [w.number, share(outlook.probability), rare(outlook.false_risk), sigma(outlook.sigma_across_m), sigma(outlook.sigma_up_m), w.points.toFixed(0), `${outlook.found} of ${outlook.views}`].map((cell) => el("td", {}, String(cell))));
   }));
 }
 

@@ -33,8 +33,8 @@ def observation(season: str, waypoint: int, view: int = 0, **more: object) -> Ob
         "r_err_deg": 0.1,
         "h_err_m": 0.08,
         "v_err_m": 0.06,
-        "eph_m": 0.2,
-        "epv_m": 0.1,
+        "sigma_across_m": 0.2,
+        "sigma_up_m": 0.1,
         "inliers": 80,
         "points": POINTS[waypoint],
     }
@@ -53,7 +53,14 @@ def observations() -> list[Observation]:
                     more = {"t_err_m": 30.0, "inliers": 9}
                 elif lost:
                     more = dict.fromkeys(
-                        ("t_err_m", "r_err_deg", "h_err_m", "v_err_m", "eph_m", "epv_m")
+                        (
+                            "t_err_m",
+                            "r_err_deg",
+                            "h_err_m",
+                            "v_err_m",
+                            "sigma_across_m",
+                            "sigma_up_m",
+                        )
                     )
                     more |= {"status": Status.FAILED, "inliers": 0}
                 made.append(observation(season, waypoint, view, **more))

@@ -36,8 +36,8 @@ def test_a_neighbour_at_the_pooling_distance_counts_61_percent() -> None:
     assert evidence.inliers[0] == pytest.approx(inliers)
     assert evidence.points[2] == pytest.approx(np.log(11))
     # Only fixes tell a sigma, and none is near the last waypoint.
-    np.testing.assert_allclose(evidence.eph_m[:2], 0.2)
-    assert np.isnan(evidence.eph_m[2])
+    np.testing.assert_allclose(evidence.sigma_across_m[:2], 0.2)
+    assert np.isnan(evidence.sigma_across_m[2])
 
 
 def test_without_a_calibration_the_probability_is_the_smoothed_share() -> None:

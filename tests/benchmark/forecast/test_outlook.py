@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -55,7 +57,7 @@ def test_the_made_flight_holds_in_summer_and_fails_in_snow() -> None:
     causes = [w.seasons["snow-dusk"].cause for w in made.waypoints]
     assert causes == [None, None, "few points", "few points", "look"]
     assert weak.cause == "few points"
-    assert snow.eph_m == pytest.approx(0.2)
+    assert snow.sigma_across_m == pytest.approx(0.2)
     assert summer.false_risk < snow.false_risk
 
 
@@ -97,6 +99,15 @@ def test_the_report_reads_itself() -> None:
     text = made.text()
     assert "snow-dusk: too few fixes to fly by" in text
     assert "photograph waypoints 3 to 4" in text
+
+
+def test_sigmas_are_named_as_those_within_the_map() -> None:
+    """``eph_m`` and ``epv_m`` are names of accuracies on earth, which a forecast does not know."""
+    made = report()
+    assert "sigma across 0.20 m within the map" in made.text()
+    words = made.model_dump_json() + json.dumps(geojson(made.waypoints, made.seasons))
+    assert "eph" not in words
+    assert "epv" not in words
 
 
 def test_points_behind_the_surface_are_not_in_view() -> None:

@@ -124,6 +124,44 @@ def test_hdf5_survives(disk: Path, left: int, how: str) -> None:
         assert [int(file[f"{k}/values"][-1]) for k in range(40)] == list(range(40))
 
 
+def test_a_copy_names_what_is_written(disk: Path, tmp_path: Path) -> None:
+    """The error of copying names the file that is read, which lies on another disk."""
+    photograph = tmp_path / "photograph.jpg"
+    photograph.write_bytes(bytes(3_000_000))
+    with pytest.raises(WriteError) as raised, atomic_write(disk / "a.jpg") as partial:
+        shutil.copyfile(photograph, partial)
+    assert str(raised.value) == f"cannot write {disk / 'a.jpg'}: No space left on device"
+    with pytest.raises(WriteError, match=r"/b\.jpg: No such file"), atomic_write(disk / "a.jpg"):
+        shutil.copyfile(tmp_path / "b.jpg", disk / "b.jpg")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("leaderboard", str(GATE.with_name("gate-baseline")), "--out"),
+        ("score", str(GATE / "reference_poses.txt"), "--reference", str(GATE), "--out"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_command_ends_with_one_line(disk: Path, words: tuple[str, ...]) -> None:
+    """What it leaves is whole, and the same command finishes when there is room."""
+    filling = fill(disk, 2 << 10)
+    command = [sys.executable, "-m", "benchmark.cli", *words, str(disk / "out")]
+
+    def run() -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            command, cwd=GATE.parents[2], capture_output=True, text=True, check=False
+        )
+
+    ended = run()
+    assert ended.returncode == 2, ended.stderr
+    assert ended.stderr.splitlines()[-1].startswith(f"objconnect: error: cannot write {disk}")
+    assert "Traceback" not in ended.stderr
+    assert not [path for path in disk.rglob("*") if path.name.endswith(".partial")]
+    filling.unlink()
+    assert run().returncode == 0
+
+
 @pytest.mark.parametrize("method", ["sift", "pixloc"])
 @pytest.mark.parametrize("cache", [None, "cache"])
 def test_localize_ends_with_one_line(
