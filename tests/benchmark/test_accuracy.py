@@ -145,11 +145,23 @@ def test_what_the_sigmas_explain_is_not_told(caplog: pytest.LogCaptureFixture) -
         ((90, -66, 1), (np.inf, np.inf, np.inf), 7),
         ((90, -66, 1), (10, 10, 10), 4),
     ]:
-        assert said(caplog, flown(offset, sigma, count), None) == ""
+        assert said(caplog, flown(offset, sigma, count), EXACT) == ""
     # Up to half of the fixes may be wrong.
     mostly = [*flown((1, 0, 0), (3, 3, 3), 7), *flown((900, 0, 0), (3, 3, 3), 6)]
     assert said(caplog, mostly, EXACT) == ""
     assert "m beside" in said(caplog, [*mostly, *flown((900, 0, 0), (3, 3, 3), 3)], EXACT)
+
+
+def test_a_map_without_a_known_place_on_earth_says_how_far_gps_is(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Caliterra: 12 m from the GPS at sigmas of centimetres, which are those within the map."""
+    line = said(caplog, flown((12, 0, 0), (10, 10, 10)), None)
+    assert "\n" not in line
+    assert "12.0 m beside the GPS positions" in line and "sigma_m is within the map" in line
+    assert said(caplog, flown((0, 0, 0), (10, 10, 10)), None) == ""
+    assert said(caplog, flown((12, 0, 0), (np.inf, np.inf, np.inf)), None) == ""
+    assert said(caplog, flown((12, 0, 0), (10, 10, 10), 4), None) == ""
 
 
 def test_photographs_without_answer_or_position_do_not_count() -> None:
