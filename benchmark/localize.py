@@ -13,7 +13,7 @@ from pydantic import Field
 
 from benchmark.answers import Geography, Located, contents, outputs
 from benchmark.cameras import CameraSource, with_focal_error
-from benchmark.datasets.origin import read_origin as _origin
+from benchmark.datasets.origin import read_origin
 from benchmark.datasets.simulated import is_scene
 from benchmark.disagreement import warn_of_disagreement
 from benchmark.journal import Journal, journal_path
@@ -62,7 +62,7 @@ def open_place(path: Path) -> Place:
         images = scene.images_root
         return Place(scene.sparse_map(), images, manifest.origin, manifest.on_earth)
     if (path / "sparse" / "map").is_dir():
-        return Place(read_model(path / "sparse" / "map"), path / "images", _origin(path))
+        return Place(read_model(path / "sparse" / "map"), path / "images", read_origin(path))
     raise InputError(f"{path} is no map: it is neither a scene nor a folder with sparse/map")
 
 

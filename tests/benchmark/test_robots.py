@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import struct
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,6 +24,7 @@ from scene.storage.outputs import check_outputs
 from tests.benchmark.made_data import QUERY_NAMES, FakeLocalizer, pose_at, write_flight
 from tests.benchmark.test_answers import looking
 from tests.benchmark.test_cli import error_line, invoke
+from tests.geoid import installed_geoid
 
 pyproj = pytest.importorskip("pyproj")
 mavutil = pytest.importorskip("pymavlink.mavutil")
@@ -259,16 +259,9 @@ def test_east_is_first() -> None:
 
 @pytest.fixture
 def geoid(tmp_path: Path) -> Iterator[float]:
-    """A grid of EGM96 that is 48.25 m everywhere, in the old format of PROJ."""
-    rows, columns = 181, 361
-    header = struct.pack(">4d2i", -90.0, -180.0, 1.0, 1.0, rows, columns)
-    grids = tmp_path / "grids"
-    grids.mkdir()
-    (grids / "egm96_15.gtx").write_bytes(header + np.full(rows * columns, 48.25, ">f4").tobytes())
-    before = pyproj.datadir.get_data_dir()
-    pyproj.datadir.append_data_dir(str(grids))
-    yield 48.25
-    pyproj.datadir.set_data_dir(before)
+    """Height of the geoid above the ellipsoid everywhere, metres."""
+    with installed_geoid(tmp_path) as undulation_m:
+        yield undulation_m
 
 
 def test_the_geoid_of_an_installed_grid(geoid: float) -> None:

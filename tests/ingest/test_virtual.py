@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import struct
 from pathlib import Path
 
 import numpy as np
-import pyproj
 import pytest
 import rasterio
 from numpy.typing import NDArray
@@ -29,6 +27,7 @@ from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from scene.geometry.pose import Pose
 from scene.localizer import Prior, Query, Status
+from tests.geoid import installed_geoid
 from tests.scene.geo.made_site import HOUSE, ORIGIN, cast, colour, down_from, height, rasters
 
 CAMERA = Camera("PINHOLE", 200, 200, (180.0, 180.0, 100.0, 100.0))
@@ -258,26 +257,17 @@ def test_what_the_command_refuses(words: list[str], says: str) -> None:
 def test_heights_above_the_geoid(files: dict[str, tuple[Path, Path]], tmp_path: Path) -> None:
     """A surface model above a geoid of 48.25 m gives the views of one above the ellipsoid."""
     ortho, dsm = files[SYSTEMS[0]]
-    grids = tmp_path / "grids"
-    grids.mkdir()
-    header = struct.pack(">4d2i", -90.0, -180.0, 1.0, 1.0, 181, 361)
-    content = np.full(181 * 361, 48.25, ">f4").tobytes()
-    (grids / "egm96_15.gtx").write_bytes(header + content)
     with rasterio.open(dsm) as file:
         profile, values = file.profile, file.read(1)
     profile["crs"] = "EPSG:32632+5773"
     with rasterio.open(tmp_path / "sea.tif", "w", **profile) as file:
         file.write(values - np.float32(48.25), 1)
     few = VIEWS.model_copy(update={"size": 64, "overlap": 0.0})
-    before = pyproj.datadir.get_data_dir()
-    pyproj.datadir.append_data_dir(str(grids))
-    try:
+    with installed_geoid(tmp_path):
         photograph_orthophoto(ortho, dsm, tmp_path / "a", options=few)
         report = photograph_orthophoto(ortho, tmp_path / "sea.tif", tmp_path / "b", options=few)
         with pytest.raises(InputError, match="leave --undulation out"):
             photograph_orthophoto(ortho, tmp_path / "sea.tif", tmp_path / "c", undulation=48.0)
-    finally:
-        pyproj.datadir.set_data_dir(before)
     assert report.notes == ()
     one, other = (Scene.open(tmp_path / name) for name in "ab")
     np.testing.assert_allclose(one.manifest.origin, other.manifest.origin, rtol=0, atol=2e-3)
