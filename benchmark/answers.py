@@ -39,7 +39,7 @@ _HEADER: Final = "# name qw qx qy qz tx ty tz  (world to camera, metres)"
 _WHERE: Final = ("e", "n", "u", "latitude", "longitude", "altitude")
 _FIRST: Final = ("name", "status", *_WHERE, "sigma_m", "inliers", "reason")
 _LATER: Final = ("time", "sea_level_m", "yaw_deg", "pitch_deg", "roll_deg", "eph_m", "epv_m")
-_LAST: Final = ("camera", "focal_px", "seconds", "by")
+_LAST: Final = ("camera", "focal_px", "seconds", "by", "probability")
 _COORDINATES: Final = ("x", "y", "h", "crs", "h_above")
 _COLUMNS: Final = (*_FIRST, *_LATER, "covariance", *_LAST)
 _MARK: Final = "poses by objconnect localize"
@@ -178,6 +178,8 @@ class Located:
                 known["focal_px"] = round(self.camera.focal[0], 2)
         if self.estimate.by is not None:
             known["by"] = self.estimate.by.value
+        if self.estimate.probability is not None:
+            known["probability"] = round(self.estimate.probability, 4)
         return known
 
 

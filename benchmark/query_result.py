@@ -52,6 +52,7 @@ class QueryResult(Named):
         inliers: number of inliers that the method reports.
         seconds: wall-clock seconds by stage.
         by: what gave the pose; None if unknown.
+        probability: probability that the method's best pose is right; None if unknown.
     """
 
     condition: Condition
@@ -68,6 +69,7 @@ class QueryResult(Named):
     inliers: _Count
     seconds: dict[str, _Time]
     by: By | None = None
+    probability: float | None = Field(None, ge=0, le=1)
 
 
 def pose_of(numbers: PoseNumbers) -> Pose:

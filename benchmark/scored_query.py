@@ -88,4 +88,5 @@ def score_query(
         inliers=estimate.inliers,
         seconds=estimate.seconds | ({} if seconds is None else {TOTAL: seconds}),
         by=estimate.by,
+        probability=estimate.probability,
     )

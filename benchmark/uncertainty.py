@@ -24,6 +24,8 @@ class Predicted(Outcome, Protocol):
     def nees(self) -> float | None: ...
     @property
     def sigma_t_m(self) -> float | None: ...
+    @property
+    def probability(self) -> float | None: ...
 
 
 class Consistency(NamedTuple):
@@ -81,24 +83,27 @@ def consistency(outcomes: Sequence[Predicted]) -> Consistency | None:
     return Consistency(len(values), fmean(values), median(values), share)
 
 
-def risk_coverage(outcomes: Sequence[Predicted], threshold: Threshold) -> list[tuple[float, float]]:
-    """Return the risk-coverage curve (Geifman and El-Yaniv, NeurIPS 2017).
+def doubt(outcome: Predicted) -> tuple[float, float]:
+    """Return by what answers are ordered, the surest first.
 
-    Queries are sorted by the predicted standard deviation of the position, smallest first. Queries
-    without one and failed queries come last.
+    That is the probability that the pose is wrong, where the method predicts it, then the standard
+    deviation of the position. Failed queries, and answers without either, come last.
+    """
+    if outcome.status != "ok" or (outcome.probability is None and outcome.sigma_t_m is None):
+        return np.inf, np.inf
+    wrong = 0.0 if outcome.probability is None else 1 - outcome.probability
+    return wrong, np.inf if outcome.sigma_t_m is None else outcome.sigma_t_m
+
+
+def risk_coverage(outcomes: Sequence[Predicted], threshold: Threshold) -> list[tuple[float, float]]:
+    """Return the risk-coverage curve (Geifman and El-Yaniv, NeurIPS 2017) of the surest queries.
 
     Returns:
         One pair (coverage, risk) in percent for each query: the share of queries up to this one,
         and the share of wrong poses among them.
     """
-
-    def predicted_sigma(outcome: Predicted) -> float:
-        if outcome.status != "ok" or outcome.sigma_t_m is None:
-            return np.inf
-        return outcome.sigma_t_m
-
     wrong, curve = 0, []
-    for count, outcome in enumerate(sorted(outcomes, key=predicted_sigma), 1):
+    for count, outcome in enumerate(sorted(outcomes, key=doubt), 1):
         wrong += not is_correct(outcome, threshold)
         curve.append((100 * count / len(outcomes), 100 * wrong / count))
     return curve

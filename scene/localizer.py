@@ -145,6 +145,8 @@ class Estimate:
         seconds: time per stage.
         reason: why there is no pose, in words.
         by: what gave the pose; None without one, or where the method does not say.
+        probability: probability that the method's best pose is right, within 5 m and 10 degrees. Of
+            a fallback it is that of the pose that was not believed. None where it does not say.
     """
 
     status: Status
@@ -155,6 +157,7 @@ class Estimate:
     seconds: dict[str, float] = field(default_factory=dict)
     reason: str = ""
     by: By | None = None
+    probability: float | None = None
 
     @property
     def tracked(self) -> bool:

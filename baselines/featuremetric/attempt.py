@@ -1,11 +1,10 @@
-"""Poses that the alignment led to from one start, and when one of several is believed."""
+"""Poses that the alignment led to from one start each, and the answer that several give."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +12,14 @@ from numpy.typing import NDArray
 from baselines.align.aligner import Alignment
 from baselines.align.covariance import Spread, spread
 from baselines.align.problem import Problem
+from baselines.featuremetric.acceptance import best_probability
 from baselines.featuremetric.calibration import CovarianceNumbers, calibrated
+from baselines.featuremetric.evidence import Evidence, evidence
 from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.problem import fit
 from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
 from scene.localizer import By, Estimate, Status, Stopwatch
-
-_UNCLEAR: Final = "no place of the map fits the image clearly"
 
 
 @dataclass(frozen=True)
@@ -47,14 +46,16 @@ class Attempt:
         alignment: of the view.
         spread: how far its pose may be off; None where alignment failed.
         fit: cost as a share of the cost by chance; infinite where alignment failed.
-        reason: why the pose is not accepted; empty where it is.
+        evidence: what tells whether the pose is right; None where alignment failed.
+        log_odds: logarithm of the odds that it is; minus infinity where alignment failed.
     """
 
     view: WarpedImage
     alignment: Alignment
     spread: Spread | None
     fit: float
-    reason: str
+    evidence: Evidence | None
+    log_odds: float
 
     @property
     def failed(self) -> bool:
@@ -68,22 +69,34 @@ class Attempt:
 
 
 def judged(found: Found, options: SearchOptions) -> Attempt:
-    """Measure how well the pose of an alignment fits, and how far it may be off.
+    """Measure how far the pose of an alignment may be off, and what tells whether it is right.
 
     Args:
         found: what was aligned.
-        options: when a pose is accepted.
+        options: how evidence is measured, and the model that gives the odds.
     """
+    assert options.acceptance is not None
     view, problem, alignment = found.view, found.problem, found.alignment
     if alignment.failed[0]:
-        return Attempt(view, alignment, None, math.inf, alignment.reason(0))
-    of_chance, around = fit(problem, alignment.pose), spread(problem, alignment.pose)
-    reason = ""
-    if not of_chance < options.accept_fit:
-        reason = "the image fits the map's points hardly better than it would by chance"
-    elif not around.curvature[0] >= options.least_curvature:
-        reason = "the image fits the map's points nearly as well at poses around"
-    return Attempt(view, alignment, around, of_chance, reason)
+        return Attempt(view, alignment, None, math.inf, None, -math.inf)
+    around = spread(problem, alignment.pose)
+    unjudged = Attempt(view, alignment, around, fit(problem, alignment.pose), None, -math.inf)
+    covariance = pose_covariance(unjudged, options)
+    sigma_m = math.inf if covariance is None else math.sqrt(np.trace(covariance[3:, 3:]))
+    curvature = float(around.curvature[0])
+    told = evidence(problem, alignment.pose, curvature, sigma_m, options.evidence)
+    return replace(unjudged, evidence=told, log_odds=options.acceptance.of_alignment(told))
+
+
+def best_of(attempts: Sequence[Attempt]) -> tuple[Attempt, float]:
+    """Return the likeliest of some attempts, and the probability that it is right."""
+    best, probability = best_probability([(each.pose, each.log_odds) for each in attempts])
+    return attempts[best], probability
+
+
+def is_believed(attempts: Sequence[Attempt], options: SearchOptions) -> bool:
+    """Return whether the likeliest of some attempts is right but for the risk that is taken."""
+    return bool(attempts) and best_of(attempts)[1] >= 1 - options.risk
 
 
 def estimated(
@@ -93,27 +106,28 @@ def estimated(
     options: SearchOptions,
     clock: Stopwatch,
 ) -> Estimate:
-    """Return the best of some attempts; where none is accepted, the first start.
+    """Return the likeliest of some attempts; where it is not believed, the first start.
 
     Args:
         attempts: what was tried.
         begin: starts, ``cam_from_world``.
         begun: what gave the first of them.
-        options: how covariances are calibrated.
+        options: the risk, and how covariances are calibrated.
         clock: the time that was taken.
     """
-    best = min(attempts, key=lambda attempt: (bool(attempt.reason), attempt.fit))
+    best, probability = best_of(attempts)
     seen = int(best.alignment.seen)
     iterations = sum(int(each.alignment.iterations) for each in attempts)
-    if best.reason:
+    if probability < 1 - options.risk or best.failed:
         return Estimate(
             Status.FALLBACK,
             begin[0],
             inliers=seen,
             iterations=iterations,
             seconds=clock.seconds,
-            reason=best.reason,
+            reason=_why_not(best, probability, len(attempts), options.risk),
             by=begun,
+            probability=probability,
         )
     return Estimate(
         Status.OK,
@@ -123,31 +137,16 @@ def estimated(
         iterations=iterations,
         seconds=clock.seconds,
         by=By.ALIGNMENT,
+        probability=probability,
     )
 
 
-def is_sure(attempt: Attempt, options: SearchOptions) -> bool:
-    """Return whether a pose is accepted, and its cost rises as steeply as it should around it."""
-    if attempt.reason or attempt.spread is None:
-        return False
-    return float(attempt.spread.curvature[0]) >= options.sure_curvature
-
-
-def is_found(attempt: Attempt, options: SearchOptions) -> bool:
-    """Return whether a pose is believed that was looked for all over the map.
-
-    Among many places one fits better than by chance, but the cost does not rise steeply there.
-    """
-    if attempt.reason:
-        return False
-    return attempt.fit < options.place_accept_fit or (
-        attempt.fit < options.sure_accept_fit and is_sure(attempt, options)
-    )
-
-
-def unclear(attempt: Attempt) -> Attempt:
-    """Return an attempt that is not accepted, as other places of the map may fit as well."""
-    return replace(attempt, reason=attempt.reason or _UNCLEAR)
+def _why_not(best: Attempt, probability: float, tried: int, risk: float) -> str:
+    """Return why the likeliest of some attempts is not believed."""
+    if best.failed:
+        return best.alignment.reason(0)
+    which = "the aligned pose" if tried == 1 else f"the likeliest of {tried} aligned poses"
+    return f"{which} is right with a probability of {probability:.2f}, below {1 - risk:g}"
 
 
 def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
@@ -167,14 +166,3 @@ def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:
     """Return ``cam_from_world`` of the photograph of an aligned view."""
     pose = alignment.pose
     return view.photograph_pose(Pose(pose.rotation[0], pose.translation[0]))
-
-
-def stayed_near(aligned: Pose, matched: Pose, options: SearchOptions) -> bool:
-    """Return whether a pose aligned from matches stayed near the pose that these gave."""
-    return _near(aligned, matched, options.matched_most_m, options.matched_most_deg)
-
-
-def _near(pose: Pose, other: Pose, most_m: float, most_deg: float) -> bool:
-    """Return whether two poses are closer than a distance (metres) and an angle (degrees)."""
-    metres, degrees = (float(part) for part in pose.error_to(other))
-    return metres < most_m and degrees < most_deg

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Protocol
 
 from baselines.align.options import SearchRadius
-from baselines.featuremetric.attempt import Attempt, estimated, is_found, stayed_near, unclear
+from baselines.featuremetric.acceptance import best_probability, is_same, log_odds_of
+from baselines.featuremetric.attempt import Attempt, best_of, estimated, is_believed
 from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.priors import may_be_at, says_where
 from baselines.featuremetric.references import ReferenceSource, Watch
@@ -30,7 +31,7 @@ _Find = Callable[[Query, Stopwatch], list[Candidate]]
 def is_answer(matched: Estimate, options: SearchOptions) -> bool:
     """Return whether the pose of matches is the answer, without an alignment."""
     enough = matched.inliers >= options.matched_answer_inliers
-    return matched.cam_from_world is not None and enough
+    return enough and (matched.probability or 0.0) >= 1 - options.risk
 
 
 class OtherFinder(Protocol):
@@ -92,17 +93,17 @@ class GlobalSearch:
         for some in self._places(query, clock):
             with progress_within("places aligned", len(some)) as advance:
                 for done, place in enumerate(some, 1):
-                    attempt = self.refine.near(query, place.pose, clock)
-                    if is_found(attempt, options):
-                        # Seen from there, the image is turned and scaled better.
-                        again = self.refine.near(query, attempt.pose, clock)
-                        return self._best([attempt, again], place, clock)
-                    attempts.append(attempt)
+                    attempts.append(self.refine.near(query, place.pose, clock))
                     begin.append(place)
+                    if is_believed(attempts, options):
+                        # Seen from there, the image is turned and scaled better.
+                        best, _ = best_of(attempts)
+                        attempts.append(self.refine.near(query, best.pose, clock))
+                        return self._best(attempts, begin[0], clock)
                     advance(done)
         if self.places is None or not begin:
             return None
-        return self._best([unclear(each) for each in attempts], begin[0], clock)
+        return self._best(attempts, begin[0], clock)
 
     def _places(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
         """Yield places where the query may be: the best ones of each finder before all others."""
@@ -126,18 +127,21 @@ class GlobalSearch:
     def _near_matches(
         self, query: Query, matched: Estimate, start: Pose, clock: Stopwatch
     ) -> tuple[Estimate | None, list[Attempt]]:
-        """Refine the pose of matches: return the answer where it is sure, and what was tried."""
+        """Refine the pose of matches: return the answer where it is believed, and what was tried.
+
+        The aligned pose is the more exact one, and is answered where it is believed by itself.
+        """
         options = self.refine.config.search
-        begin = Candidate(start, 0.0, By.MATCHES)
         around = SearchRadius(options.matched_radius_m, options.matched_radius_deg)
         attempt = self.refine.near(query, start, clock, around)
-        if matched.inliers >= options.matched_accept_inliers:
-            if attempt.reason or not stayed_near(attempt.pose, start, options):
-                return replace(matched, seconds=clock.seconds), []
-            return self._best([attempt], begin, clock), []
-        if is_found(attempt, options):
-            return self._best([attempt], begin, clock), []
-        return None, [attempt]
+        both = [(attempt.pose, attempt.log_odds), (start, log_odds_of(matched.probability))]
+        best, probability = best_probability(both)
+        if probability < 1 - options.risk:
+            return None, [attempt]
+        alike = best == 0 or is_same(attempt.pose, start)
+        if alike and is_believed([attempt], options):
+            return self._best([attempt], Candidate(start, 0.0, By.MATCHES), clock), []
+        return replace(matched, seconds=clock.seconds, probability=probability), []
 
     def _of_other(self, query: Query, clock: Stopwatch) -> list[Candidate]:
         """Return the places of the other finder that the prior allows."""

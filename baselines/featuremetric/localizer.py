@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from torch import nn
 
 from baselines.align.options import Options
-from baselines.featuremetric.attempt import Attempt, estimated, is_found, is_sure, unclear
+from baselines.featuremetric.acceptance import AcceptanceModel
+from baselines.featuremetric.attempt import Attempt, best_of, estimated, is_believed
 from baselines.featuremetric.global_search import GlobalSearch, OtherFinder, is_answer
 from baselines.featuremetric.maps import MapExtractor, Network
 from baselines.featuremetric.matcher import matcher
@@ -58,7 +59,7 @@ class FeaturemetricLocalizer:
         name: of the method.
         network: the trained network.
         weights_sha256: digest of its weights.
-        config: options of the method.
+        config: options of the method; its ``search.acceptance`` is not None.
         other: finds places too, before the search or after it.
 
     Raises:
@@ -76,10 +77,12 @@ class FeaturemetricLocalizer:
         if config.quantized:
             assert isinstance(network, nn.Module)
             require_quantizable(network)
+        assert config.search.acceptance is not None
         self.name = name
         self.weights_sha256: str | None = weights_sha256
         self.config = config
         self._extract = MapExtractor(network, config.longest, config.precision)
+        self._acceptance: AcceptanceModel = config.search.acceptance
         self._damping = [factors().detach() for factors in network.damping]
         self._other = other
 
@@ -212,9 +215,6 @@ class FeaturemetricLocalizer:
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
             begin = starts(query.prior, self._map, chosen, self.config.starts)
         attempts = self._attempts(refine, query, chosen, begin, clock)
-        if self._has_no_position(query):
-            options = self.config.search
-            attempts = [each if is_found(each, options) else unclear(each) for each in attempts]
         return estimated(attempts, begin, start_of(query.prior), self.config.search, clock)
 
     def _is_searched(self, query: Query) -> bool:
@@ -227,7 +227,7 @@ class FeaturemetricLocalizer:
         matched = None
         if self._matches is not None:
             with clock.stage("matches"):
-                matched = self._matches.localize(query)
+                matched = self._acceptance.rated(self._matches.localize(query))
             if is_answer(matched, self.config.search):
                 return replace(matched, seconds=clock.seconds)
         return self._preparation.in_query(clock).search(query, matched, clock)
@@ -254,21 +254,21 @@ class FeaturemetricLocalizer:
         begin: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts; where no answer is sure, search once more and thoroughly.
+        """Try starts; where no answer is believed, search once more and thoroughly.
 
-        That search begins at the same starts around a known pose, else at the pose that fits best,
-        if it fits well enough to stop there.
+        That search begins at the same starts around a known pose, else at the likeliest pose,
+        unless this is wrong but for the risk.
         """
         options = self.config.search
         attempts = self._tried(refine, query, chosen, begin, clock)
         enough = not self.config.multistart or options.again == 1
-        if enough or any(is_sure(each, options) for each in attempts):
+        if enough or is_believed(attempts, options):
             return attempts
         thorough = refine.searching(options.times(options.again))
         if says_all(query.prior):
             return attempts + self._tried(thorough, query, chosen, begin, clock)
-        best = min(attempts, key=lambda attempt: attempt.fit)
-        if best.fit < options.stop_fit:
+        best, probability = best_of(attempts)
+        if probability > options.risk:
             attempts.append(thorough.near(self._near_query(query), best.pose, clock))
         return attempts
 
@@ -288,7 +288,7 @@ class FeaturemetricLocalizer:
         begin: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
-        """Try starts place by place, until the fit of one is good enough to stop.
+        """Try starts place by place, until one is believed.
 
         Where there were several starts, or no position is known, the image is then aligned once
         more from the best pose: seen from there it is turned and scaled better.
@@ -302,9 +302,9 @@ class FeaturemetricLocalizer:
                 for start in at_place:
                     attempts.append(refine(query, chosen, start, clock, radius))
                     advance(len(attempts))
-                best = min(attempts, key=lambda attempt: attempt.fit)
-                if best.fit < options.stop_fit:
+                if is_believed(attempts, options):
                     if len(begin) > 1 or self._has_no_position(query):
+                        best, _ = best_of(attempts)
                         attempts.append(refine.near(self._near_query(query), best.pose, clock))
                     break
         return attempts

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Self
 
 from pydantic import Field
 
 from baselines.align.options import HypothesisOptions, SolverOptions
+from baselines.featuremetric.acceptance import AcceptanceModel, read_acceptance
 from baselines.featuremetric.corners import CornerOptions
+from baselines.featuremetric.evidence import EvidenceOptions
 from baselines.featuremetric.quantized import QuantizationOptions
 from baselines.featuremetric.references import ReferenceOptions
 from baselines.folding import Precision
@@ -19,29 +22,22 @@ from scene.config import Config
 
 
 class SearchOptions(Config):
-    """Which starts are tried in turn, and when a pose is accepted.
+    """Which starts are tried in turn, and when a pose is believed."""
 
-    The fit of a pose is its cost as a share of the cost by chance: images of nothing fit at 0.98
-    and more, or 0.95 where few points are in view; right poses at 0.64 to 0.87.
-    """
-
-    accept_fit: float = Field(
-        0.93, gt=0, description="A pose is accepted when its fit is below this."
-    )
-    stop_fit: float = Field(
-        0.87, gt=0, description="No further place is tried once a fit is below this."
-    )
-    place_accept_fit: float = Field(
-        0.82,
+    risk: float = Field(
+        0.01,
         gt=0,
-        description="A pose of which no position was known is accepted when its fit is below this: "
-        "of 800 poses in maps of other places the best fitted at 0.833.",
+        le=1,
+        description="A pose is answered where it is wrong, by more than 5 m or 10 degrees, with at "
+        "most this probability; 1 answers every pose. A search goes on until then.",
     )
-    sure_accept_fit: float = Field(
-        0.9,
-        gt=0,
-        description="A pose of which no position was known, and that is sure (sure_curvature), is "
-        "also accepted when its fit is below this.",
+    acceptance: AcceptanceModel | None = Field(
+        None,
+        description="Model of the probability that a pose is right; None for that of the file "
+        "beside the weights. python -m tests.benchmarks.acceptance finds it.",
+    )
+    evidence: EvidenceOptions = Field(
+        EvidenceOptions(), description="How a pose is compared with others of the same query."
     )
     first_places: int = Field(
         4,
@@ -55,23 +51,11 @@ class SearchOptions(Config):
         description="A pose from matches of so many inliers is the answer. On the validation "
         "scenes such poses were off by 0.02 m in the median, and by 0.04 m after an alignment.",
     )
-    matched_accept_inliers: int = Field(
-        30,
-        ge=4,
-        description="A pose from matches of so many inliers is the answer where the alignment from "
-        "there fails, or leads farther away than matched_most_m or matched_most_deg.",
-    )
     matched_radius_m: float = Field(
         1.0, gt=0, description="Distance to look around a pose from matches, metres."
     )
     matched_radius_deg: float = Field(
         1.0, gt=0, description="Angle to look around a pose from matches."
-    )
-    matched_most_m: float = Field(
-        3.0, gt=0, description="How far the alignment may lead from a pose from matches, metres."
-    )
-    matched_most_deg: float = Field(
-        3.0, gt=0, description="How far the alignment may turn a pose from matches."
     )
     covariance_factor: float = Field(
         1.28,
@@ -123,12 +107,6 @@ class SearchOptions(Config):
         description="Share by which the fit is worse than in the map's season where the whole of "
         "covariance_floor is added; below, the variance that is added grows in proportion.",
     )
-    least_curvature: float = Field(
-        0.4,
-        ge=0,
-        description="A pose is not accepted where the curvature of its cost, as a share of Gauss "
-        "and Newton's, is below this.",
-    )
     compared_points: int = Field(
         512,
         ge=10,
@@ -163,13 +141,8 @@ class SearchOptions(Config):
         2,
         ge=1,
         description="Where no pose around a prior, or from photographs that a query names, is "
-        "accepted, or none is sure, the search begins again with so many times the hypotheses and "
-        "compared points, and the best pose is answered; 1 for not.",
-    )
-    sure_curvature: float = Field(
-        0.5,
-        ge=0,
-        description="A pose is sure where its curvature is not below this.",
+        "believed, the search begins again with so many times the hypotheses and compared points; "
+        "1 for not.",
     )
 
     def times(self, factor: int) -> SearchOptions:
@@ -214,21 +187,6 @@ class TrackingOptions(Config):
     )
     rough_convergence: float = Field(
         4.0, ge=1, description="Factor on the step lengths that end a level before the finest."
-    )
-    accept_fit: float = Field(
-        0.87, gt=0, description="A pose confirms the track when its fit is below this."
-    )
-    least_curvature: float = Field(
-        0.25,
-        ge=0,
-        description="As that of the search, which can be led astray farther than a prediction: of "
-        "60 frames of a flight in snow 11 right ones were below 0.4, and none below 0.25.",
-    )
-    most_sigmas: float = Field(
-        4.0,
-        gt=0,
-        description="A pose confirms the track when it is not farther from the prediction than "
-        "this many standard deviations along any axis, and in its attitude.",
     )
 
 
@@ -324,6 +282,21 @@ class FeaturemetricConfig(Config):
     retrieval: RetrievalOptions = Field(
         RetrievalOptions(), description="How photographs are chosen where there is no prior."
     )
+
+    def accepting(self, shipped: Path) -> Self:
+        """Return the options with the acceptance model of their weights.
+
+        Args:
+            shipped: the weights that come with the method.
+
+        Raises:
+            InputError: the file of the model is damaged.
+        """
+        if self.search.acceptance is not None:
+            return self
+        model = read_acceptance(self.weights or shipped, shipped)
+        search = self.search.model_copy(update={"acceptance": model})
+        return self.model_copy(update={"search": search})
 
 
 class SearchingConfig(FeaturemetricConfig):

@@ -1,7 +1,7 @@
 """An image of a sequence, followed from the pose that the images before predict.
 
 One start, a few photographs of the map, the middle of the picture, and no level coarser than the
-prediction needs. The pose counts only where its fit and the prediction confirm it.
+prediction needs. The pose counts only where it is believed.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from baselines.align.aligner import Alignment, align
 from baselines.align.problem import Problem
-from baselines.featuremetric.attempt import Attempt, Found, judged
+from baselines.featuremetric.attempt import Attempt, Found, is_believed, judged
 from baselines.featuremetric.options import SearchOptions, TrackingOptions
 from baselines.featuremetric.priors import pose_of
 from baselines.featuremetric.problem import ProblemBuilder
-from scene.geometry.pose import Pose
 from scene.localizer import Prior, Query, Stopwatch
 
 
@@ -29,7 +28,7 @@ class Tracking:
 
     Attributes:
         problems: builds alignment problems.
-        search: when a pose is accepted at all.
+        search: when a pose is believed.
         options: how an image is followed.
     """
 
@@ -38,7 +37,7 @@ class Tracking:
     options: TrackingOptions
 
     def __call__(self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch) -> Attempt | None:
-        """Align an image from its prior alone; None where that does not confirm the track.
+        """Align an image from its prior alone; None where that pose is not believed.
 
         Args:
             query: the image; its prior has a position and an attitude.
@@ -60,11 +59,8 @@ class Tracking:
             if first is None:
                 return None
             found = Found(view, problem, _aligned(problem, first, options))
-            less = {"least_curvature": options.least_curvature}
-            attempt = judged(found, self.search.model_copy(update=less))
-        if attempt.reason or not attempt.fit < options.accept_fit:
-            return None
-        return attempt if _is_near(attempt.pose, prior, options.most_sigmas) else None
+            attempt = judged(found, self.search)
+        return attempt if is_believed([attempt], self.search) else None
 
 
 def _unsure_px(problem: Problem, prior: Prior) -> float:
@@ -100,15 +96,3 @@ def _aligned(problem: Problem, first: int, tracking: TrackingOptions) -> Alignme
             break
         problem = problem.starting_at(alignment.pose)
     return replace(alignment, iterations=iterations)
-
-
-def _is_near(pose: Pose, prior: Prior, most_sigmas: float) -> bool:
-    """Return whether a pose is as near to a prior as its standard deviations say."""
-    if prior.position_sigma is not None:
-        away = np.abs(pose.centre().numpy() - prior.position)
-        if not (away <= most_sigmas * prior.position_sigma).all():
-            return False
-    if prior.attitude_sigma_deg is None:
-        return True
-    _, degrees = pose.error_to(pose_of(prior))
-    return float(degrees) <= most_sigmas * prior.attitude_sigma_deg

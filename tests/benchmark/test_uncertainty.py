@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from baselines.align.covariance import Spread
 from baselines.featuremetric.calibration import CovarianceNumbers
 from benchmark.score import Threshold
-from benchmark.uncertainty import _CHI2_95, consistency, normalised_error, risk_coverage
+from benchmark.uncertainty import _CHI2_95, consistency, doubt, normalised_error, risk_coverage
 from scene.geometry.pose import Pose
 from scene.localizer import Status
 from tests.benchmark.made_data import pose_at, scored_query
@@ -94,6 +94,18 @@ def test_risk_coverage_by_hand() -> None:
         (75, pytest.approx(100 / 3)),
         (100, 50),
     ]
+
+
+def test_a_predicted_probability_goes_before_a_sigma() -> None:
+    queries = [
+        scored_query("unlikely and wrong", 3.0, sigma_t_m=0.1, probability=0.6),
+        scored_query("likely and right", 0.1, sigma_t_m=0.9, probability=0.999),
+        scored_query("as likely, and surer", 0.2, sigma_t_m=0.3, probability=0.999),
+        scored_query("failed", None, probability=0.2),
+    ]
+    order = [query.name for query in sorted(queries, key=doubt)]
+    assert order == ["as likely, and surer", "likely and right", "unlikely and wrong", "failed"]
+    assert risk_coverage(queries, TIGHT)[1] == (50, 0)
 
 
 def made_answers(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -17,9 +18,8 @@ from numpy.typing import NDArray
 from benchmark.report.board.runs import BoardQuery
 from benchmark.score import Interval, Threshold, is_correct, wilson
 from benchmark.tracks.queries import CHANGED, SAME
-from benchmark.uncertainty import Predicted
+from benchmark.uncertainty import Predicted, doubt
 from scene.bundle.manifest import ALL_CONDITIONS
-from scene.localizer import Status
 
 ALL: Final = ALL_CONDITIONS
 # A cell says how wide its intervals are where recall is 90 %.
@@ -75,23 +75,22 @@ def conditions(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
 def bounded_recall(outcomes: Sequence[Predicted], threshold: Threshold) -> Interval | None:
     """Return the recall of the surest answers, of which fewer than 1 % are wrong.
 
-    Answers are believed from the smallest predicted standard deviation of the position on, up to
-    the largest one with which the share of wrong poses among them is below ``RISK``. Equal ones are
-    believed together. An answer without one is never believed.
+    Answers are believed in the order of ``benchmark.uncertainty.doubt``, as far as the share of
+    wrong poses among them is below ``RISK``. Equal ones are believed together. An answer without a
+    probability and a standard deviation is never believed.
 
     Returns:
         The share of all queries that are believed and right, in percent; None where no answer has
-        a standard deviation.
+        a probability or a standard deviation.
     """
-    stated = [o for o in outcomes if o.status is Status.OK and o.sigma_t_m is not None]
+    stated = sorted((o for o in outcomes if min(doubt(o)) < np.inf), key=doubt)
     if not stated:
         return None
-    sigma = np.array([o.sigma_t_m for o in stated], np.float64)
-    order = np.argsort(sigma, kind="stable")
-    right = np.cumsum(np.array([is_correct(o, threshold) for o in stated])[order])
+    right = np.cumsum([is_correct(o, threshold) for o in stated])
     believed = np.arange(1, len(stated) + 1)
     # Only the last of equal ones closes a set that may be believed.
-    closed = np.append(np.diff(sigma[order]) > 0, True)
+    doubts = [doubt(o) for o in stated]
+    closed = np.array([a != b for a, b in pairwise([*doubts, None])])
     allowed = np.flatnonzero(closed & (believed - right < RISK * believed))
     found = int(right[allowed[-1]]) if len(allowed) else 0
     low, high = wilson(found, len(outcomes))

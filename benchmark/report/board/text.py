@@ -80,7 +80,8 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         "half the width of that interval at a recall of 90 %. False fixes are poses that a method "
         "calls right and that are wrong by more than 5 m or 10°. The surest are the share of all "
         "queries that are believed and right at 0.5 m 5° when answers are believed in the order of "
-        f"their predicted sigma, as long as fewer than {RISK:.0%} of those are wrong.",
+        "their predicted probability, else of their sigma, as long as fewer than "
+        f"{RISK:.0%} of those are wrong.",
     ]
     for board, figures in zip(boards, rows, strict=True):
         lines += ["", f"## {escaped(board.track.name)}: {escaped(board.track.title)}"]

@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
+from baselines.featuremetric.acceptance import read_acceptance
 from baselines.views import warp_image
 from benchmark.registry import create
 from benchmark.starts import position_prior, tilted_prior
+from objconnect.localizer import SHIPPED
 from scene.geometry.pose import Pose
 from scene.localizer import By, Estimate, Localizer, Query, Status
 from tests.baselines.test_hostile import DATASET, QUERY, TRUTH, WHOLE, noise
@@ -49,18 +51,23 @@ def test_each_source_of_starts_leads_to_the_pose(localizer: Localizer, told: str
     assert_right(localizer.localize(replace(QUERY, prior=PRIORS[told])))
 
 
-MATCHED: dict[str, dict[str, float]] = {
+MODEL = read_acceptance(SHIPPED, SHIPPED)
+NO_ALIGNMENT = {"bias": -20, "peak": 0, "rival": 0, "halves": 0, "curvature": 0, "sigma": 0}
+MATCHED: dict[str, dict[str, Any]] = {
     "many": {"matched_answer_inliers": 20},
-    "aligned elsewhere": {"matched_answer_inliers": 10**6, "matched_most_m": 1e-6},
+    "not aligned": {"matched_answer_inliers": 10**6, "acceptance": {"aligned": NO_ALIGNMENT}},
     "aligned": {"matched_answer_inliers": 10**6},
 }
 
 
 @pytest.mark.parametrize("case", MATCHED)
-def test_poses_of_many_matches_are_answered_unless_the_alignment_stays_near(
+def test_poses_of_matches_are_answered_unless_an_aligned_one_is_believed(
     case: str, tmp_path: Path
 ) -> None:
-    sift, localizer = create("sift", {}), create("objconnect", {"search": MATCHED[case]})
+    search = dict(MATCHED[case])
+    if "acceptance" in search:
+        search["acceptance"] |= {"matched": MODEL.matched.model_dump()}
+    sift, localizer = create("sift", {}), create("objconnect", {"search": search})
     for each in (sift, localizer):
         each.prepare(WHOLE, DATASET.images, tmp_path)
     query = replace(QUERY, prior=None)

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from baselines.featuremetric.acceptance import AcceptanceModel
 from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.refiner import Refiner
 from baselines.pixloc.localizer import SHIPPED, PixlocConfig, PixlocLocalizer
@@ -118,26 +119,34 @@ def test_many_starts_reach_further(weights: Path, made: tuple[SparseMap, Path]) 
     assert found[True] < 0.2
 
 
-def test_an_answer_that_is_not_sure_is_searched_again(
+NEVER = AcceptanceModel.model_validate(
+    {
+        "aligned": {"bias": -20, "peak": 0, "rival": 0, "halves": 0, "curvature": 0, "sigma": 0},
+        "matched": {"bias": -20, "inliers": 0},
+    }
+)
+
+
+def test_where_no_answer_is_believed_is_searched_again(
     weights: Path, made: tuple[SparseMap, Path]
 ) -> None:
     found = {}
     for name, search in {
-        "sure": SearchOptions(sure_curvature=0),
-        "unsure": SearchOptions(sure_curvature=2),
-        "once": SearchOptions(sure_curvature=2, again=1),
-        "refused": SearchOptions(least_curvature=2),
-        "refused once": SearchOptions(least_curvature=2, again=1),
+        "believed": SearchOptions(),
+        "refused": SearchOptions(acceptance=NEVER),
+        "refused once": SearchOptions(acceptance=NEVER, again=1),
+        "any": SearchOptions(acceptance=NEVER, risk=1),
     }.items():
         localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True, search=search))
         localizer.prepare(*made)
         found[name] = localizer.localize(QUERY)
-    assert found["unsure"].iterations > 1.5 * found["once"].iterations
-    assert found["sure"].iterations == found["once"].iterations
     assert found["refused"].iterations > 1.5 * found["refused once"].iterations
+    assert found["believed"].iterations == found["refused once"].iterations
     assert found["refused"].status is Status.FALLBACK
-    # The better of both searches is answered.
-    assert errors(found["unsure"])[0] < 0.1 and found["unsure"].status is Status.OK
+    assert "right with a probability of 0.00, below 0.99" in found["refused"].reason
+    for name in ("believed", "any"):
+        assert errors(found[name])[0] < 0.1 and found[name].status is Status.OK
+    assert (found["believed"].probability or 0) > 0.99 > (found["any"].probability or 0)
 
 
 def test_a_search_that_references_begin_ends_with_the_nearest_ones(
@@ -158,17 +167,6 @@ def test_a_search_that_references_begin_ends_with_the_nearest_ones(
     estimate = localizer.localize(named)
     assert errors(estimate)[0] < 0.2
     assert chosen[0] == [0, 3] and set(chosen[-1]) == {1, 2}
-
-
-def test_without_a_position_only_a_clear_fit_is_believed(
-    weights: Path, made: tuple[SparseMap, Path]
-) -> None:
-    nowhere = SearchOptions(place_accept_fit=1e-9, sure_accept_fit=1e-9)
-    localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True, search=nowhere))
-    localizer.prepare(*made)
-    assert localizer.localize(QUERY).status is Status.OK
-    named = localizer.localize(replace(QUERY, prior=None, references=("1.png", "2.png")))
-    assert named.status is Status.FALLBACK and "no place of the map" in named.reason
 
 
 @pytest.mark.thorough

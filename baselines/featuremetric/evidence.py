@@ -1,0 +1,179 @@
+"""What tells a right pose from a wrong one: ratios of a query to itself.
+
+A cost says how alike a query and a map are, which light, season and renderer decide. These
+ratios do not: how far the gain at a pose stands out from that of the same picture shifted aside
+(the ratio of peak and sidelobes, Bolme et al., CVPR 2010), whether another shift fits as well, and
+how near to each other two halves of the picture lead.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import torch
+from pydantic import Field
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from baselines.align.aligner import align
+from baselines.align.problem import Problem
+from baselines.align.residuals import Level, robust_cost
+from baselines.align.sampling import per_axis
+from scene.config import Config
+from scene.geometry.pose import Pose
+
+# The terms of a regression have bounds: beyond them a pose is as sure, or as lost.
+_LEAST_HEIGHT: Final = 0.1
+_LEAST_CELLS: Final = 0.02
+_LEAST_M: Final = 0.02
+_MOST_CELLS: Final = 20.0
+_MOST_M: Final = 10.0
+# Fewer points, or fewer shifts to compare with, tell nothing.
+_FEWEST: Final = 10
+
+
+class EvidenceOptions(Config):
+    """How a pose is compared with the same picture shifted aside, and how it is halved."""
+
+    points: int = Field(256, ge=10, description="Points that are compared, spread over the image.")
+    reach_cells: float = Field(
+        24.0, gt=0, description="Farthest shift along either axis, cells of the middle level."
+    )
+    step_cells: float = Field(3.0, gt=0, description="Cells between neighbouring shifts.")
+    core_cells: float = Field(
+        4.0, gt=0, description="Shifts shorter than this belong to the peak of the pose itself."
+    )
+    least_share: float = Field(
+        0.3, gt=0, le=1, description="Share of the points that a shift must leave in the picture."
+    )
+    fields: int = Field(
+        6, ge=2, description="Fields along either axis of the chessboard that halves the picture."
+    )
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a query says of an aligned pose.
+
+    Attributes:
+        height: gain over chance at the pose less the mean of shifted pictures, in their standard
+            deviations.
+        rival: highest gain of a shifted picture as a share of the highest near the pose; at most 1.
+        halves: median distance between where the poses of two halves of the picture project the
+            points, cells of the finest level; infinite where a half does not give one.
+        curvature: of the cost around the pose, as a share of Gauss and Newton's (``Spread``).
+        sigma_m: standard deviation of the camera's position that the method predicts, metres;
+            infinite where the points do not tell it.
+    """
+
+    height: float
+    rival: float
+    halves: float
+    curvature: float
+    sigma_m: float
+
+    def terms(self) -> tuple[float, ...]:
+        """Return the terms of the logistic regression, each bounded, in the order of the fields."""
+        return (
+            math.log(max(self.height, _LEAST_HEIGHT)),
+            min(max(self.rival, 0.0), 1.0),
+            math.log(min(max(self.halves, _LEAST_CELLS), _MOST_CELLS)),
+            self.curvature,
+            math.log(min(max(self.sigma_m, _LEAST_M), _MOST_M)),
+        )
+
+
+def evidence(
+    problem: Problem, pose: Pose, curvature: float, sigma_m: float, options: EvidenceOptions
+) -> Evidence:
+    """Measure what a query says of an aligned pose.
+
+    Args:
+        problem: what was aligned, of one image.
+        pose: ``cam_from_world``, batched (1).
+        curvature: of the cost around it.
+        sigma_m: predicted standard deviation of its position, metres.
+        options: how it is measured.
+    """
+    height, rival = _peak(problem, pose, options)
+    halves = _between_halves(problem, pose, options.fields)
+    return Evidence(height, rival, halves, curvature, sigma_m)
+
+
+def _peak(problem: Problem, pose: Pose, options: EvidenceOptions) -> tuple[float, float]:
+    """Return the height and the rival, as in ``Evidence``, on the middle level."""
+    few = problem.first_points(options.points)
+    level = few.levels[len(few.levels) // 2]
+    projected = few.intrinsics.project(pose.transform(few.points))
+    cells = (projected.xy / per_axis(level.stride, few.points))[0].float()
+    side = torch.arange(-options.reach_cells, options.reach_cells + 1e-6, options.step_cells)
+    shifts = torch.cartesian_prod(side, side)
+    gain, share = _shifted_gains(level, cells, projected.valid[0], shifts, problem)
+    length = shifts.norm(dim=-1)
+    here, core = int(length.argmin()), length < options.core_cells
+    others = gain[~core & (share >= options.least_share * share[here])]
+    if len(others) < _FEWEST or share[here] < _FEWEST:
+        return 0.0, 1.0
+    highest = float(gain[core].max())
+    height = float((gain[here] - others.mean()) / others.std().clamp_min(1e-12))
+    return height, float(others.max()) / highest if highest > 0 else 1.0
+
+
+def _shifted_gains(
+    level: Level, cells: Tensor, valid: Tensor, shifts: Tensor, problem: Problem
+) -> tuple[Tensor, Tensor]:
+    """Return mean gains over chance (K,) of points that are all shifted, and how many are in view.
+
+    A point's mean cost over all cells is what it costs by chance, as in
+    ``hypotheses.gain_over_chance``.
+
+    Args:
+        level: features of the image and of N points.
+        cells: (N, 2) where the points lie, the corner of the first cell being zero.
+        valid: (N,) points in front of the camera.
+        shifts: (K, 2) cells.
+        problem: gives the scale of the robust cost.
+    """
+    height, width = level.features.shape[-2:]
+    image, points = level.features[0].flatten(1).float(), level.reference[0].float()
+    squared = (points**2).sum(-1)[:, None] + (image**2).sum(0) - 2 * points @ image
+    cost = robust_cost(squared.clamp_min(0), problem.options.robust_scale)
+    trust = torch.ones_like(cost[0])
+    if level.confidence is not None:
+        trust = level.confidence.flatten().to(cost)
+    shown = (trust > 0).to(cost)
+    chance = (cost * shown).sum(-1, keepdim=True) / shown.sum().clamp_min(1)
+    weight = trust.expand_as(cost)
+    if level.reference_confidence is not None:
+        weight = weight * level.reference_confidence[0, :, None]
+    at = cells[:, None] + shifts
+    size = torch.tensor([width, height], dtype=at.dtype)
+    seen = valid[:, None] & ((at > 0.5) & (at < size - 0.5)).all(-1)
+    place = torch.where(seen[..., None], 2 * at / size - 1, 3.0)  # 3 is out of the picture
+    maps = torch.stack([(chance - cost) * weight, weight], 1).view(len(at), 2, height, width)
+    gain, total = grid_sample(maps, place[:, None], align_corners=False)[:, :, 0].sum(0)
+    return gain / total.clamp_min(1e-12), seen.sum(0)
+
+
+def _between_halves(problem: Problem, pose: Pose, fields: int) -> float:
+    """Return the distance between the halves' poses, as in ``Evidence``.
+
+    The halves are the black and the white fields of a chessboard: both see all of the picture, and
+    no patch of it is in both.
+    """
+    finest = problem.levels[-1]
+    stride = per_axis(finest.stride, problem.points)
+    size = torch.tensor(finest.features.shape[:1:-1], dtype=stride.dtype) * stride
+    projected = problem.intrinsics.project(pose.transform(problem.points))
+    seen = projected.valid & (projected.xy > 0).all(-1) & (projected.xy < size).all(-1)
+    black = (projected.xy / size * fields).floor().sum(-1) % 2 == 0
+    begin = problem.finer() if len(problem.levels) > 2 else problem.at_levels(slice(-1, None))
+    at = []
+    for half in (black, ~black):
+        aligned = align(replace(begin.starting_at(pose), mask=seen & half), with_covariance=False)
+        if aligned.failed[0]:
+            return math.inf
+        at.append(problem.intrinsics.project(aligned.pose.transform(problem.points)).xy)
+    return float((((at[0] - at[1]) / stride).norm(dim=-1))[seen].median())

@@ -1,0 +1,91 @@
+"""What tells a right pose from a wrong one, on pictures made for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from baselines.align.options import Options
+from baselines.align.problem import Problem
+from baselines.align.residuals import Level
+from baselines.featuremetric.evidence import Evidence, EvidenceOptions, evidence
+from scene.geometry.camera import Camera
+from scene.geometry.pose import Pose
+
+SIDE, STRIDE, DEPTH, CHANNELS = 256, 4, 60.0, 16
+CAMERA = Camera("PINHOLE", SIDE, SIDE, (256.0, 256.0, 128.0, 128.0))
+OPTIONS = EvidenceOptions()
+POSE = Pose(torch.eye(3, dtype=torch.float64)[None], torch.zeros(1, 3, dtype=torch.float64))
+
+
+def texture(period: int | None, seed: int = 0) -> torch.Tensor:
+    """Unit features (C, h, w) of a picture, smooth over cells; repeated after ``period`` cells."""
+    cells, rng = SIDE // STRIDE, np.random.default_rng(seed)
+    made = torch.from_numpy(rng.normal(size=(1, CHANNELS, cells + 8, cells + 8))).float()
+    smooth = torch.nn.functional.avg_pool2d(made, 5, 1)[..., :cells, :cells]
+    if period is not None:
+        index = torch.arange(cells) % period
+        smooth = smooth[..., index, :][..., index]
+    return torch.nn.functional.normalize(smooth, dim=1)[0]
+
+
+def problem(picture: torch.Tensor, noise: float = 0.0, points: int = 600) -> Problem:
+    """Points on a plane, with the features of a picture where the camera sees them, and noise."""
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(40, SIDE - 40, (points, 2))
+    rays = (xy - 128.0) / 256.0
+    xyz = torch.from_numpy(np.c_[rays * DEPTH, np.full(points, DEPTH)])
+    place = torch.from_numpy(2 * xy / SIDE - 1).float()[None, None]
+    reference = torch.nn.functional.grid_sample(picture[None], place, align_corners=False)
+    told = reference[0, :, 0].T + noise * torch.from_numpy(rng.normal(size=(points, CHANNELS)))
+    told = torch.nn.functional.normalize(told, dim=1).float()
+    level = Level(picture[None], STRIDE, told[None])
+    damping = [torch.full((6,), 1e-3)] * 2
+    return Problem(
+        [level, level], xyz[None], CAMERA.intrinsics(), POSE, damping, Options(iterations=30)
+    )
+
+
+def aside(metres: float) -> Pose:
+    return Pose(POSE.rotation, torch.tensor([[metres, 0, 0]], dtype=torch.float64))
+
+
+def told(made: Problem, pose: Pose = POSE) -> Evidence:
+    return evidence(made, pose, 0.7, 0.2, OPTIONS)
+
+
+def test_a_right_pose_stands_out_and_halves_agree() -> None:
+    right = told(problem(texture(None), noise=0.2))
+    wrong = told(problem(texture(None), noise=0.2), aside(9.0))
+    assert right.height > 10 > 5 > wrong.height
+    assert right.rival < 0.5 < wrong.rival
+    assert right.halves < 0.3
+    assert (right.curvature, right.sigma_m) == (0.7, 0.2)
+
+
+def test_a_change_of_all_features_by_a_factor_changes_little() -> None:
+    """Noise makes the fit worse by far, and the peak stands out nearly as well."""
+    same, changed = (told(problem(texture(None), noise)) for noise in (0.0, 0.5))
+    assert changed.height > 0.7 * same.height
+    assert changed.rival < 0.5
+
+
+def test_a_picture_that_repeats_itself_has_a_rival() -> None:
+    assert told(problem(texture(12))).rival > 0.9
+    assert told(problem(texture(None))).rival < 0.5
+
+
+def test_halves_of_another_picture_lead_apart() -> None:
+    other = problem(texture(None, seed=5))
+    right = problem(texture(None))
+    levels = [replace(each, reference=right.levels[0].reference) for each in other.levels]
+    assert told(replace(other, levels=levels)).halves > 1
+
+
+@pytest.mark.parametrize("metres", [35.0, 1e4])
+def test_points_out_of_view_tell_nothing(metres: float) -> None:
+    nothing = told(problem(texture(None), points=60), aside(metres))
+    assert nothing.height == 0.0 and nothing.rival == 1.0
