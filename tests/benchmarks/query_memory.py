@@ -1,8 +1,9 @@
 """Memory of the process over many queries, one after the other.
 
 ``python -m tests.benchmarks.query_memory SCENE --method objconnect --cache CACHE``. The queries, or
-those that ``--among FIRST LAST`` picks, are asked again and again. Beside the resident memory stand the parts of glibc's heap that are in use
-and that are free, and what caches hold: resident memory that grows alone was freed and is kept.
+those that ``--among FIRST LAST`` picks, are asked again and again. Beside the resident memory stand
+the parts of glibc's heap that are in use and that are free, and what caches hold: resident memory
+that grows alone was freed and is kept.
 """
 
 from __future__ import annotations
