@@ -44,7 +44,7 @@ from scene.storage.digests import digests
 from scene.storage.files import sha256_of
 from scene.storage.listing import PHOTOGRAPHS, list_files
 from scene.storage.names import quote_name
-from scene.storage.outputs import check_outputs
+from scene.storage.outputs import check_outputs, check_outside
 from scene.storage.scratch import cache_or_scratch
 
 log = logging.getLogger(__name__)
@@ -113,12 +113,13 @@ def localize(
 
     Raises:
         InputError: there is no photograph that can be read, the priors cannot be read or name none
-            of the photographs, an output cannot be written or would replace a file of another
-            program, or the map of further files has no position on earth.
+            of the photographs, an output cannot be written, lies in their folder or would replace
+            a file of another program, or the map of further files has no position on earth.
     """
     paths = {path.name: path for path in photographs_in(photographs)}
     files = outputs(out, also)
     check_outputs(files, [*paths.values(), *([] if priors is None else [priors])])
+    check_outside(files, photographs)
     geography = geography_of(place, also, undulation_m, projection)
     sigmas = gps_sigma_m, gimbal_sigma_deg
     known = priors_of(priors, paths, place, *sigmas)

@@ -86,9 +86,11 @@ def regress(results: Path, baseline: Path) -> list[Comparison]:
         baseline: folder that ``update`` wrote.
 
     Raises:
-        InputError: there is no baseline, or a results file is missing, damaged, or from other data
-            or another start than the baseline.
+        InputError: there is no baseline, it is ``results`` itself, or a results file is missing,
+            damaged, or from other data or another start than the baseline.
     """
+    if results.resolve() == baseline.resolve():
+        raise InputError(f"{results} is compared with itself: name the baseline with --against")
     comparisons: list[Comparison] = []
     for name in _files(baseline):
         if not (results / name).is_file():

@@ -46,7 +46,7 @@ from scene.localizer import Estimate, Localizer, Query, Status, prepare_first
 from scene.runtime.progress import progress_bar
 from scene.storage.atomic import atomic_write, write_text
 from scene.storage.names import quote_name
-from scene.storage.outputs import OutputFile, check_outputs
+from scene.storage.outputs import OutputFile, check_outputs, check_outside
 from scene.storage.scratch import cache_or_scratch
 
 RATE_HZ: Final = 2.0
@@ -192,6 +192,7 @@ def localize_sequence(
     paths = {path.name: path for path in photographs_in(photographs)}
     priors = [] if told.priors is None else [told.priors]
     files, geography = output.claim(place, [*paths.values(), *priors])
+    check_outside([*files, OutputFile(output.record)], photographs)
     sigmas = told.gps_sigma_m, told.gimbal_sigma_deg
     known = priors_of(told.priors, paths, place, *sigmas)
     reader = PhotographReader(place, told.camera, known, *sigmas, geography.undulation_m)

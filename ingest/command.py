@@ -43,6 +43,7 @@ from scene.colmap.structure_from_motion import Mapper, map_photographs
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
+from scene.imports.poses import Frame
 from scene.maps.colmap_files import read_model
 from scene.maps.photographs import Photograph
 from scene.runtime.escaping import for_terminal
@@ -88,6 +89,7 @@ def ingest(
     *,
     gps: Path | None = None,
     poses: Path | None = None,
+    poses_frame: Frame | None = None,
     gcp: Path | None = None,
     checks: Sequence[str] = (),
     add: Path | None = None,
@@ -109,6 +111,7 @@ def ingest(
         gps: table of positions instead of those in EXIF, see ``with_positions``.
         poses: poses and cameras of another program, see ``scene.imports``; photographs without a
             pose are left out.
+        poses_frame: frame of ``poses``, where the file leaves it open.
         gcp: list of ground control points, see ``control_points``. With ``poses``, which stay as
             they are, all points are check points.
         checks: names of points that are only compared.
@@ -129,20 +132,23 @@ def ingest(
     if photographs.resolve() in (out.resolve(), *out.resolve().parents):
         raise InputError(f"{out} lies in the folder of photographs: choose one outside it")
     if add is not None:
-        if poses is not None or gcp is not None or checks or mapper != "incremental":
+        other = (poses, poses_frame, gcp)
+        if any(each is not None for each in other) or checks or mapper != "incremental":
             raise InputError(
                 "added photographs are registered in the map of their scene: leave out --poses, "
-                "--gcp, --gcp-check and --mapper"
+                "--poses-frame, --gcp, --gcp-check and --mapper"
             )
         asked = Plan(size=size, mapper=mapper, split=split, every=every, options=options)
         return add_photographs(photographs, add, out, asked, gps, camera)
+    if poses is None and poses_frame is not None:
+        raise InputError("--poses-frame states the frame of a file of poses: give --poses")
     flight = read_flight(photographs)
     if gps is not None:
         flight = with_positions(flight, gps)
     warn_of_doubts(flight, with_lenses=camera is None and poses is None)
     given = None
     if poses is not None:
-        flight, given = read_given(poses, flight, size, camera)
+        flight, given = read_given(poses, flight, size, camera, poses_frame)
     _require(flight, photographs)
     if checks and gcp is None:
         raise InputError("check points are points of a list: give --gcp")

@@ -22,6 +22,7 @@ from scene.geometry.geodesy import Geodetic
 from scene.geometry.robust import SIGMA_OF_MEDIAN
 from scene.imports.formats import read_foreign
 from scene.imports.names import match_files
+from scene.imports.poses import Frame
 from scene.maps.photographs import Photograph, PosedImage
 from scene.maps.sparse_map import SparseMap
 from scene.storage.atomic import atomic_folder
@@ -67,7 +68,11 @@ class Given:
 
 
 def read_given(
-    path: Path, flight: Flight, size: int, calibration: Camera | None
+    path: Path,
+    flight: Flight,
+    size: int,
+    calibration: Camera | None,
+    frame: Frame | None = None,
 ) -> tuple[Flight, Given]:
     """Read the poses of photographs from another program's file.
 
@@ -76,6 +81,7 @@ def read_given(
         flight: the photographs.
         size: longest side of the photographs in the scene, pixels.
         calibration: camera of all photographs instead of those of the file.
+        frame: frame of the poses, where the file leaves it open; see ``read_foreign``.
 
     Returns:
         The flight without photographs that have no pose, and the poses.
@@ -84,7 +90,7 @@ def read_given(
         InputError: the file cannot be read, tells no attitudes or no cameras, means none of the
             photographs, or has a camera of another shape.
     """
-    foreign = read_foreign(path)
+    foreign = read_foreign(path, frame)
     if not foreign.has_attitude:
         raise InputError(f"{path} tells positions without attitudes: give it as --gps")
     found = match_files([image.file for image in flight.images], foreign.names, path)

@@ -32,6 +32,7 @@ from benchmark.audit.page import check_page, write_page
 from benchmark.audit.positions import FOLLOW, check_positions
 from benchmark.audit.stated import Stated, centres, sample
 from scene.geometry.camera import Camera
+from scene.imports.poses import Frame
 from scene.quantities.doubts import said_of
 
 Array = NDArray[np.float64]
@@ -47,6 +48,7 @@ def audit(
     images: Path | None = None,
     camera: Camera | None = None,
     out: Path | None = None,
+    frame: Frame | None = None,
 ) -> list[Audit]:
     """Audit a data set, or each data set of a folder that holds several.
 
@@ -55,13 +57,14 @@ def audit(
         images: folder of the photographs; None looks where the format has them.
         camera: camera of the photographs where the data set states none.
         out: HTML file for the verdicts; None writes none.
+        frame: frame of another program's poses, where their file leaves it open.
 
     Raises:
         InputError: no reader knows the path, a file is damaged, or the page cannot be written.
     """
     if out is not None:
         check_page(out, [path, *([images] if images is not None else [])])
-    audits = [_audited(stated) for stated in open_stated(path, images, camera)]
+    audits = [_audited(stated) for stated in open_stated(path, images, camera, frame)]
     if out is not None:
         write_page(audits, out)
     return audits

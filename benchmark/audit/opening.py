@@ -19,9 +19,9 @@ from scene.bundle.scene import Scene
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
-from scene.imports.formats import read_foreign
+from scene.imports.formats import FRAMED, read_foreign
 from scene.imports.names import match_files
-from scene.imports.poses import ForeignPoses
+from scene.imports.poses import ForeignPoses, Frame
 from scene.imports.strangers import refuse_stranger
 from scene.maps.colmap_files import read_model
 from scene.storage.images import read_exif
@@ -48,7 +48,10 @@ _GEODETIC = ("lat", "lon", "alt")
 
 
 def open_stated(
-    path: Path, images: Path | None = None, camera: Camera | None = None
+    path: Path,
+    images: Path | None = None,
+    camera: Camera | None = None,
+    frame: Frame | None = None,
 ) -> list[Stated]:
     """Read what a data set states; a path may hold several data sets.
 
@@ -57,19 +60,24 @@ def open_stated(
             folder, or the folder of a project.
         images: folder of the photographs; None looks where the format has them.
         camera: camera of the photographs where the data set states none.
+        frame: frame of another program's poses, where their file leaves it open.
 
     Raises:
-        InputError: no reader knows the path, a file is damaged, or ``images`` is no folder.
+        InputError: no reader knows the path, a file is damaged, ``images`` is no folder, or a frame
+            is stated of what leaves no doubt of it.
     """
     if images is not None and not images.is_dir():
         raise InputError(f"folder of photographs {images} does not exist")
+    foreign = not is_scene(path) and not (path.is_dir() and _is_dataset(path))
+    if frame is not None and not foreign:
+        raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
     if is_scene(path):
         if images is not None:
             raise InputError(f"{path} is a scene, which holds its photographs: leave out --images")
         return [_of_scene(Scene.open(path))]
-    if path.is_dir() and _is_dataset(path):
+    if not foreign:
         return [_of_dataset(dataset, images) for dataset in open_datasets(path)]
-    return [_of_foreign(_pose_file(path), images, camera)]
+    return [_of_foreign(_pose_file(path), images, camera, frame)]
 
 
 def _is_dataset(path: Path) -> bool:
@@ -150,15 +158,19 @@ def _pose_file(path: Path) -> Path:
     return path
 
 
-def _of_foreign(path: Path, images: Path | None, camera: Camera | None) -> Stated:
+def _of_foreign(
+    path: Path, images: Path | None, camera: Camera | None, frame: Frame | None
+) -> Stated:
     refuse_stranger(path)
     table = path.suffix.lower() == ".csv" and path.is_file()
     places = _table_places(path) if table else None
+    if places is not None and frame is not None:
+        raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
     if places is not None:
         poses: ForeignPoses | None = None
         names: Sequence[str] = list(places)
     else:
-        poses = read_foreign(path)
+        poses = read_foreign(path, frame)
         names = poses.names
     files = _files(path, names, images)
     cameras = (None,) * len(names) if poses is None else poses.cameras

@@ -25,6 +25,13 @@ class MapperName(StrEnum):
     GLOBAL = "global"
 
 
+class FrameName(StrEnum):
+    """The frames that another program's poses may be in."""
+
+    TOPOCENTRIC = "topocentric"
+    PROJECTED = "projected"
+
+
 class SplitBy(StrEnum):
     """The units that photographs are divided by into map and queries."""
 
@@ -40,6 +47,14 @@ GivenPoses = Annotated[
         help="Poses and cameras of another program, which replace structure from motion: "
         "reconstruction.json of ODM, cameras.xml of Metashape, transforms.json of nerfstudio, "
         "or the folder of a COLMAP model. Photographs without a pose are left out.",
+    ),
+]
+PosesFrame = Annotated[
+    FrameName | None,
+    typer.Option(
+        help="Frame of a reconstruction.json where neither it nor the files beside it tell: "
+        "'topocentric', in metres east and north, as OpenSfM writes, or 'projected', as ODM leaves "
+        "it, which needs odm_georeferencing/coords.txt.",
     ),
 ]
 AddTo = Annotated[
@@ -92,6 +107,7 @@ def ingest(
         ),
     ] = None,
     poses: GivenPoses = None,
+    poses_frame: PosesFrame = None,
     add: AddTo = None,
     gcp: ControlList = None,
     gcp_check: CheckPoints = None,
@@ -128,6 +144,7 @@ def ingest(
         out,
         gps=gps,
         poses=poses,
+        poses_frame=None if poses_frame is None else poses_frame.value,
         add=add,
         gcp=gcp,
         checks=gcp_check or (),
@@ -233,6 +250,7 @@ def audit(
         ),
     ] = None,
     camera: CameraWords = None,
+    poses_frame: PosesFrame = None,
     out: Annotated[
         Path | None, typer.Option(metavar="HTML", help="Page of the verdicts to write.")
     ] = None,
@@ -247,7 +265,13 @@ def audit(
     """
     from benchmark.audit.command import audit as run
 
-    audits = run(data, images, parse_camera(camera), out)
+    audits = run(
+        data,
+        images,
+        parse_camera(camera),
+        out,
+        frame=None if poses_frame is None else poses_frame.value,
+    )
     text = "\n\n".join(one.text() for one in audits)
     emit(Summary(text, {"audits": [one.as_dict() for one in audits]}), as_json)
     if not all(one.ok for one in audits):

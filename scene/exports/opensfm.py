@@ -2,7 +2,8 @@
 
 The reconstruction holds the poses (axis-angle and translation of cam_from_world), the cameras in
 units of the longer side of the picture, the map's points, and ``reference_lla``, the origin of the
-east-north-up world (https://opensfm.org/docs/geometry.html). ``geo.txt`` holds the longitude,
+east-north-up world (https://opensfm.org/docs/geometry.html). A field of our own, ``frame``, says
+that ODM has not moved it to a projected system. ``geo.txt`` holds the longitude,
 latitude and ellipsoidal height of every camera. Photographs are called by their file names.
 """
 
@@ -59,6 +60,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
             "longitude": origin.longitude,
             "altitude": origin.altitude,
         },
+        "frame": "topocentric",
     }
     text = json.dumps([reconstruction]) + "\n"
     (folder / "reconstruction.json").write_text(text, "utf-8")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from scene.errors import InputError
-from scene.imports.poses import ForeignPoses, Format
+from scene.imports.poses import ForeignPoses, Format, Frame
 from scene.imports.strangers import refuse_stranger
 from scene.registry import Lazy, Registry
 
@@ -29,11 +29,20 @@ FORMATS: Final[Registry[Format]] = Registry(
 )
 
 
-def read_foreign(path: Path) -> ForeignPoses:
+FRAMED: Final = "a reconstruction.json of ODM or OpenSfM"
+"""The files whose frame a user may state."""
+
+
+def read_foreign(path: Path, frame: Frame | None = None) -> ForeignPoses:
     """Read poses with the first format that knows a path.
 
+    Args:
+        path: file or folder.
+        frame: frame of the poses, where the file may leave it open; None states none.
+
     Raises:
-        InputError: the path does not exist, no format knows it, or anything inside it is wrong.
+        InputError: the path does not exist, no format knows it, anything inside it is wrong, or a
+            frame is stated of a format whose files leave no doubt of theirs.
     """
     if not path.exists():
         raise InputError(f"file of poses {path} does not exist")
@@ -43,6 +52,10 @@ def read_foreign(path: Path) -> ForeignPoses:
         form = FORMATS.load(name)
         with FORMATS.blame(name, f"cannot read {path}"):
             if form.is_one(path):
-                return form.read(path)
+                if frame is None:
+                    return form.read(path)
+                if form.read_in is not None:
+                    return form.read_in(path, frame)
+                raise InputError(f"{path} is not {FRAMED}: leave out --poses-frame")
         known.append(form.holds)
     raise InputError(f"{path} is no file of poses: it is neither {', nor '.join(known)}")

@@ -4,16 +4,16 @@ OpenSfM writes ``reconstruction.json`` in metres east, north and up from ``refer
 runs ``export_geocoords --reconstruction``, which moves it to a UTM zone minus an offset by one
 affine map, and puts the result in the place of the first file, which it keeps as
 ``reconstruction.topocentric.json``. Both have the same fields and the same ``reference_lla``. They
-are told apart by the file beside them, or by GPS positions of the shots, which the move leaves
-along east and north.
+are told apart by the file beside them, by GPS positions of the shots, which the move leaves along
+east and north, by the project of plain OpenSfM, which moves nothing, or by the user. A frame that
+nothing tells is an error, and so are two that contradict each other.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from scene.errors import InputError
 from scene.geo.named_systems import NamedSystem, named_system
 from scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu
-from scene.quantities.horizontal_axes import axes_of, convergence, utm_zone
+from scene.imports.poses import Frame
+from scene.quantities.horizontal_axes import Axes, axes_of, convergence, utm_zone
+from scene.quantities.reading import Reading, known, unknown
 from scene.storage.files import read_text
 
 Array = NDArray[np.float64]
@@ -35,6 +37,11 @@ TOPOCENTRIC: Final = "reconstruction.topocentric.json"
 """The name under which ODM keeps the reconstruction in metres east, north and up."""
 
 _REMEDY: Final = f"give ODM's {TOPOCENTRIC}, or keep odm_georeferencing/coords.txt beside it"
+_FRAMES: Final[dict[Axes, Frame]] = {"east and north": "topocentric", "grid": "projected"}
+_OPTION: Final = "--poses-frame"
+# Plain OpenSfM's folder has all of these; ODM lists its photographs in a file and has no images.
+_OF_OPENSFM: Final = ("images", "exif", "camera_models.json")
+_OF_ODM: Final = "image_list.txt"
 # A camera lies no further than this from the origin of its world, metres.
 _FARTHEST_M: Final = 100_000.0
 # Two files are of one reconstruction where a similarity maps poses so closely (m, radians, and
@@ -42,8 +49,6 @@ _FARTHEST_M: Final = 100_000.0
 _SAME_M, _SAME_RAD, _SAME_PART, _SCALE = 0.02, 2e-3, 1e-3, 0.01
 # Axes closer than this are not told apart (radians): over a flight they differ by centimetres.
 _SMALL_TURN: Final = 2e-4
-# Names of folders of ODM's projects.
-_NAMES_ODM: Final = re.compile(r"\b(web)?odm\b|odm_|opendronemap")
 
 
 @dataclass(frozen=True)
@@ -55,12 +60,14 @@ class Shots:
         world_from_cam: (N, 4, 4) in the frame of the file.
         measured: (N, 3) GPS positions, metres east, north and up; NaN where there is none.
         origin: place of the world's origin.
+        frame: frame that the file itself states; None where it states none.
     """
 
     names: Sequence[str]
     world_from_cam: Array
     measured: Array
     origin: Geodetic
+    frame: Frame | None = None
 
     @property
     def centres(self) -> Array:
@@ -68,31 +75,36 @@ class Shots:
         return self.world_from_cam[:, :3, 3]
 
 
-def topocentric(path: Path, shots: Shots, beside: Shots | None) -> Shots:
+def topocentric(
+    path: Path, shots: Shots, beside: Shots | None, stated: Frame | None = None
+) -> Shots:
     """Return shots in metres east, north and up from their origin.
 
     Args:
         path: file of the shots.
         shots: shots as the file has them.
         beside: shots of the file ``TOPOCENTRIC`` in the same folder; None without one.
+        stated: frame that the user states; None where nothing is stated.
 
     Raises:
-        InputError: the frame of the file cannot be told, or contradicts the files beside it.
+        InputError: the frame of the file cannot be told, or contradicts the files beside it or
+            what the user states.
     """
     if not _is_sane(shots):
         return shots  # as the file has it: ``poses.posed`` says what is wrong
     if path.name == TOPOCENTRIC or not len(shots.names):
+        _agreed(path, {"its name": "topocentric", _OPTION: stated})
         return _near(path, shots)
     if beside is not None and not _is_sane(beside):
         raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
     if beside is not None:
-        found = _from_beside(path, shots, beside)
+        found = _from_beside(path, shots, beside, stated)
         if found is not None:
             return found
     system = _system_of(path)
     if system is not None:
-        return _from_system(path, shots, *system)
-    return _near(path, _alone(path, shots))
+        return _from_system(path, shots, *system, stated)
+    return _alone(path, _near(path, shots), stated)
 
 
 def _is_sane(shots: Shots) -> bool:
@@ -109,19 +121,21 @@ def _near(path: Path, shots: Shots) -> Shots:
     return shots
 
 
-def _from_beside(path: Path, shots: Shots, beside: Shots) -> Shots | None:
+def _from_beside(path: Path, shots: Shots, beside: Shots, stated: Frame | None) -> Shots | None:
     """Return the poses of the topocentric file, where it has all shots."""
     row = {name: k for k, name in enumerate(beside.names)}
     if not set(shots.names) <= row.keys():
         return None
     there = beside.world_from_cam[[row[name] for name in shots.names]]
     if np.allclose(there, shots.world_from_cam, rtol=0, atol=1e-6):
+        _agreed(path, {f"{TOPOCENTRIC} beside it": "topocentric", _OPTION: stated})
         return shots
     if not _is_moved(shots.world_from_cam, there):
         raise InputError(
             f"{path} and {TOPOCENTRIC} beside it are of two reconstructions: give the latter, or "
             "move it away"
         )
+    _agreed(path, {f"{TOPOCENTRIC} beside it": "projected", _OPTION: stated})
     log.warning("%s is in a projected system: poses are those of %s", path, TOPOCENTRIC)
     return replace(shots, world_from_cam=there, origin=beside.origin)
 
@@ -165,19 +179,17 @@ def _stated(file: Path) -> tuple[NamedSystem, Array]:
     return named_system(header, f"{file}:1"), offset
 
 
-def _from_system(path: Path, shots: Shots, system: NamedSystem, offset: Array) -> Shots:
-    """Undo ODM's move where GPS positions of the shots tell that there was one."""
+def _from_system(
+    path: Path, shots: Shots, system: NamedSystem, offset: Array, stated: Frame | None
+) -> Shots:
+    """Undo ODM's move where there was one."""
     linear, shift = _move(path, shots.origin, system, offset)
     turn = math.atan2(linear[1, 0], linear[0, 0])
     back = _moved_back(shots, linear, shift)
     between = float(np.abs(back.world_from_cam - shots.world_from_cam).max())
     if between < _SAME_M and abs(turn) < _SMALL_TURN:
         return back
-    axes = axes_of(shots.centres[:, :2], shots.measured[:, :2], turn)
-    value = axes.require(
-        path, f"it may be in metres east and north or in {system.projection.name}: {_REMEDY}"
-    )
-    if value == "east and north":
+    if _frame(path, shots, turn, stated, system.projection.name).value == "topocentric":
         return _near(path, shots)
     log.warning("%s is in %s: its poses are moved back", path, system.projection.name)
     return _near(path, back)
@@ -206,27 +218,74 @@ def _moved_back(shots: Shots, linear: Array, shift: Array) -> Shots:
     return replace(shots, world_from_cam=there)
 
 
-def _alone(path: Path, shots: Shots) -> Shots:
+def _alone(path: Path, shots: Shots, stated: Frame | None) -> Shots:
     """Check the frame of a file that nothing of ODM lies beside."""
-    grid = convergence(shots.origin, utm_zone(shots.origin.longitude))
-    axes = axes_of(shots.centres[:, :2], shots.measured[:, :2], grid)
-    if axes.value == "grid" and abs(grid) > _SMALL_TURN:
+    zone = utm_zone(shots.origin.longitude)
+    grid = f"a UTM grid as of zone {zone}"
+    frame = _frame(path, shots, convergence(shots.origin, zone), stated, grid)
+    if frame.value == "projected":
         raise InputError(
-            f"{path}: its poses are in a projected system ({axes.why}, as a UTM grid is): {_REMEDY}"
-        )
-    told = np.isfinite(shots.measured).any() or (abs(grid) > _SMALL_TURN and _is_of_odm(path))
-    if axes.value != "east and north" and told:
-        log.warning(
-            "%s is read as metres east and north; whether ODM has moved it to a projected system "
-            "cannot be told: %s",
-            path,
-            axes.why,
+            f"{path}: its poses are in a projected system by {frame.source}, and nothing tells its "
+            f"offset: {_REMEDY}"
         )
     return shots
 
 
-def _is_of_odm(path: Path) -> bool:
-    """Return whether the names of a file's folders are those of ODM's projects."""
-    folder = path.absolute().parent
-    names = [part.lower() for part in folder.parts[-2:]]
-    return names[-1:] == ["opensfm"] or any(map(_NAMES_ODM.search, names))
+def _frame(
+    path: Path, shots: Shots, turn: float, stated: Frame | None, grid: str
+) -> Reading[Frame]:
+    """Return the frame of a file as everything that tells it agrees.
+
+    Args:
+        path: file of the shots.
+        shots: shots as the file has them.
+        turn: angle from east and north to the axes of the projected system, radians.
+        stated: frame that the user states.
+        grid: name of the projected system, for messages.
+
+    Raises:
+        InputError: nothing tells the frame, or two things contradict each other.
+    """
+    axes = axes_of(shots.centres[:, :2], shots.measured[:, :2], turn)
+    why, seen = axes.why, None
+    if axes.value is not None and abs(turn) > _SMALL_TURN:
+        seen = _FRAMES[axes.value]
+    elif axes.value is not None:
+        why = f"{axes.source} cannot tell axes that are turned by less than 0.02 degrees"
+    frame = _agreed(
+        path,
+        {
+            f"gps_position ({why})" if why else "gps_position": seen,
+            "its field frame": shots.frame,
+            "OpenSfM's project around it": "topocentric" if _is_plain(path.parent) else None,
+            _OPTION: stated,
+        },
+    )
+    if not frame.known:
+        raise InputError(
+            f"{path}: whether its poses are topocentric (metres east and north of reference_lla) "
+            f"or projected ({grid}) cannot be told ({why}): {_REMEDY}, or state {_OPTION}"
+        )
+    return frame
+
+
+def _agreed(path: Path, told: Mapping[str, Frame | None]) -> Reading[Frame]:
+    """Return the frame that sources tell, from the first of them; unknown where none tells it.
+
+    Raises:
+        InputError: two sources contradict each other.
+    """
+    heard = [(source, frame) for source, frame in told.items() if frame is not None]
+    if not heard:
+        return unknown(", ".join(told))
+    first, frame = heard[0]
+    for source, other in heard[1:]:
+        if other != frame:
+            raise InputError(f"{path}: its poses are {frame} by {first}, but {other} by {source}")
+    return known(frame, first)
+
+
+def _is_plain(folder: Path) -> bool:
+    """Return whether a folder is a project of OpenSfM that ODM has not made."""
+    made = all((folder / name).exists() for name in _OF_OPENSFM)
+    return made and not (folder / _OF_ODM).exists()

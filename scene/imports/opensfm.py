@@ -10,6 +10,7 @@ name: see ``odm_frame``.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic, is_on_earth, is_same_place
 from scene.imports.lens import LARGEST_SIDE, LONGEST_FOCAL, BrownLens, require_inside
 from scene.imports.odm_frame import TOPOCENTRIC, Shots, topocentric
-from scene.imports.poses import ForeignPoses, Format, begins_with, posed
+from scene.imports.poses import ForeignPoses, Format, Frame, begins_with, posed
 
 # Two files state one origin where its heights differ by no more (m).
 _SAME_UP_M = 0.01
@@ -95,13 +96,14 @@ class _Reconstruction(_Part):
     cameras: dict[str, _Lens]
     shots: dict[str, _Shot]
     reference_lla: _Reference | None = None
+    frame: Literal["topocentric"] | None = None  # of this project's own exports
 
 
 class _Reconstructions(RootModel[list[_Reconstruction]]):
     pass
 
 
-def _read(path: Path) -> ForeignPoses:
+def _read(path: Path, frame: Frame | None = None) -> ForeignPoses:
     """Read the reconstruction of most photographs; others are in frames of their own."""
     found = read_json(path, _Reconstructions, "reconstruction").root
     if not found:
@@ -118,8 +120,12 @@ def _read(path: Path) -> ForeignPoses:
         except InputError as error:
             raise InputError(f"{path}: camera {name!r}: {error}") from None
     shots, matrices, origin = _shots(path, best), _matrices(best), None
+    if shots is None and frame is not None:
+        raise InputError(
+            f"{path} has no reference_lla, and is placed by GPS: leave out --poses-frame"
+        )
     if shots is not None:
-        shots = topocentric(path, shots, _beside(path))
+        shots = topocentric(path, shots, _beside(path), frame)
         matrices, origin = shots.world_from_cam, shots.origin
     return posed(
         path,
@@ -147,6 +153,7 @@ def _shots(path: Path, reconstruction: _Reconstruction) -> Shots | None:
         _matrices(reconstruction),
         np.array(measured, np.float64).reshape(-1, 3),
         origin,
+        reconstruction.frame,
     )
 
 
@@ -193,4 +200,5 @@ FORMAT = Format(
     lambda path: path.suffix.lower() == ".json" and begins_with(path, "["),
     _read,
     "a reconstruction.json of ODM or OpenSfM",
+    _read,
 )

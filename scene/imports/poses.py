@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import FARTHEST_M, Geodetic
+
+Frame = Literal["topocentric", "projected"]
+"""Metres east, north and up of a place, or coordinates of a projected system, such as UTM."""
 
 # Largest departure of a rotation matrix from orthonormal rows; files hold six digits or more.
 _ROTATION_TOLERANCE = 1e-3
@@ -56,11 +60,14 @@ class Format:
             bytes.
         read: reads it, and raises InputError for a missing or wrong file.
         holds: what such a file or folder is called, for error messages.
+        read_in: reads it with the frame that the user states, or none; None for a format whose
+            files leave no doubt of their frame.
     """
 
     is_one: Callable[[Path], bool]
     read: Callable[[Path], ForeignPoses]
     holds: str
+    read_in: Callable[[Path, Frame | None], ForeignPoses] | None = None
 
 
 def posed(

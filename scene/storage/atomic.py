@@ -90,10 +90,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise WriteError(f"cannot write {path}: {_reason(error, partial)}") from error
     except RuntimeError as error:
-        # Libraries with file access of their own report a full disk in many different ways.
-        if shutil.disk_usage(path.parent).free >= _FULL_BYTES:
-            raise
-        raise WriteError(f"cannot write {path}: the disk is full") from error
+        _require_room(path, path.parent, error)
+        raise
     finally:
         if partial is not None:
             partial.unlink(missing_ok=True)
@@ -125,6 +123,7 @@ def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
         InputError: the parent folder cannot be written, or the disk is full.
     """
     partial: Path | None = None
+    named = path
     try:
         path = path.resolve()
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -134,10 +133,17 @@ def atomic_folder(path: Path, owned: Collection[str] = ()) -> Iterator[Path]:
         partial.chmod(0o777 & ~_umask())
         yield partial
         replace_folder(path, partial, owned)
-    except WriteError:
-        raise
+    except WriteError as error:
+        if partial is None or str(partial) not in str(error):
+            raise
+        # What could not be written is named by where it would be, and not by a hidden folder.
+        raise WriteError(str(error).replace(str(partial), str(named))) from error
     except OSError as error:
-        raise WriteError(f"cannot write {path}: {_reason(error, partial)}") from error
+        raise WriteError(f"cannot write {named}: {_reason(error, partial)}") from error
+    except RuntimeError as error:
+        if partial is not None:
+            _require_room(named, path.parent, error)
+        raise
     finally:
         if partial is not None:
             shutil.rmtree(partial, ignore_errors=True)
@@ -214,6 +220,16 @@ def remove_owned(folder: Path, owned: Collection[str]) -> None:
             path.unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()
+
+
+def _require_room(path: Path, folder: Path, error: RuntimeError) -> None:
+    """Say that a disk is full where it is: libraries report it in many different ways.
+
+    Raises:
+        WriteError: the disk of ``folder`` is full, which the error is taken to come from.
+    """
+    if shutil.disk_usage(folder).free < _FULL_BYTES:
+        raise WriteError(f"cannot write {path}: the disk is full") from error
 
 
 def _reason(error: OSError, partial: Path | None) -> str:

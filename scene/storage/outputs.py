@@ -76,6 +76,19 @@ def check_output_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
     require_writable(folder)
 
 
+def check_outside(outputs: Iterable[OutputFile], folder: Path) -> None:
+    """Refuse outputs in a folder of photographs or one below it, which others read as theirs.
+
+    Raises:
+        InputError: an output lies there.
+    """
+    for output in outputs:
+        if _place(output.path).is_relative_to(folder.resolve()):
+            raise InputError(
+                f"{output.path} lies in the folder of photographs: choose one outside it"
+            )
+
+
 def require_empty(folder: Path) -> None:
     """Make sure that a folder is new or empty.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -45,8 +46,27 @@ def baseline(tmp_path: Path) -> Path:
     return tmp_path / "old"
 
 
-def test_the_same_results_pass(baseline: Path) -> None:
-    answer = regress(baseline, baseline)
+@pytest.fixture
+def again(baseline: Path, tmp_path: Path) -> Path:
+    """The results of the baseline in another folder."""
+    return shutil.copytree(baseline, tmp_path / "again")
+
+
+def test_a_folder_is_not_compared_with_itself(
+    baseline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "link").symlink_to(baseline)
+    monkeypatch.chdir(tmp_path)
+    for same in (baseline, tmp_path / "link", Path("old/../old")):
+        answer = regress(same, baseline)
+        assert answer.exit_code == 2
+        assert answer.stderr == (
+            f"objconnect: error: {same} is compared with itself: name the baseline with --against\n"
+        )
+
+
+def test_the_same_results_pass(baseline: Path, again: Path) -> None:
+    answer = regress(again, baseline)
     assert answer.exit_code == 0
     # Three thresholds over all queries, summer's and winter's.
     assert len(answer.stdout.splitlines()) == 9
@@ -54,9 +74,9 @@ def test_the_same_results_pass(baseline: Path) -> None:
 
 
 def test_a_baseline_that_cannot_drop_is_named(
-    baseline: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    baseline: Path, again: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    assert regress(baseline, baseline).exit_code == 0
+    assert regress(again, baseline).exit_code == 0
     assert not caplog.records
     # Winter has six queries that are right at 0.5 m: all lost, p = 1 / 64, above 0.05 / 9.
     few = {n: (e if n.startswith("s") or n in {f"w{k}" for k in range(6)} else 9.0)

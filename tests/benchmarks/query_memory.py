@@ -1,8 +1,9 @@
 """Memory of the process over many queries, one after the other.
 
-``python -m tests.benchmarks.query_memory SCENE --method objconnect --cache CACHE``. The queries are
-asked again and again. Beside the resident memory stand the parts of glibc's heap that are in use
-and that are free, and what caches hold: resident memory that grows alone was freed and is kept.
+``python -m tests.benchmarks.query_memory SCENE --method objconnect --cache CACHE``. The queries, or
+those that ``--among FIRST LAST`` picks, are asked again and again. Beside the resident memory stand
+the parts of glibc's heap that are in use and that are free, and what caches hold: resident memory
+that grows alone was freed and is kept.
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--start", default="none")
     parser.add_argument("--queries", type=int, default=64)
+    parser.add_argument("--among", type=int, nargs=2, default=(0, None))
     given = parser.parse_args()
     start = parse_start(given.start)
     (dataset,) = open_datasets(given.scene)
@@ -69,9 +71,10 @@ def main() -> None:
     method = create(given.method, {})
     method.prepare(sparse_map, dataset.images, given.cache)
     load = start.loader(dataset, sparse_map, given.cache)
+    asked = dataset.queries[slice(*given.among)]
     print("query, MB: resident, most, heap in use, heap free, caches; stages", flush=True)
     for number in range(given.queries):
-        query = load(dataset.queries[number % len(dataset.queries)])
+        query = load(asked[number % len(asked)])
         reset_peak()
         found = method.localize(query)
         stages = " ".join(f"{stage} {seconds:.1f}" for stage, seconds in found.seconds.items())

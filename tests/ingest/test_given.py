@@ -10,6 +10,7 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from benchmark.audit.command import audit
 from benchmark.datasets.open import open_datasets
 from ingest.command import ingest
 from scene.bundle.scene import Scene
@@ -126,6 +127,19 @@ def test_poses_that_do_not_do(rendered: Scene, tmp_path: Path, text: str, messag
     with pytest.raises(InputError, match=message):
         ingest(photographs_of(rendered), tmp_path / "scene", poses=file)
     assert not (tmp_path / "scene").exists()
+
+
+def test_a_frame_is_of_a_file_of_poses(rendered: Scene, tmp_path: Path) -> None:
+    export(rendered.path, "opensfm", tmp_path / "given", [SESSION])
+    with pytest.raises(InputError, match="--poses-frame states the frame of a file of poses"):
+        ingest(photographs_of(rendered), tmp_path / "scene", poses_frame="projected")
+    poses = tmp_path / "given" / "reconstruction.json"
+    with pytest.raises(InputError, match="topocentric by its field frame, but projected by"):
+        ingest(photographs_of(rendered), tmp_path / "scene", poses=poses, poses_frame="projected")
+    with pytest.raises(InputError, match="projected by --poses-frame"):
+        audit(poses, frame="projected")
+    with pytest.raises(InputError, match="is not a reconstruction.json of ODM or OpenSfM"):
+        audit(rendered.path, frame="topocentric")
 
 
 def test_a_camera_of_another_shape_is_refused(rendered: Scene, tmp_path: Path) -> None:

@@ -183,6 +183,8 @@ AUDIT = Row(
         # A table states no size of photographs.
         "images": folder("photos", part("photos/p1.jpg", "photograph")).fine("p1.jpg:one_pixel"),
         "camera": CAMERA.left_out(),
+        # A table has one frame.
+        "poses_frame": choice("topocentric", "projected").left_out(),
         "out": out_file("out.html", "out.html"),
         "as_json": FLAG,
     },
@@ -252,6 +254,7 @@ INGEST = Row(
         "gps": file("tables/gps.csv", "csv").fine("too_many"),
         "add": FLAG,
         "poses": file("tables/reconstruction.json", "json"),
+        "poses_frame": choice("topocentric"),
         "gcp": file("tables/gcp_list.txt", "words").but(
             "nan",
             "inf",
@@ -521,6 +524,7 @@ COMMANDS: dict[str, Row] = {
     "ingest:add": INGEST.instead(
         add=folder("hamlet", MANIFEST, SPLITS, COVISIBILITY, MAP_FRAMES, MODEL, MAP_PHOTOGRAPH),
         poses=FLAG,
+        poses_frame=FLAG,
         gcp=FLAG,
         gcp_check=FLAG,
     ),

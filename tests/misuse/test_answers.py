@@ -152,6 +152,20 @@ def test_a_file_of_the_user_stays_and_one_of_ours_is_replaced(
     assert "b.jpg,ok" in (tmp_path / "poses.csv").read_text()
 
 
+@pytest.mark.parametrize("more", [(), ("--sequence", "--rate", 1)])
+def test_answers_lie_outside_of_the_photographs(
+    flight: Path, photographs: Path, tmp_path: Path, method: FakeLocalizer, more: tuple[object, ...]
+) -> None:
+    said = "lies in the folder of photographs: choose one outside it"
+    for out in (photographs / "poses.txt", photographs / "out" / "poses.txt"):
+        line = refused(tmp_path, *localizing(flight, photographs, out, *more))
+        assert line == f"objconnect: error: {out} {said}"
+    also = photographs / "poses.geojson"
+    command = localizing(flight, photographs, tmp_path / "poses.txt", "--also", also, *more)
+    assert refused(tmp_path, *command) == f"objconnect: error: {also} {said}"
+    assert not method.seen
+
+
 def test_an_output_that_cannot_be_written_is_told_before_work(
     flight: Path, photographs: Path, tmp_path: Path, method: FakeLocalizer
 ) -> None:

@@ -210,7 +210,8 @@ def _reconstruction() -> dict[str, object]:
         for k in range(3)
     }
     reference = {"latitude": 47.0, "longitude": 8.0, "altitude": 400.0}
-    return {"cameras": {"lens": lens}, "shots": shots, "reference_lla": reference}
+    document: dict[str, object] = {"cameras": {"lens": lens}, "shots": shots}
+    return document | {"reference_lla": reference, "frame": "topocentric"}
 
 
 def _configs(folder: Path) -> None:

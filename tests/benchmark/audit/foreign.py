@@ -160,6 +160,7 @@ def odm(scene: Scene, root: Path, swapped: bool = False, up: float = 0.0) -> Pat
     for name, matrix in zip(names, frames.cam_from_world, strict=True):
         vector = so3_log(torch.from_numpy(matrix[:3, :3])).tolist()
         shots[name] = {"rotation": vector, "translation": matrix[:3, 3].tolist(), "camera": "one"}
+        shots[name]["gps_position"] = (-matrix[:3, :3].T @ matrix[:3, 3]).tolist()
     lens = {"projection_type": "perspective", "width": camera.width, "height": camera.height}
     lens |= {"focal": camera.params[0] / max(camera.width, camera.height), "k1": 0.0, "k2": 0.0}
     lat, lon = origin.latitude, origin.longitude

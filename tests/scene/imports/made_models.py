@@ -158,6 +158,13 @@ def projected(matrices: Array, linear: Array, shift: Array) -> Array:
     return moved
 
 
+def plain_project(folder: Path) -> None:
+    """What OpenSfM has around its reconstruction, and ODM has not: photographs in it."""
+    for name in ("images", "exif"):
+        (folder / name).mkdir()
+    (folder / "camera_models.json").write_text("{}")
+
+
 def write_opensfm(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
     truth = made_truth(rng)
     truth.placed = True
@@ -198,7 +205,11 @@ def write_opensfm(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
     case = rng.choice(["plain", "both", "coords", "alone"])
     if case == "plain":
         written(path, truth.world_from_cam, bool(rng.random() < 0.5))
-        truth.fields += ["gps_position"] if noise > 1 else []  # it may look turned
+        whole = rng.random() < 0.7
+        if whole:
+            plain_project(project)
+        # Nothing but gps_position tells the frame of a file alone, and it may look turned.
+        truth.fields += ["gps_position"] if noise > 1 or not whole else []
         return path, truth
     zone = int((truth.origin.longitude + 180) // 6) + 1
     linear, shift, header = move_of_odm(truth.origin, zone)
@@ -206,7 +217,7 @@ def write_opensfm(rng: np.random.Generator, folder: Path) -> tuple[Path, Truth]:
     moved = projected(truth.world_from_cam, linear, shift - [*offset, 0.0])
     if rng.random() < 0.2:
         moved = truth.world_from_cam  # an older ODM left it in the first frame
-    written(path, moved, True)
+    written(path, moved, bool(rng.random() < 0.7))
     coords = folder / "odm_georeferencing"
     if case == "both":
         written(project / "reconstruction.topocentric.json", truth.world_from_cam, True)

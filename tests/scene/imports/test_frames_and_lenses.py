@@ -14,12 +14,14 @@ from scene.errors import InputError
 from scene.geometry.camera import Camera
 from scene.geometry.geodesy import Geodetic
 from scene.imports.formats import read_foreign
+from scene.imports.poses import Frame
 from scene.quantities.flags import parse_flag
 from scene.quantities.horizontal_axes import axes_of, convergence, utm_zone
 from tests.scene.imports.made_models import (
     Truth,
     made_truth,
     move_of_odm,
+    plain_project,
     projected,
     write_metashape,
 )
@@ -57,8 +59,8 @@ def odm(tmp_path: Path, request: pytest.FixtureRequest) -> tuple[Path, Truth]:
     return path, truth
 
 
-def assert_true(path: Path, truth: Truth) -> None:
-    poses = read_foreign(path)
+def assert_true(path: Path, truth: Truth, frame: Frame | None = None) -> None:
+    poses = read_foreign(path, frame)
     assert poses.origin == truth.origin
     np.testing.assert_allclose(poses.positions, truth.world_from_cam[:, :3, 3], atol=1e-3)
     turned = poses.cam_from_world[:, :3, :3] @ truth.world_from_cam[:, :3, :3]
@@ -85,34 +87,91 @@ def test_a_projected_file_alone_is_refused(odm: tuple[Path, Truth], tmp_path: Pa
     alone = tmp_path / "reconstruction.json"
     alone.write_text(path.read_text())
     (tmp_path / "odm_georeferencing" / "coords.txt").unlink()
-    with pytest.raises(InputError, match=r"in a projected system \(turned by 2\.\d+ degrees"):
+    with pytest.raises(
+        InputError, match=r"in a projected system by gps_position \(turned by 2\.\d+"
+    ):
         read_foreign(alone)
+    with pytest.raises(InputError, match=r"by gps_position .*, but topocentric by --poses-frame"):
+        read_foreign(alone, "topocentric")
+    with pytest.raises(InputError, match=r"nothing tells its offset: give .*coords\.txt"):
+        read_foreign(alone, "projected")
 
 
-def test_without_gps_the_frame_in_a_project_of_odm_is_unknown(odm: tuple[Path, Truth]) -> None:
+def test_without_gps_the_frame_in_a_project_of_odm_is_stated(odm: tuple[Path, Truth]) -> None:
     path, truth = odm
-    path.with_name("reconstruction.topocentric.json").unlink()
-    path.write_text(shots_of(truth, truth.world_from_cam, False))
-    with pytest.raises(InputError, match="gps_position is unknown .*UTM zone 32N"):
+    first = path.with_name("reconstruction.topocentric.json")
+    first.unlink()
+    document = json.loads(path.read_text())
+    for shot in document[0]["shots"].values():
+        del shot["gps_position"]
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"UTM zone 32N\) cannot be told .* state --poses-frame"):
         read_foreign(path)
+    assert_true(path, truth, "projected")
+    path.write_text(shots_of(truth, truth.world_from_cam, False))
+    with pytest.raises(InputError, match="cannot be told"):
+        read_foreign(path)
+    assert_true(path, truth, "topocentric")
 
 
-@pytest.mark.parametrize(
-    ("folder", "told"), [("opensfm", True), ("my-odm", True), ("odm_x", True), ("photos", False)]
-)
-def test_a_file_without_gps_in_a_folder_of_odm_is_doubted(
-    odm: tuple[Path, Truth],
-    tmp_path: Path,
-    folder: str,
-    told: bool,
-    caplog: pytest.LogCaptureFixture,
+@pytest.mark.parametrize(("made", "gps"), [("moved", True), ("first", True), ("first", False)])
+def test_a_stated_frame_contradicts_what_the_files_show(
+    odm: tuple[Path, Truth], made: str, gps: bool
+) -> None:
+    """With ODM's other file beside it, with coords.txt and GPS, and by its name."""
+    path, truth = odm
+    first = path.with_name("reconstruction.topocentric.json")
+    if made == "first":
+        path.write_text(shots_of(truth, truth.world_from_cam, gps))
+    frames: tuple[Frame, Frame] = ("topocentric", "projected")
+    right, wrong = frames if made == "first" else frames[::-1]
+    assert_true(path, truth, right)
+    with pytest.raises(InputError, match=f"are {right} by .*beside it, but {wrong} by --poses-f"):
+        read_foreign(path, wrong)
+    with pytest.raises(InputError, match="are topocentric by its name, but projected by"):
+        read_foreign(first, "projected")
+    first.unlink()
+    if gps:
+        with pytest.raises(InputError, match=f"{right} by gps_position.*, but {wrong} by --poses"):
+            read_foreign(path, wrong)
+
+
+@pytest.mark.parametrize("folder", ["opensfm", "photos"])
+def test_the_project_of_plain_opensfm_tells_the_frame(
+    odm: tuple[Path, Truth], tmp_path: Path, folder: str
 ) -> None:
     _, truth = odm
     path = tmp_path / "site" / folder / "reconstruction.json"
     path.parent.mkdir(parents=True)
     path.write_text(shots_of(truth, truth.world_from_cam, False))
+    with pytest.raises(
+        InputError, match=r"a UTM grid as of zone 32\) cannot be told \(gps_position"
+    ):
+        read_foreign(path)
+    assert_true(path, truth, "topocentric")
+    plain_project(path.parent)
     assert_true(path, truth)
-    assert ("read as metres east and north; whether ODM has moved it" in caplog.text) is told
+    with pytest.raises(InputError, match="by OpenSfM's project around it, but projected by"):
+        read_foreign(path, "projected")
+    (path.parent / "image_list.txt").write_text("/datasets/project/images/a.jpg\n")
+    with pytest.raises(InputError, match="cannot be told"):
+        read_foreign(path)
+
+
+def test_a_frame_is_stated_of_a_file_that_leaves_it_open(
+    odm: tuple[Path, Truth], tmp_path: Path
+) -> None:
+    path = odm[0]
+    document = json.loads(path.read_text())
+    del document[0]["reference_lla"]
+    path.write_text(json.dumps(document))
+    assert read_foreign(path).origin is None
+    with pytest.raises(InputError, match="has no reference_lla, and is placed by GPS: leave out"):
+        read_foreign(path, "projected")
+    with pytest.raises(
+        InputError, match=r"not a reconstruction\.json of ODM or OpenSfM: leave out"
+    ):
+        read_foreign(nerfstudio(tmp_path), "topocentric")
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,7 @@ def opensfm(folder: Path, **lens: object) -> Path:
             "shots": {"DJI_1.JPG": shot},
             "points": {"1": {"coordinates": [0, 0, 0], "color": [1, 2, 3]}},
             "reference_lla": {"latitude": 47.0, "longitude": 8.0, "altitude": 400.0},
+            "frame": "topocentric",
         },
     ]
     path = folder / "reconstruction.json"

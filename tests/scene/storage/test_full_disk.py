@@ -10,22 +10,28 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 import torch
 
+import simulate.gallery
 from benchmark.datasets.open import open_datasets
 from benchmark.journal import Journal
 from benchmark.query_result import QueryResult
 from scene.bundle.frames import read_frames, write_frames
+from scene.bundle.scene import Scene
 from scene.colmap.database import MappingJob
 from scene.colmap.options import SiftOptions
 from scene.colmap.triangulation import triangulate
 from scene.errors import InputError, WriteError
+from scene.exports.export import export
 from scene.maps.photographs import PosedImage
 from scene.storage.atomic import atomic_folder, atomic_write, write_text
 from scene.storage.files import require_disk_space
 from scene.storage.locks import resumable_file, write_lock
+from simulate.render.job import RenderJob, frame_path
 from tests.benchmark.made_data import scored_query
+from tests.benchmark.test_cli import error_line, invoke
 from tests.scene.bundle.test_frames import ALL, assert_equal, made_frames, made_layers
 
 GATE = Path(__file__).parents[2] / "data" / "gate"
@@ -140,13 +146,17 @@ def test_a_copy_names_what_is_written(disk: Path, tmp_path: Path) -> None:
     [
         ("leaderboard", str(GATE.with_name("gate-baseline")), "--out"),
         ("score", str(GATE / "reference_poses.txt"), "--reference", str(GATE), "--out"),
+        ("audit", "places.csv", "--out"),
     ],
     ids=lambda words: words[0],
 )
-def test_a_command_ends_with_one_line(disk: Path, words: tuple[str, ...]) -> None:
+def test_a_command_ends_with_one_line(disk: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
     """What it leaves is whole, and the same command finishes when there is room."""
+    (tmp_path / "places.csv").write_text("name,lat,lon,alt\na.jpg,47,8,440\nb.jpg,47.001,8,440\n")
+    words = tuple(str(tmp_path / word) if word == "places.csv" else word for word in words)
+    out = "out.html" if words[0] == "audit" else "out"
     filling = fill(disk, 2 << 10)
-    command = [sys.executable, "-m", "benchmark.cli", *words, str(disk / "out")]
+    command = [sys.executable, "-m", "benchmark.cli", *words, str(disk / out)]
 
     def run() -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -160,6 +170,49 @@ def test_a_command_ends_with_one_line(disk: Path, words: tuple[str, ...]) -> Non
     assert not [path for path in disk.rglob("*") if path.name.endswith(".partial")]
     filling.unlink()
     assert run().returncode == 0
+
+
+@pytest.mark.parametrize(
+    "file_format", ["nerfstudio", "colmap", "colmap-database", "hloc-features", "rerun"]
+)
+def test_an_export_names_the_folder_that_was_asked_for(
+    disk: Path, rendered: Scene, file_format: str
+) -> None:
+    """Each library reports a full disk in its own way, and none knows where its files would be."""
+    if file_format == "rerun":
+        pytest.importorskip("rerun")
+    fill(disk)
+    out = disk / "out"
+    with pytest.raises(WriteError) as raised:
+        export(rendered.path, file_format, out, ["summer-noon-nadir-map"])
+    assert str(raised.value).startswith(f"cannot write {out}")
+    assert ".partial" not in str(raised.value)
+    assert [path.name for path in disk.iterdir()] == ["filling"]
+
+
+@pytest.mark.parametrize("full", ["frames", "pictures"])
+def test_the_gallery_ends_with_one_line(
+    disk: Path, monkeypatch: pytest.MonkeyPatch, full: str
+) -> None:
+    """The disk is full when a frame is written, or when a picture is drawn."""
+    fill(disk, 16 << 10)
+    frame = np.full((64, 64, 3), 99, np.uint8)
+
+    def grey(job: RenderJob, out_dir: Path) -> None:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        for k in job.poses if full == "frames" else ():
+            np.savez(frame_path(out_dir, k), rgb=frame)
+
+    monkeypatch.setattr(simulate.gallery, "render", grey)
+    if full == "pictures":
+        monkeypatch.setattr(simulate.gallery, "_photograph", lambda folder, number: frame)
+    out = disk / "pages"
+    result = invoke("gallery", "--out", out, "--area", 120, "--size", 64, "--spp", 1)
+    assert result.exit_code == 2
+    line = error_line(result.stderr)
+    assert line.startswith(f"objconnect: error: cannot write {out}") and "No space left" in line
+    assert not (out / "gallery.md").exists()
+    assert not list(disk.rglob("*.partial"))
 
 
 @pytest.mark.parametrize("method", ["sift", "pixloc"])
