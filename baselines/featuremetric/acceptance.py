@@ -1,7 +1,7 @@
 """When a pose is believed: the probability that it is right, and the risk that is taken.
 
-A pose is right within 5 m and 10 degrees. Logistic regression gives the odds of an aligned pose from
-ratios of its query to itself (``evidence``), and the odds of a pose by matches from their number.
+A pose is right within 5 m and 10 degrees. Logistic regression gives the odds of an aligned pose
+from ratios of its query to itself (``evidence``), and those of a pose by matches from their number.
 At most one place of a map is right: the odds of several poses share one probability.
 ``python -m tests.benchmarks.acceptance`` finds the numbers, which stand in a file beside the
 weights of a network.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,13 +79,12 @@ def judged(found: Found, options: SearchOptions) -> Attempt:
     view, problem, alignment = found.view, found.problem, found.alignment
     if alignment.failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
-    around = spread(problem, alignment.pose)
-    unjudged = Attempt(view, alignment, around, fit(problem, alignment.pose), None, -math.inf)
-    covariance = pose_covariance(unjudged, options)
+    around, share = spread(problem, alignment.pose), fit(problem, alignment.pose)
+    covariance = _covariance(view, around, share, options)
     sigma_m = math.inf if covariance is None else math.sqrt(np.trace(covariance[3:, 3:]))
     curvature = float(around.curvature[0])
     told = evidence(problem, alignment.pose, curvature, sigma_m, options.evidence)
-    return replace(unjudged, evidence=told, log_odds=options.acceptance.of_alignment(told))
+    return Attempt(view, alignment, around, share, told, options.acceptance.of_alignment(told))
 
 
 def best_of(attempts: Sequence[Attempt]) -> tuple[Attempt, float]:
@@ -156,10 +155,18 @@ def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.floa
         attempt: with its pose.
         options: how the covariance is calibrated.
     """
-    if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
+    if attempt.spread is None:
         return None
-    of_view = calibrated(attempt.spread, attempt.fit, CovarianceNumbers.of(options))
-    return attempt.view.photograph_covariance(of_view[0])
+    return _covariance(attempt.view, attempt.spread, attempt.fit, options)
+
+
+def _covariance(
+    view: WarpedImage, around: Spread, share: float, options: SearchOptions
+) -> NDArray[np.float64] | None:
+    if not around.covariance.isfinite().all():
+        return None
+    of_view = calibrated(around, share, CovarianceNumbers.of(options))
+    return view.photograph_covariance(of_view[0])
 
 
 def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:

@@ -102,6 +102,16 @@ Further = Annotated[
         "the option for several.",
     ),
 ]
+Risk = Annotated[
+    float | None,
+    typer.Option(
+        help="Probability with which an answer may be wrong by more than 5 m or 10 degrees, of "
+        "methods that predict it (search.risk); 1 answers every pose.",
+        min=1e-6,
+        max=1,
+        show_default="0.01",
+    ),
+]
 Undulation = Annotated[
     float | None,
     typer.Option(
@@ -144,6 +154,7 @@ def localize(
     also: Further = None,
     undulation: Undulation = None,
     crs: Crs = None,
+    risk: Risk = None,
     overrides: Settings = None,
     cache: Cache = None,
     as_json: Json = False,
@@ -152,7 +163,8 @@ def localize(
 
     Writes POSES (name qw qx qy qz tx ty tz, world to camera) and beside it a CSV file with
     latitude, longitude, altitude above the ellipsoid, sigmas, time, yaw, pitch, roll, covariance,
-    the camera that was used and, for photographs that were not found or cannot be read, the reason.
+    the probability that the pose is right, the camera that was used and, for photographs that were
+    not found or cannot be read, the reason.
     Without --camera, a photograph has the map's camera of its size, else its calibration in XMP,
     the map's camera scaled, the focal length in EXIF, or an estimate. A video and --sequence take
     each pose as the prior of the next; a JSON file beside POSES records how. An interrupted run
@@ -169,6 +181,12 @@ def localize(
     calibration, projection = parse_camera(camera), parse_crs(crs)
     claim_folders([place, flown], cache)
     localizer = create(method, settings)
+    if risk is not None:
+        if not hasattr(localizer.config, "search"):
+            raise InputError(f"{method} does not say how probable a pose is: leave out --risk")
+        if "search.risk" in settings:
+            raise InputError("--risk and --set search.risk are the same: give one of them")
+        localizer = create(method, settings | {"search.risk": risk})
     if config is None:
         located = run(
             open_place(place),

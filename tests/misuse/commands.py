@@ -240,6 +240,7 @@ LOCALIZE = Row(
         "crs": values(
             "EPSG:32632", "", "EPSG:", "EPSG:99999", "EPSG:4978", "magic", "32632 1", LONG
         ),
+        "risk": real(None).also(of_a_method_without=Fault(("0.1",), says=("--risk",))),
         "overrides": SETTINGS,
         "cache": cache(),
         "as_json": FLAG,

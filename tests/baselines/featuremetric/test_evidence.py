@@ -66,10 +66,10 @@ def test_a_right_pose_stands_out_and_halves_agree() -> None:
     assert (right.curvature, right.sigma_m) == (0.7, 0.2)
 
 
-def test_a_change_of_all_features_by_a_factor_changes_little() -> None:
-    """Noise makes the fit worse by far, and the peak stands out nearly as well."""
-    same, changed = (told(problem(texture(None), noise)) for noise in (0.0, 0.5))
-    assert changed.height > 0.7 * same.height
+def test_a_query_that_looks_other_still_stands_out() -> None:
+    """Noise as strong as the features themselves makes the fit far worse."""
+    changed = told(problem(texture(None), noise=0.5))
+    assert changed.height > 10
     assert changed.rival < 0.5
 
 
@@ -85,7 +85,7 @@ def test_halves_of_another_picture_lead_apart() -> None:
     assert told(replace(other, levels=levels)).halves > 1
 
 
-@pytest.mark.parametrize("metres", [35.0, 1e4])
+@pytest.mark.parametrize("metres", [70.0, 1e4])
 def test_points_out_of_view_tell_nothing(metres: float) -> None:
     nothing = told(problem(texture(None), points=60), aside(metres))
     assert nothing.height == 0.0 and nothing.rival == 1.0

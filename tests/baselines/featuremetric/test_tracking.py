@@ -91,7 +91,7 @@ def test_a_prediction_that_is_off_misleads_nothing(localizer: FeaturemetricLocal
     """Off by 1.2 m, twenty standard deviations: the picture decides."""
     asked = query_of(looking_down(10.3, 0.3, (1.5, -1.0, 4.0)), 0.05)
     metres, degrees = errors(localizer.localize(replace(asked, tracked=True)))
-    assert metres < 0.1 and degrees < 0.25
+    assert metres < 0.2 and degrees < 0.5
 
 
 def test_a_picture_of_something_else_is_not_followed(localizer: FeaturemetricLocalizer) -> None:
