@@ -1,6 +1,6 @@
 """When a pose is believed: the probability that it is right, and the risk that is taken.
 
-A pose is right within 5 m and 10 degrees. Logistic regression gives the odds of an aligned pose
+A pose is right within 5 m and 10 degrees: how exact it is, its covariance says. Logistic regression gives the odds of an aligned pose
 from ratios of its query to itself (``evidence``), and those of a pose by matches from their number.
 At most one place of a map is right: the odds of several poses share one probability.
 ``python -m tests.benchmarks.acceptance`` finds the numbers, which stand in a file beside the
@@ -34,18 +34,14 @@ class AlignedModel(Config):
     Attributes:
         bias: log odds where all terms are zero.
         peak: weight of the logarithm of the peak's height.
-        rival: weight of the highest other peak, as a share of the pose's.
         halves: weight of the logarithm of the distance between the halves' poses.
-        curvature: weight of the curvature.
-        sigma: weight of the logarithm of the predicted standard deviation of the position.
+        curvature: weight of the logarithm of the curvature.
     """
 
     bias: float
     peak: float
-    rival: float
     halves: float
     curvature: float
-    sigma: float
 
 
 class MatchedModel(Config):
@@ -77,7 +73,7 @@ class AcceptanceModel(Config):
             return -math.inf
         model = self.aligned
         terms = evidence.terms()
-        weights = (model.peak, model.rival, model.halves, model.curvature, model.sigma)
+        weights = (model.peak, model.halves, model.curvature)
         return _bounded(model.bias + sum(w * x for w, x in zip(weights, terms, strict=True)))
 
     def of_matches(self, inliers: int) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,10 +80,7 @@ def judged(found: Found, options: SearchOptions) -> Attempt:
     if alignment.failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
     around, share = spread(problem, alignment.pose), fit(problem, alignment.pose)
-    covariance = _covariance(view, around, share, options)
-    sigma_m = math.inf if covariance is None else math.sqrt(np.trace(covariance[3:, 3:]))
-    curvature = float(around.curvature[0])
-    told = evidence(problem, alignment.pose, curvature, sigma_m, options.evidence)
+    told = evidence(problem, alignment.pose, float(around.curvature[0]), options.evidence)
     return Attempt(view, alignment, around, share, told, options.acceptance.of_alignment(told))
 
 
@@ -96,6 +93,12 @@ def best_of(attempts: Sequence[Attempt]) -> tuple[Attempt, float]:
 def is_believed(attempts: Sequence[Attempt], options: SearchOptions) -> bool:
     """Return whether the likeliest of some attempts is right but for the risk that is taken."""
     return bool(attempts) and best_of(attempts)[1] >= 1 - options.risk
+
+
+def is_answered(attempts: Sequence[Attempt], options: SearchOptions) -> bool:
+    """Return whether the likeliest of some attempts is believed, and exact enough."""
+    best, probability = best_of(attempts)
+    return not _why_not(best, probability, len(attempts), options)
 
 
 def estimated(
@@ -115,37 +118,44 @@ def estimated(
         clock: the time that was taken.
     """
     best, probability = best_of(attempts)
-    seen = int(best.alignment.seen)
-    iterations = sum(int(each.alignment.iterations) for each in attempts)
-    if probability < 1 - options.risk or best.failed:
-        return Estimate(
-            Status.FALLBACK,
-            begin[0],
-            inliers=seen,
-            iterations=iterations,
-            seconds=clock.seconds,
-            reason=_why_not(best, probability, len(attempts), options.risk),
-            by=begun,
-            probability=probability,
-        )
-    return Estimate(
+    answer = Estimate(
         Status.OK,
         best.pose,
         pose_covariance(best, options),
-        inliers=seen,
-        iterations=iterations,
+        inliers=int(best.alignment.seen),
+        iterations=sum(int(each.alignment.iterations) for each in attempts),
         seconds=clock.seconds,
+        reason=_why_not(best, probability, len(attempts), options),
         by=By.ALIGNMENT,
         probability=probability,
     )
+    if not answer.reason:
+        return answer
+    fallback = replace(answer, status=Status.FALLBACK, covariance=None, by=begun)
+    return replace(fallback, cam_from_world=begin[0])
 
 
-def _why_not(best: Attempt, probability: float, tried: int, risk: float) -> str:
-    """Return why the likeliest of some attempts is not believed."""
+def sigma_m(attempt: Attempt, options: SearchOptions) -> float:
+    """Return the standard deviation of the camera's position, metres; infinite if unknown."""
+    covariance = pose_covariance(attempt, options)
+    return math.inf if covariance is None else math.sqrt(np.trace(covariance[3:, 3:]))
+
+
+def _why_not(best: Attempt, probability: float, tried: int, options: SearchOptions) -> str:
+    """Return why the likeliest of some attempts is no answer; empty where it is one."""
     if best.failed:
         return best.alignment.reason(0)
     which = "the aligned pose" if tried == 1 else f"the likeliest of {tried} aligned poses"
-    return f"{which} is right with a probability of {probability:.2f}, below {1 - risk:g}"
+    if probability < 1 - options.risk:
+        return (
+            f"{which} is right with a probability of {probability:.2f}, below {1 - options.risk:g}"
+        )
+    if (sigma := sigma_m(best, options)) > options.most_sigma_m:
+        return (
+            f"{which} is at the right place, but its position is known to {sigma:.1f} m only, and "
+            f"search.most_sigma_m is {options.most_sigma_m:g}"
+        )
+    return ""
 
 
 def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
@@ -155,18 +165,10 @@ def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.floa
         attempt: with its pose.
         options: how the covariance is calibrated.
     """
-    if attempt.spread is None:
+    if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
         return None
-    return _covariance(attempt.view, attempt.spread, attempt.fit, options)
-
-
-def _covariance(
-    view: WarpedImage, around: Spread, share: float, options: SearchOptions
-) -> NDArray[np.float64] | None:
-    if not around.covariance.isfinite().all():
-        return None
-    of_view = calibrated(around, share, CovarianceNumbers.of(options))
-    return view.photograph_covariance(of_view[0])
+    of_view = calibrated(attempt.spread, attempt.fit, CovarianceNumbers.of(options))
+    return attempt.view.photograph_covariance(of_view[0])
 
 
 def photograph_pose(view: WarpedImage, alignment: Alignment) -> Pose:

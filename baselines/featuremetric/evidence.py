@@ -2,8 +2,8 @@
 
 A cost says how alike a query and a map are, which light, season and renderer decide. These
 ratios do not: how far the gain at a pose stands out from that of the same picture shifted aside
-(the ratio of peak and sidelobes, Bolme et al., CVPR 2010), whether another shift fits as well, and
-how near to each other two halves of the picture lead.
+(the ratio of peak and sidelobes, Bolme et al., CVPR 2010), how near to each other two halves of the
+picture lead, and how steeply the cost rises around the pose.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ from scene.geometry.pose import Pose
 
 # The terms of a regression have bounds: beyond them a pose is as sure, or as lost.
 _LEAST_HEIGHT: Final = 0.1
+_LEAST_CURVATURE: Final = 0.03
 _LEAST_CELLS: Final = 0.02
-_LEAST_M: Final = 0.02
 _MOST_CELLS: Final = 20.0
-_MOST_M: Final = 10.0
 # Fewer points, or fewer shifts to compare with, tell nothing.
 _FEWEST: Final = 10
 
@@ -60,50 +59,39 @@ class Evidence:
     Attributes:
         height: gain over chance at the pose less the mean of shifted pictures, in their standard
             deviations.
-        rival: highest gain of a shifted picture as a share of the highest near the pose; at most 1.
         halves: median distance between where the poses of two halves of the picture project the
             points, cells of the finest level; infinite where a half does not give one.
         curvature: of the cost around the pose, as a share of Gauss and Newton's (``Spread``).
-        sigma_m: standard deviation of the camera's position that the method predicts, metres;
-            infinite where the points do not tell it.
     """
 
     height: float
-    rival: float
     halves: float
     curvature: float
-    sigma_m: float
 
-    def terms(self) -> tuple[float, ...]:
-        """Return the terms of the logistic regression, each bounded, in the order of the fields."""
+    def terms(self) -> tuple[float, float, float]:
+        """Return the terms of the logistic regression: logarithms of the fields within bounds."""
         return (
             math.log(max(self.height, _LEAST_HEIGHT)),
-            min(max(self.rival, 0.0), 1.0),
             math.log(min(max(self.halves, _LEAST_CELLS), _MOST_CELLS)),
-            self.curvature,
-            math.log(min(max(self.sigma_m, _LEAST_M), _MOST_M)),
+            math.log(max(self.curvature, _LEAST_CURVATURE)),
         )
 
 
-def evidence(
-    problem: Problem, pose: Pose, curvature: float, sigma_m: float, options: EvidenceOptions
-) -> Evidence:
+def evidence(problem: Problem, pose: Pose, curvature: float, options: EvidenceOptions) -> Evidence:
     """Measure what a query says of an aligned pose.
 
     Args:
         problem: what was aligned, of one image.
         pose: ``cam_from_world``, batched (1).
         curvature: of the cost around it.
-        sigma_m: predicted standard deviation of its position, metres.
         options: how it is measured.
     """
-    height, rival = _peak(problem, pose, options)
-    halves = _between_halves(problem, pose, options.fields)
-    return Evidence(height, rival, halves, curvature, sigma_m)
+    height = _height(problem, pose, options)
+    return Evidence(height, _between_halves(problem, pose, options.fields), curvature)
 
 
-def _peak(problem: Problem, pose: Pose, options: EvidenceOptions) -> tuple[float, float]:
-    """Return the height and the rival, as in ``Evidence``, on the middle level."""
+def _height(problem: Problem, pose: Pose, options: EvidenceOptions) -> float:
+    """Return the height of the peak, as in ``Evidence``, on the middle level."""
     few = problem.first_points(options.points)
     level = few.levels[len(few.levels) // 2]
     projected = few.intrinsics.project(pose.transform(few.points))
@@ -112,13 +100,12 @@ def _peak(problem: Problem, pose: Pose, options: EvidenceOptions) -> tuple[float
     shifts = torch.cartesian_prod(side, side)
     gain, share = _shifted_gains(level, cells, projected.valid[0], shifts, problem)
     length = shifts.norm(dim=-1)
-    here, core = int(length.argmin()), length < options.core_cells
-    others = gain[~core & (share >= options.least_share * share[here])]
+    here = int(length.argmin())
+    aside = (length >= options.core_cells) & (share >= options.least_share * share[here])
+    others = gain[aside]
     if len(others) < _FEWEST or share[here] < _FEWEST:
-        return 0.0, 1.0
-    highest = float(gain[core].max())
-    height = float((gain[here] - others.mean()) / others.std().clamp_min(1e-12))
-    return height, float(others.max()) / highest if highest > 0 else 1.0
+        return 0.0
+    return float((gain[here] - others.mean()) / others.std().clamp_min(1e-12))
 
 
 def _shifted_gains(

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from baselines.align.options import SearchRadius
 from baselines.featuremetric.acceptance import best_probability, is_same, log_odds_of
-from baselines.featuremetric.attempt import Attempt, best_of, estimated, is_believed
+from baselines.featuremetric.attempt import Attempt, best_of, estimated, is_answered, is_believed
 from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.priors import may_be_at, says_where
 from baselines.featuremetric.references import ReferenceSource, Watch
@@ -139,7 +139,7 @@ class GlobalSearch:
         if probability < 1 - options.risk:
             return None, [attempt]
         alike = best == 0 or is_same(attempt.pose, start)
-        if alike and is_believed([attempt], options):
+        if alike and is_answered([attempt], options):
             return self._best([attempt], Candidate(start, 0.0, By.MATCHES), clock), []
         return replace(matched, seconds=clock.seconds, probability=probability), []
 

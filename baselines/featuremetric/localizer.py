@@ -21,7 +21,7 @@ from torch import nn
 
 from baselines.align.options import Options
 from baselines.featuremetric.acceptance import AcceptanceModel
-from baselines.featuremetric.attempt import Attempt, best_of, estimated, is_believed
+from baselines.featuremetric.attempt import Attempt, best_of, estimated, is_answered, is_believed
 from baselines.featuremetric.global_search import GlobalSearch, OtherFinder, is_answer
 from baselines.featuremetric.maps import MapExtractor, Network
 from baselines.featuremetric.matcher import matcher
@@ -262,7 +262,7 @@ class FeaturemetricLocalizer:
         options = self.config.search
         attempts = self._tried(refine, query, chosen, begin, clock)
         enough = not self.config.multistart or options.again == 1
-        if enough or is_believed(attempts, options):
+        if enough or is_answered(attempts, options):
             return attempts
         thorough = refine.searching(options.times(options.again))
         if says_all(query.prior):

@@ -29,7 +29,13 @@ class SearchOptions(Config):
         gt=0,
         le=1,
         description="A pose is answered where it is wrong, by more than 5 m or 10 degrees, with at "
-        "most this probability; 1 answers every pose. A search goes on until then.",
+        "most this probability; 1 believes every pose. A search goes on until then.",
+    )
+    most_sigma_m: float = Field(
+        1.0,
+        gt=0,
+        description="A pose is not answered whose position has a larger predicted standard "
+        "deviation, metres.",
     )
     acceptance: AcceptanceModel | None = Field(
         None,

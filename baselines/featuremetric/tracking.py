@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from baselines.align.aligner import Alignment, align
 from baselines.align.problem import Problem
-from baselines.featuremetric.attempt import Attempt, Found, is_believed, judged
+from baselines.featuremetric.attempt import Attempt, Found, is_answered, judged
 from baselines.featuremetric.options import SearchOptions, TrackingOptions
 from baselines.featuremetric.priors import pose_of
 from baselines.featuremetric.problem import ProblemBuilder
@@ -60,7 +60,7 @@ class Tracking:
                 return None
             found = Found(view, problem, _aligned(problem, first, options))
             attempt = judged(found, self.search)
-        return attempt if is_believed([attempt], self.search) else None
+        return attempt if is_answered([attempt], self.search) else None
 
 
 def _unsure_px(problem: Problem, prior: Prior) -> float:

@@ -106,7 +106,7 @@ Risk = Annotated[
     float | None,
     typer.Option(
         help="Probability with which an answer may be wrong by more than 5 m or 10 degrees, of "
-        "methods that predict it (search.risk); 1 answers every pose.",
+        "methods that predict it (search.risk); 1 believes every pose.",
         min=1e-6,
         max=1,
         show_default="0.01",

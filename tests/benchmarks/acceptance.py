@@ -44,8 +44,10 @@ from baselines.featuremetric.acceptance import (
     acceptance_file,
     best_probability,
 )
-from baselines.featuremetric.attempt import Attempt
+from baselines.featuremetric.attempt import Attempt, sigma_m
 from baselines.featuremetric.evidence import Evidence
+from baselines.featuremetric.localizer import FeaturemetricLocalizer
+from baselines.featuremetric.options import SearchOptions
 from benchmark.cli.arguments import parse_settings
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.open import open_datasets
@@ -62,9 +64,9 @@ Array = NDArray[np.float64]
 # Believed by nobody, so that a search tries all that it has.
 _NEVER: Final = 1e-30
 # Weights of the squared coefficients among which leaving one file out chooses.
-_RIDGES: Final = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+_RIDGES: Final = (0.0001, 0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
 _BINS: Final = (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)
-_FALSE_M, _FALSE_DEG = 5.0, 10.0
+_NEAR_M, _NEAR_DEG = 1.0, 5.0
 _EXACT_M: Final = 0.5
 
 
@@ -76,17 +78,24 @@ class Told(NamedTuple):
         pose: ``cam_from_world`` as qw qx qy qz tx ty tz.
         metres: how far it is off; infinite in the map of another place.
         degrees: by how much it is turned.
+        sigma_m: predicted standard deviation of its position, metres.
     """
 
     evidence: Evidence
     pose: tuple[float, ...]
     metres: float
     degrees: float
+    sigma_m: float
 
     @property
     def right(self) -> bool:
-        """Whether the pose is right."""
-        return self.metres < RIGHT_M and self.degrees < RIGHT_DEG
+        """Whether the pose is right, and exact enough to be no chance."""
+        return self.metres < _NEAR_M and self.degrees < _NEAR_DEG
+
+    @property
+    def false(self) -> bool:
+        """Whether the pose is wrong by far."""
+        return self.metres > RIGHT_M or self.degrees > RIGHT_DEG
 
     @property
     def pose_of(self) -> Pose:
@@ -133,6 +142,7 @@ def _recorded(
 ) -> Iterator[Record]:
     """Yield what is told of the queries of a data set, in its map or in another's."""
     localizer = create(given.method, settings)
+    assert isinstance(localizer, FeaturemetricLocalizer)
     there = other or dataset
     localizer.prepare(there.load_map(), there.images, cache)
     start: Start = given.start
@@ -159,20 +169,26 @@ def _recorded(
             told.clear()
             matched.clear()
             localizer.localize(load(query))
-            yield _record(query, told, matched, other is None)
+            sigmas = [sigma_m(each, localizer.config.search) for each in told]
+            yield _record(query, told, sigmas, matched, other is None)
             advance(done)
 
 
 def _record(
-    query: BenchmarkQuery, told: Sequence[Attempt], matched: Sequence[Estimate], here: bool
+    query: BenchmarkQuery,
+    told: Sequence[Attempt],
+    sigmas: Sequence[float],
+    matched: Sequence[Estimate],
+    here: bool,
 ) -> Record:
     aligned = []
-    for each in told:
+    for each, sigma in zip(told, sigmas, strict=True):
         if each.evidence is None:
             continue
         metres, degrees = (float(part) for part in each.pose.error_to(query.reference))
         numbers = (*each.pose.quaternion().tolist(), *each.pose.translation.tolist())
-        aligned.append(Told(each.evidence, numbers, metres if here else math.inf, degrees))
+        off = metres if here else math.inf
+        aligned.append(Told(each.evidence, numbers, off, degrees, sigma))
     best = matched[0] if matched and matched[0].probability is not None else None
     if best is None or best.cam_from_world is None:
         return Record(query.name, aligned, 0, False)
@@ -200,9 +216,18 @@ def read(path: Path) -> list[Record]:
 
 
 def _cases(records: Sequence[Record]) -> tuple[Array, Array, Array]:
-    """Return terms (N, 5), labels (N,) and weights (N,) of poses; a query weighs one in all."""
-    told = [(each, 1 / len(record.aligned)) for record in records for each in record.aligned]
-    terms = np.array([each.evidence.terms() for each, _ in told]).reshape(-1, 5)
+    """Return terms (N, 3), labels (N,) and weights (N,) of poses; a query weighs one in all.
+
+    Poses that are off by 1 to 5 m are left out: they are at the right place inexactly, or by the
+    chance of a near prior.
+    """
+    told = [
+        (each, 1 / len(record.aligned))
+        for record in records
+        for each in record.aligned
+        if each.right or each.false
+    ]
+    terms = np.array([each.evidence.terms() for each, _ in told]).reshape(-1, 3)
     labels = np.array([each.right for each, _ in told], float)
     return terms, labels, np.array([weight for _, weight in told])
 
@@ -277,15 +302,17 @@ class Answer(NamedTuple):
 
     Attributes:
         probability: of the likeliest pose.
-        metres: how far that is off.
-        degrees: by how much it is turned.
+        told: what was told of that.
         tried: number of alignments until it was believed.
     """
 
     probability: float
-    metres: float
-    degrees: float
+    told: Told
     tried: int
+
+    def taken(self, risk: float, most_sigma_m: float) -> bool:
+        """Return whether the pose is answered."""
+        return self.probability >= 1 - risk and self.told.sigma_m <= most_sigma_m
 
 
 def answered(record: Record, model: AcceptanceModel, risk: float) -> Answer | None:
@@ -294,8 +321,7 @@ def answered(record: Record, model: AcceptanceModel, risk: float) -> Answer | No
     for tried in range(1, len(poses) + 1):
         best, probability = best_probability(poses[:tried])
         if probability >= 1 - risk or tried == len(poses):
-            told = record.aligned[best]
-            return Answer(probability, told.metres, told.degrees, tried)
+            return Answer(probability, record.aligned[best], tried)
     return None
 
 
@@ -312,37 +338,40 @@ def check(given: argparse.Namespace) -> None:
         some = [answered(each, model, given.risk) for each in read(records)]
         answers = [each for each in some if each is not None]
         drawn[records.stem] = answers
-        _row(records.stem, answers, given.risk)
-    _row("all", [each for answers in drawn.values() for each in answers], given.risk)
+        _row(records.stem, answers, given)
+    _row("all", [each for answers in drawn.values() for each in answers], given)
     if given.picture:
         _draw(drawn, given.picture)
 
 
-def _row(name: str, answers: Sequence[Answer], risk: float) -> None:
-    taken = [each for each in answers if each.probability >= 1 - risk]
-    wrong = sum(each.metres > RIGHT_M or each.degrees > RIGHT_DEG for each in taken)
-    false = sum(each.metres > _FALSE_M or each.degrees > _FALSE_DEG for each in taken)
-    exact = [each for each in answers if each.metres < _EXACT_M and each.degrees < RIGHT_DEG]
-    refused = sum(each.probability < 1 - risk for each in exact)
-    high = 100 * wilson(wrong, max(len(taken), 1))[1]
+def _row(name: str, answers: Sequence[Answer], given: argparse.Namespace) -> None:
+    taken = [each.told for each in answers if each.taken(given.risk, given.most_sigma)]
+    wrong = sum(each.metres > _NEAR_M or each.degrees > _NEAR_DEG for each in taken)
+    false = sum(each.false for each in taken)
+    exact = [each for each in answers if each.told.metres < _EXACT_M and each.told.right]
+    refused = sum(not each.taken(given.risk, given.most_sigma) for each in exact)
+    high = 100 * wilson(false, max(len(taken), 1))[1]
     print(
-        f"| {name} | {len(answers)} | {len(taken)} | {wrong} [≤ {high:.1f} %] | {false} | "
+        f"| {name} | {len(answers)} | {len(taken)} | {wrong} | {false} [≤ {high:.1f} %] | "
         f"{len(exact)} | {refused} | {calibration_error(answers):.3f} |"
     )
 
 
 def calibration_error(answers: Sequence[Answer]) -> float:
-    """Return the expected calibration error (Naeini et al., AAAI 2015) of probabilities."""
-    total = 0.0
-    for _, expected, share, count in _binned(answers):
-        total += count * abs(share - expected)
-    return total / max(len(answers), 1)
+    """Return the expected calibration error (Naeini et al., AAAI 2015) of probabilities.
+
+    Poses that are neither right nor false, which ``fit`` leaves out, do not count.
+    """
+    binned = list(_binned(answers))
+    total = sum(count * abs(share - expected) for _, expected, share, count in binned)
+    return total / max(sum(count for *_, count in binned), 1)
 
 
 def _binned(answers: Sequence[Answer]) -> Iterator[tuple[float, float, float, int]]:
     """Yield lower bound, mean probability, share that is right, and number, of each bin."""
-    probability = np.array([each.probability for each in answers])
-    right = np.array([each.metres < RIGHT_M and each.degrees < RIGHT_DEG for each in answers])
+    clear = [each for each in answers if each.told.right or each.told.false]
+    probability = np.array([each.probability for each in clear])
+    right = np.array([each.told.right for each in clear])
     for low, high in pairwise(_BINS):
         own = (probability >= low) & ((probability < high) | (high == 1.0))
         if own.any():
@@ -395,6 +424,7 @@ def main() -> None:
     three.add_argument("records", type=Path, nargs="+")
     three.add_argument("--model", type=Path)
     three.add_argument("--risk", type=float, default=0.01)
+    three.add_argument("--most-sigma", type=float, default=SearchOptions().most_sigma_m)
     three.add_argument("--picture", type=Path)
     three.set_defaults(run=check)
     given = parser.parse_args()

@@ -23,9 +23,9 @@ from scene.errors import InputError
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Status
 
-RIGHT = Evidence(height=14.0, rival=0.3, halves=0.05, curvature=0.9, sigma_m=0.05)
-CHANGED = Evidence(height=14.0, rival=0.3, halves=0.2, curvature=0.5, sigma_m=0.2)
-WRONG = Evidence(height=3.5, rival=0.9, halves=1.5, curvature=0.1, sigma_m=2.0)
+RIGHT = Evidence(height=14.0, halves=0.05, curvature=0.9)
+CHANGED = Evidence(height=14.0, halves=0.2, curvature=0.5)
+WRONG = Evidence(height=3.5, halves=1.5, curvature=0.1)
 
 
 def pose(east: float) -> Pose:
@@ -43,7 +43,7 @@ def test_shipped_models_tell_right_from_wrong(weights: Path) -> None:
     assert model.of_matches(0) == -math.inf
 
 
-@pytest.mark.parametrize("broken", [{"halves": math.inf}, {"height": 0.0}, {"sigma_m": math.inf}])
+@pytest.mark.parametrize("broken", [{"halves": math.inf}, {"height": 0.0}, {"curvature": 0.0}])
 def test_evidence_without_a_bound_has_bounded_odds(broken: dict[str, float]) -> None:
     model = read_acceptance(OBJCONNECT, OBJCONNECT)
     told = Evidence(**{**vars(WRONG), **broken})

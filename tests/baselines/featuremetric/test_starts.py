@@ -52,7 +52,7 @@ def test_each_source_of_starts_leads_to_the_pose(localizer: Localizer, told: str
 
 
 MODEL = read_acceptance(SHIPPED, SHIPPED)
-NO_ALIGNMENT = {"bias": -20, "peak": 0, "rival": 0, "halves": 0, "curvature": 0, "sigma": 0}
+NO_ALIGNMENT = {"bias": -20, "peak": 0, "halves": 0, "curvature": 0}
 MATCHED: dict[str, dict[str, Any]] = {
     "many": {"matched_answer_inliers": 20},
     "not aligned": {"matched_answer_inliers": 10**6, "acceptance": {"aligned": NO_ALIGNMENT}},

@@ -121,7 +121,7 @@ def test_many_starts_reach_further(weights: Path, made: tuple[SparseMap, Path]) 
 
 NEVER = AcceptanceModel.model_validate(
     {
-        "aligned": {"bias": -20, "peak": 0, "rival": 0, "halves": 0, "curvature": 0, "sigma": 0},
+        "aligned": {"bias": -20, "peak": 0, "halves": 0, "curvature": 0},
         "matched": {"bias": -20, "inliers": 0},
     }
 )
