@@ -44,4 +44,4 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
         if config.objects is not None and network.constellation is not None:
             extract = MapExtractor(network, config.longest, config.precision)
             objects = ObjectPlaceFinder(network, extract, config.objects)
-        super().__init__("objconnect", network, digest, config.accepting(SHIPPED), objects)
+        super().__init__("objconnect", network, digest, config.accepting(), objects)

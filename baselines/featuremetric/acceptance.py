@@ -1,10 +1,9 @@
 """When a pose is believed: the probability that it is right, and the risk that is taken.
 
-A pose is right within 5 m and 10 degrees: how exact it is, its covariance says. Logistic regression gives the odds of an aligned pose
-from ratios of its query to itself (``evidence``), and those of a pose by matches from their number.
-At most one place of a map is right: the odds of several poses share one probability.
-``python -m tests.benchmarks.acceptance`` finds the numbers, which stand in a file beside the
-weights of a network.
+A pose is right within 5 m and 10 degrees; how exact it is, its covariance says. Logistic regression
+gives the odds of an aligned pose from ratios of its query to itself (``evidence``), and those of a
+pose by matches from their number. At most one place of a map is right: the odds of several poses
+share one probability. ``python -m tests.benchmarks.acceptance`` finds the numbers.
 """
 
 from __future__ import annotations
@@ -20,6 +19,8 @@ from scene.config import Config, load_config
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Status
 
+SHIPPED: Final = Path(__file__).with_name("acceptance.yaml")
+"""The model of the networks that come with the project; it serves both of them."""
 RIGHT_M: Final = 5.0
 """A pose is right that is wrong by less, metres."""
 RIGHT_DEG: Final = 10.0
@@ -109,14 +110,17 @@ def acceptance_file(weights: Path) -> Path:
     return weights.with_suffix(".acceptance.yaml")
 
 
-def read_acceptance(weights: Path, shipped: Path) -> AcceptanceModel:
-    """Read the model beside weights; that beside the shipped weights where there is none.
+def read_acceptance(weights: Path | None) -> AcceptanceModel:
+    """Read the model beside weights; that of all networks where there is none.
+
+    Args:
+        weights: of a user; None for those that come with a method.
 
     Raises:
         InputError: the file is no such model.
     """
-    path = acceptance_file(weights)
-    return load_config(AcceptanceModel, path if path.is_file() else acceptance_file(shipped), {})
+    own = None if weights is None else acceptance_file(weights)
+    return load_config(AcceptanceModel, own if own is not None and own.is_file() else SHIPPED, {})
 
 
 def best_probability(poses: Sequence[tuple[Pose, float]]) -> tuple[int, float]:

@@ -19,7 +19,7 @@ from torch.nn.functional import grid_sample
 
 from baselines.align.aligner import align
 from baselines.align.problem import Problem
-from baselines.align.residuals import Level, robust_cost
+from baselines.align.residuals import Level
 from baselines.align.sampling import per_axis
 from scene.config import Config
 from scene.geometry.pose import Pose
@@ -125,23 +125,28 @@ def _shifted_gains(
     """
     height, width = level.features.shape[-2:]
     image, points = level.features[0].flatten(1).float(), level.reference[0].float()
-    squared = (points**2).sum(-1)[:, None] + (image**2).sum(0) - 2 * points @ image
-    cost = robust_cost(squared.clamp_min(0), problem.options.robust_scale)
+    # In place, as the costs of all points at all cells do not fit into the processor's cache.
+    cost = torch.addmm((image**2).sum(0), points, image, alpha=-2)
+    cost = cost.add_((points**2).sum(-1)[:, None]).clamp_min_(0)
+    scale = 2 * problem.options.robust_scale**2
+    cost = cost.div_(scale).log1p_().mul_(scale)  # as ``robust_cost``
     trust = torch.ones_like(cost[0])
     if level.confidence is not None:
         trust = level.confidence.flatten().to(cost)
     shown = (trust > 0).to(cost)
-    chance = (cost * shown).sum(-1, keepdim=True) / shown.sum().clamp_min(1)
-    weight = trust.expand_as(cost)
-    if level.reference_confidence is not None:
-        weight = weight * level.reference_confidence[0, :, None]
+    chance = cost @ shown / shown.sum().clamp_min(1)
+    gain = cost.neg_().add_(chance[:, None]).mul_(trust).view(-1, 1, height, width)
     at = cells[:, None] + shifts
     size = torch.tensor([width, height], dtype=at.dtype)
     seen = valid[:, None] & ((at > 0.5) & (at < size - 0.5)).all(-1)
     place = torch.where(seen[..., None], 2 * at / size - 1, 3.0)  # 3 is out of the picture
-    maps = torch.stack([(chance - cost) * weight, weight], 1).view(len(at), 2, height, width)
-    gain, total = grid_sample(maps, place[:, None], align_corners=False)[:, :, 0].sum(0)
-    return gain / total.clamp_min(1e-12), seen.sum(0)
+    gains = grid_sample(gain, place[:, None], align_corners=False)[:, 0, 0]
+    trusted = grid_sample(trust.view(1, 1, height, width), place[None], align_corners=False)[0, 0]
+    if level.reference_confidence is not None:
+        gains, trusted = (level.reference_confidence[0] @ each for each in (gains, trusted))
+    else:
+        gains, trusted = gains.sum(0), trusted.sum(0)
+    return gains / trusted.clamp_min(1e-12), seen.sum(0)
 
 
 def _between_halves(problem: Problem, pose: Pose, fields: int) -> float:

@@ -25,11 +25,12 @@ class SearchOptions(Config):
     """Which starts are tried in turn, and when a pose is believed."""
 
     risk: float = Field(
-        0.01,
+        0.05,
         gt=0,
         le=1,
-        description="A pose is answered where it is wrong, by more than 5 m or 10 degrees, with at "
-        "most this probability; 1 believes every pose. A search goes on until then.",
+        description="A pose is believed where the probability that it is wrong, by more than 5 m "
+        "or 10 degrees, is at most this; of all answers far fewer are. A search goes on until "
+        "then; 1 believes every pose.",
     )
     most_sigma_m: float = Field(
         1.0,
@@ -40,7 +41,8 @@ class SearchOptions(Config):
     acceptance: AcceptanceModel | None = Field(
         None,
         description="Model of the probability that a pose is right; None for that of the file "
-        "beside the weights. python -m tests.benchmarks.acceptance finds it.",
+        "WEIGHTS.acceptance.yaml beside weights of your own, else that of the networks that come "
+        "with the project. python -m tests.benchmarks.acceptance finds it.",
     )
     evidence: EvidenceOptions = Field(
         EvidenceOptions(), description="How a pose is compared with others of the same query."
@@ -289,18 +291,15 @@ class FeaturemetricConfig(Config):
         RetrievalOptions(), description="How photographs are chosen where there is no prior."
     )
 
-    def accepting(self, shipped: Path) -> Self:
+    def accepting(self) -> Self:
         """Return the options with the acceptance model of their weights.
-
-        Args:
-            shipped: the weights that come with the method.
 
         Raises:
             InputError: the file of the model is damaged.
         """
         if self.search.acceptance is not None:
             return self
-        model = read_acceptance(self.weights or shipped, shipped)
+        model = read_acceptance(self.weights)
         search = self.search.model_copy(update={"acceptance": model})
         return self.model_copy(update={"search": search})
 

@@ -36,7 +36,7 @@ class PixlocLocalizer(FeaturemetricLocalizer):
     def __init__(self, config: PixlocConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
         fold(network, config.precision)
-        super().__init__("pixloc", network, digest, config.accepting(SHIPPED))
+        super().__init__("pixloc", network, digest, config.accepting())
 
 
 class PixlocSearchConfig(SearchingConfig):
@@ -57,4 +57,4 @@ class PixlocSearchLocalizer(FeaturemetricLocalizer):
     def __init__(self, config: PixlocSearchConfig) -> None:
         network, digest = read_network(config.weights or shipped(SHIPPED))
         fold(network, config.precision)
-        super().__init__("pixloc-search", network, digest, config.accepting(SHIPPED))
+        super().__init__("pixloc-search", network, digest, config.accepting())

@@ -109,7 +109,7 @@ Risk = Annotated[
         "methods that predict it (search.risk); 1 believes every pose.",
         min=1e-6,
         max=1,
-        show_default="0.01",
+        show_default="0.05",
     ),
 ]
 Undulation = Annotated[

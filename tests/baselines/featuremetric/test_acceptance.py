@@ -17,8 +17,6 @@ from baselines.featuremetric.acceptance import (
     read_acceptance,
 )
 from baselines.featuremetric.evidence import Evidence
-from baselines.pixloc.localizer import SHIPPED as PIXLOC
-from objconnect.localizer import SHIPPED as OBJCONNECT
 from scene.errors import InputError
 from scene.geometry.pose import Pose
 from scene.localizer import Estimate, Status
@@ -33,19 +31,18 @@ def pose(east: float) -> Pose:
     return Pose(eye, torch.tensor([-east, 0, 0], dtype=torch.float64))
 
 
-@pytest.mark.parametrize("weights", [OBJCONNECT, PIXLOC])
-def test_shipped_models_tell_right_from_wrong(weights: Path) -> None:
-    model = read_acceptance(weights, weights)
-    assert model.of_alignment(RIGHT) > model.of_alignment(CHANGED) > log_odds_of(0.99)
-    assert model.of_alignment(WRONG) < log_odds_of(0.01)
+def test_the_shipped_model_tells_right_from_wrong() -> None:
+    model = read_acceptance(None)
+    assert model.of_alignment(RIGHT) > model.of_alignment(CHANGED) > log_odds_of(0.95)
+    assert model.of_alignment(WRONG) < log_odds_of(0.05)
     assert model.of_alignment(None) == -math.inf
-    assert model.of_matches(100) > log_odds_of(0.999) > log_odds_of(0.5) > model.of_matches(4)
+    assert model.of_matches(100) > log_odds_of(0.99) > log_odds_of(0.5) > model.of_matches(4)
     assert model.of_matches(0) == -math.inf
 
 
 @pytest.mark.parametrize("broken", [{"halves": math.inf}, {"height": 0.0}, {"curvature": 0.0}])
 def test_evidence_without_a_bound_has_bounded_odds(broken: dict[str, float]) -> None:
-    model = read_acceptance(OBJCONNECT, OBJCONNECT)
+    model = read_acceptance(None)
     told = Evidence(**{**vars(WRONG), **broken})
     assert math.isfinite(model.of_alignment(told))
 
@@ -81,7 +78,7 @@ def test_certain_poses_do_not_overflow() -> None:
 
 
 def test_matches_that_found_nothing_are_not_rated() -> None:
-    model = read_acceptance(OBJCONNECT, OBJCONNECT)
+    model = read_acceptance(None)
     lost = Estimate(Status.FALLBACK, pose(0), inliers=500)
     assert model.rated(lost).probability is None
     found = model.rated(Estimate(Status.OK, pose(0), np.eye(6), inliers=500))
@@ -90,11 +87,11 @@ def test_matches_that_found_nothing_are_not_rated() -> None:
 
 def test_weights_of_a_user_have_a_model_of_their_own(tmp_path: Path) -> None:
     weights = tmp_path / "own.safetensors"
-    shipped = read_acceptance(weights, OBJCONNECT)
-    assert shipped == read_acceptance(OBJCONNECT, OBJCONNECT)
+    shipped = read_acceptance(weights)
+    assert shipped == read_acceptance(None)
     numbers = shipped.model_dump() | {"matched": {"bias": -1.0, "inliers": 2.0}}
     acceptance_file(weights).write_text(str(numbers).replace("'", '"'))
-    assert read_acceptance(weights, OBJCONNECT) == AcceptanceModel.model_validate(numbers)
+    assert read_acceptance(weights) == AcceptanceModel.model_validate(numbers)
     acceptance_file(weights).write_text("aligned: 3")
     with pytest.raises(InputError, match="aligned"):
-        read_acceptance(weights, OBJCONNECT)
+        read_acceptance(weights)

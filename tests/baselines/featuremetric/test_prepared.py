@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 from typing import Any
 
@@ -148,4 +149,5 @@ def test_the_command_leaves_them(rendered: Scene, hamlet: Dataset, tmp_path: Pat
     (located,) = localize(open_place(rendered.path), folder, method, out, cache=cache)
     assert located.found and located.estimate.by is By.MATCHES
     assert kept(cache) == {"sift-points"}
-    assert out.with_suffix(".csv").read_text().splitlines()[1].endswith(",matches")
+    (row,) = csv.DictReader(out.with_suffix(".csv").open())
+    assert row["by"] == "matches" and float(row["probability"]) > 0.99
