@@ -19,10 +19,12 @@ from scene.bundle.frames import Frames
 from scene.bundle.scene import Scene
 from scene.runtime.extras import import_extra
 from scene.runtime.progress import progress_bar
-from scene.storage.files import require_readable
+from scene.storage.files import require_disk_space, require_readable
 
 _FILE = "scene.rrd"
 _ORANGE = (255, 140, 0)
+# The library logs that a disk is full and cuts the file: one with fewer bytes left counts as full.
+_ROOM_BYTES = 1 << 20
 
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
@@ -30,6 +32,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
 
     Raises:
         InputError: rerun is not installed.
+        WriteError: the disk is full.
     """
     _write(scene, sessions, folder / _FILE, photographs=False)
 
@@ -41,12 +44,14 @@ def write_with_images(
 
     Raises:
         InputError: rerun is not installed.
+        WriteError: the disk is full.
     """
     _write(scene, sessions, folder / _FILE, photographs=True)
 
 
 def _write(scene: Scene, sessions: Mapping[str, Frames], path: Path, photographs: bool) -> None:
     rr = import_extra("rerun", "rerun", "export to rerun")
+    require_disk_space(path, _ROOM_BYTES)
     stream = rr.RecordingStream("objconnect", recording_id=scene.name)
     stream.save(path)
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -72,6 +77,7 @@ def _write(scene: Scene, sessions: Mapping[str, Frames], path: Path, photographs
             advance(done)
     stream.flush()
     stream.disconnect()
+    require_disk_space(path, _ROOM_BYTES)
 
 
 def _log_camera(rr: Any, stream: Any, entity: list[str], frames: Frames, k: int) -> None:

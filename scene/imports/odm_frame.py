@@ -4,9 +4,9 @@ OpenSfM writes ``reconstruction.json`` in metres east, north and up from ``refer
 runs ``export_geocoords --reconstruction``, which moves it to a UTM zone minus an offset by one
 affine map, and puts the result in the place of the first file, which it keeps as
 ``reconstruction.topocentric.json``. Both have the same fields and the same ``reference_lla``. They
-are told apart by the file beside them, by GPS positions of the shots, which the move leaves along
-east and north, by the project of plain OpenSfM, which moves nothing, or by the user. A frame that
-nothing tells is an error, and so are two that contradict each other.
+are told apart by the file beside them, by their names, by GPS positions of the shots, which the
+move leaves along east and north, by the project of plain OpenSfM, which moves nothing, or by the
+user. A frame that nothing tells is an error, and so are two that contradict each other.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from scene.errors import InputError
 from scene.geo.named_systems import NamedSystem, named_system
-from scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu
+from scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu, is_same_place
 from scene.imports.poses import Frame
 from scene.quantities.horizontal_axes import Axes, axes_of, convergence, utm_zone
 from scene.quantities.reading import Reading, known, unknown
@@ -37,6 +37,10 @@ TOPOCENTRIC: Final = "reconstruction.topocentric.json"
 """The name under which ODM keeps the reconstruction in metres east, north and up."""
 
 _REMEDY: Final = f"give ODM's {TOPOCENTRIC}, or keep odm_georeferencing/coords.txt beside it"
+_NAMES: Final[dict[str, Frame]] = {
+    TOPOCENTRIC: "topocentric",
+    "reconstruction.geocoords.json": "projected",  # of export_geocoords
+}
 _FRAMES: Final[dict[Axes, Frame]] = {"east and north": "topocentric", "grid": "projected"}
 _OPTION: Final = "--poses-frame"
 # Plain OpenSfM's folder has all of these; ODM lists its photographs in a file and has no images.
@@ -90,11 +94,10 @@ def topocentric(
         InputError: the frame of the file cannot be told, or contradicts the files beside it or
             what the user states.
     """
-    if not _is_sane(shots):
+    if not _is_sane(shots) or not len(shots.names):
         return shots  # as the file has it: ``poses.posed`` says what is wrong
-    if path.name == TOPOCENTRIC or not len(shots.names):
-        _agreed(path, {"its name": "topocentric", _OPTION: stated})
-        return _near(path, shots)
+    if path.name == TOPOCENTRIC:
+        return _alone(path, shots, stated)
     if beside is not None and not _is_sane(beside):
         raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
     if beside is not None:
@@ -104,7 +107,7 @@ def topocentric(
     system = _system_of(path)
     if system is not None:
         return _from_system(path, shots, *system, stated)
-    return _alone(path, _near(path, shots), stated)
+    return _alone(path, shots, stated)
 
 
 def _is_sane(shots: Shots) -> bool:
@@ -113,7 +116,7 @@ def _is_sane(shots: Shots) -> bool:
 
 def _near(path: Path, shots: Shots) -> Shots:
     """Refuse cameras that no flight around the origin has."""
-    if len(shots.names) and np.abs(np.median(shots.centres[:, :2], axis=0)).max() > _FARTHEST_M:
+    if np.abs(np.median(shots.centres[:, :2], axis=0)).max() > _FARTHEST_M:
         raise InputError(
             f"{path}: its shots are not in metres from reference_lla but in a projected system, as "
             f"export_geocoords writes: give the reconstruction from before, or {TOPOCENTRIC}"
@@ -126,6 +129,11 @@ def _from_beside(path: Path, shots: Shots, beside: Shots, stated: Frame | None) 
     row = {name: k for k, name in enumerate(beside.names)}
     if not set(shots.names) <= row.keys():
         return None
+    if not is_same_place(shots.origin, beside.origin, _SAME_M):
+        raise InputError(
+            f"{path}: its reference_lla is not that of {TOPOCENTRIC} beside it: move the file that "
+            "is of another reconstruction away"
+        )
     there = beside.world_from_cam[[row[name] for name in shots.names]]
     if np.allclose(there, shots.world_from_cam, rtol=0, atol=1e-6):
         _agreed(path, {f"{TOPOCENTRIC} beside it": "topocentric", _OPTION: stated})
@@ -160,11 +168,12 @@ def _is_moved(projected: Array, there: Array) -> bool:
 
 def _system_of(path: Path) -> tuple[NamedSystem, Array] | None:
     """Return the projected system of ODM's project and its offset (2,), from coords.txt."""
-    for folder in (path.parent / "odm_georeferencing", path.parent.parent / "odm_georeferencing"):
+    place = path.parent.resolve()  # of a relative path, ``parent.parent`` may be ``parent``
+    for folder in (place / "odm_georeferencing", place.parent / "odm_georeferencing"):
         for file in (folder / "coords.txt", folder / "odm_georeferencing_model_geo.txt"):
             if file.is_file():
                 return _stated(file)
-    beside = path.parent / "coords.txt"
+    beside = place / "coords.txt"
     return _stated(beside) if beside.is_file() else None
 
 
@@ -219,7 +228,8 @@ def _moved_back(shots: Shots, linear: Array, shift: Array) -> Shots:
 
 
 def _alone(path: Path, shots: Shots, stated: Frame | None) -> Shots:
-    """Check the frame of a file that nothing of ODM lies beside."""
+    """Check the frame of a file that nothing of ODM lies beside, or whose name tells its frame."""
+    _near(path, shots)
     zone = utm_zone(shots.origin.longitude)
     grid = f"a UTM grid as of zone {zone}"
     frame = _frame(path, shots, convergence(shots.origin, zone), stated, grid)
@@ -255,6 +265,7 @@ def _frame(
     frame = _agreed(
         path,
         {
+            "its name": _NAMES.get(path.name),
             f"gps_position ({why})" if why else "gps_position": seen,
             "its field frame": shots.frame,
             "OpenSfM's project around it": "topocentric" if _is_plain(path.parent) else None,
@@ -281,7 +292,10 @@ def _agreed(path: Path, told: Mapping[str, Frame | None]) -> Reading[Frame]:
     first, frame = heard[0]
     for source, other in heard[1:]:
         if other != frame:
-            raise InputError(f"{path}: its poses are {frame} by {first}, but {other} by {source}")
+            remedy = f"leave out {_OPTION}" if source == _OPTION else "give OpenSfM's own file"
+            raise InputError(
+                f"{path}: its poses are {frame} by {first}, but {other} by {source}: {remedy}"
+            )
     return known(frame, first)
 
 

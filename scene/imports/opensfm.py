@@ -2,13 +2,14 @@
 
 A shot's rotation is the axis-angle vector of cam_from_world and its translation that of
 cam_from_world; camera axes are OpenCV's. The world is east, north, up in metres from
-``reference_lla``. Pixels are in units of the longer side, from the middle of the picture
-(https://opensfm.org/docs/geometry.html). ODM leaves a file in a projected system under the same
-name: see ``odm_frame``.
+``reference_lla``, or anywhere and of any scale where that is 0, 0. Pixels are in units of the
+longer side, from the middle of the picture (https://opensfm.org/docs/geometry.html). ODM leaves a
+file in a projected system under the same name: see ``odm_frame``.
 """
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +24,8 @@ from scene.geometry.geodesy import Geodetic, is_on_earth, is_same_place
 from scene.imports.lens import LARGEST_SIDE, LONGEST_FOCAL, BrownLens, require_inside
 from scene.imports.odm_frame import TOPOCENTRIC, Shots, topocentric
 from scene.imports.poses import ForeignPoses, Format, Frame, begins_with, posed
+
+log = logging.getLogger(__name__)
 
 # Two files state one origin where its heights differ by no more (m).
 _SAME_UP_M = 0.01
@@ -122,7 +125,7 @@ def _read(path: Path, frame: Frame | None = None) -> ForeignPoses:
     shots, matrices, origin = _shots(path, best), _matrices(best), None
     if shots is None and frame is not None:
         raise InputError(
-            f"{path} has no reference_lla, and is placed by GPS: leave out --poses-frame"
+            f"{path} has no place in reference_lla, and is placed by GPS: leave out --poses-frame"
         )
     if shots is not None:
         shots = topocentric(path, shots, _beside(path), frame)
@@ -145,6 +148,9 @@ def _shots(path: Path, reconstruction: _Reconstruction) -> Shots | None:
     """Return the shots as the file has them; None where nothing places them on earth."""
     origin = _origin(path, reconstruction.reference_lla)
     if origin is None:
+        return None
+    if origin[:2] == (0.0, 0.0) and reconstruction.frame is None:
+        log.warning("%s: reference_lla 0, 0 is OpenSfM's without GPS: it places nothing", path)
         return None
     nowhere = (np.nan, np.nan, np.nan)
     measured = [shot.gps_position or nowhere for shot in reconstruction.shots.values()]

@@ -190,6 +190,16 @@ def test_an_export_names_the_folder_that_was_asked_for(
     assert [path.name for path in disk.iterdir()] == ["filling"]
 
 
+@pytest.mark.parametrize("left", [8 << 10, (1 << 20) + (8 << 10)])
+def test_rerun_is_whole_or_absent(disk: Path, rendered: Scene, left: int) -> None:
+    """The library says on its log alone that a disk became full, and cuts the file."""
+    pytest.importorskip("rerun")
+    fill(disk, left)
+    with pytest.raises(WriteError, match=f"^cannot write {disk / 'out'}/scene.rrd: the disk has"):
+        export(rendered.path, "rerun", disk / "out", ["summer-noon-nadir-map"])
+    assert [path.name for path in disk.iterdir()] == ["filling"]
+
+
 @pytest.mark.parametrize("full", ["frames", "pictures"])
 def test_the_gallery_ends_with_one_line(
     disk: Path, monkeypatch: pytest.MonkeyPatch, full: str
