@@ -159,6 +159,7 @@ class Answer(Named):
         covariance: 36 numbers of the covariance by rows; None if unknown or not finite.
         inliers: number of inliers.
         by: what gave the pose; None if unknown.
+        probability: probability that the best pose is right; None if unknown.
     """
 
     asked: str
@@ -168,6 +169,7 @@ class Answer(Named):
     covariance: tuple[float, ...] | None = Field(min_length=36, max_length=36)
     inliers: int
     by: By | None = None
+    probability: float | None = None
 
     @staticmethod
     def of(name: str, asked: str, estimate: Estimate) -> Answer:
@@ -187,6 +189,7 @@ class Answer(Named):
             else None,
             inliers=estimate.inliers,
             by=estimate.by,
+            probability=estimate.probability,
         )
 
     def estimate(self) -> Estimate:
@@ -199,6 +202,7 @@ class Answer(Named):
             inliers=self.inliers,
             reason=self.reason,
             by=self.by,
+            probability=self.probability,
         )
 
 

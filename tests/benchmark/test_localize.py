@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +37,9 @@ def method(monkeypatch: pytest.MonkeyPatch) -> Remembering:
     covariance = np.diag([1e-6] * 3 + [0.04, 0.09, 0.36])
     localizer = Remembering(
         {
-            "b.jpg": Estimate(Status.OK, pose_at(1), covariance, inliers=50, by=By.MATCHES),
+            "b.jpg": Estimate(
+                Status.OK, pose_at(1), covariance, inliers=50, by=By.MATCHES, probability=0.98765
+            ),
             "d.jpg": Estimate(Status.FALLBACK, pose_at(3), reason="only the prior", by=By.PRIOR),
             "f.jpg": Estimate(Status.FAILED, reason="3 matches, 4 are needed"),
         }
@@ -76,6 +80,7 @@ def test_poses_and_places(
     assert [rows[n]["status"] for n in QUERY_NAMES] == ["ok", "fallback", "failed"]
     assert [rows[n]["by"] for n in QUERY_NAMES] == ["matches", "prior", ""]
     assert float(rows["b.jpg"]["sigma_m"]) == pytest.approx(0.7)
+    assert [rows[n]["probability"] for n in QUERY_NAMES] == ["0.9877", "", ""]
     assert rows["f.jpg"]["reason"] == "3 matches, 4 are needed"
     place = Geodetic(*(float(rows["b.jpg"][k]) for k in ("latitude", "longitude", "altitude")))
     centre = enu_from_geodetic(place, ORIGIN)
@@ -153,3 +158,29 @@ def test_nothing_to_localize_or_nowhere(
     (made_flight / "origin.json").write_text('{"lat": "north"}')
     answer = run(made_flight, photographs, tmp_path / "p.txt")
     assert "must hold numbers lat, lon and alt" in answer.stderr
+
+
+def test_the_risk_is_that_of_the_search(
+    made_flight: Path, photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[dict[str, Any]] = []
+    config = SimpleNamespace(search=None)
+
+    def create(name: str, overrides: dict[str, Any]) -> Remembering:
+        given.append(overrides)
+        localizer = Remembering({})
+        if name == "objconnect":
+            monkeypatch.setattr(localizer, "config", config)
+        return localizer
+
+    monkeypatch.setattr(benchmark.registry, "create", create)
+    out = tmp_path / "poses.txt"
+    for words, message in (
+        (["--method", "sift"], "sift does not say how probable a pose is: leave out --risk"),
+        (["--set", "search.risk=0.1"], "--risk and --set search.risk are the same"),
+    ):
+        answer = run(made_flight, photographs, out, "--risk", "0.02", *words)
+        assert answer.exit_code == 2 and message in answer.stderr
+        assert len(answer.stderr.splitlines()) == 1
+    run(made_flight, photographs, out, "--risk", "0.02")
+    assert given[-1] == {"search.risk": 0.02}
