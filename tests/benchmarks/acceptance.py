@@ -400,7 +400,7 @@ def _draw(drawn: dict[str, list[Answer]], path: Path) -> None:
     for axis in list(axes.flat)[len(drawn) :]:
         axis.axis("off")
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=80)
 
 
 def main() -> None:
