@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.dataset import Dataset
     from scene.geo.crs import Projection
     from scene.geometry.camera import Camera
+    from scene.localizer import Localizer
 
 # A plain value with a second setting behind it.
 _ANOTHER: Final = re.compile(r"[\w./+-]+[\s,;]+[A-Za-z_][\w.]*=")
@@ -49,6 +50,25 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
         if settings[key] is None and not value.strip():
             raise InputError(f"--set {key}: {value!r} is no value; leave it out for the default")
     return settings
+
+
+def create_at_risk(method: str, settings: Mapping[str, Any], risk: float | None) -> Localizer:
+    """Build a localizer that takes the risk of ``--risk``; None leaves the method's own.
+
+    Raises:
+        InputError: the method has no such setting, ``--set`` gives it too, or the method cannot be
+            made with its settings.
+    """
+    from benchmark.registry import create
+
+    localizer = create(method, settings)
+    if risk is None:
+        return localizer
+    if not hasattr(localizer.config, "search"):
+        raise InputError(f"{method} does not say how probable a pose is: leave out --risk")
+    if "search.risk" in settings:
+        raise InputError("--risk and --set search.risk are the same: give one of them")
+    return create(method, {**settings, "search.risk": risk})
 
 
 def check_jobs(jobs: int, cluster: str | None) -> None:

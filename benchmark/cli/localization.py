@@ -11,6 +11,7 @@ from benchmark.cli.arguments import (
     check_jobs,
     check_methods,
     claim_folders,
+    create_at_risk,
     open_distinct_datasets,
     parse_camera,
     parse_crs,
@@ -25,6 +26,7 @@ from benchmark.cli.options import (
     Json,
     Method,
     Methods,
+    Risk,
     Settings,
     Start,
 )
@@ -102,16 +104,6 @@ Further = Annotated[
         "the option for several.",
     ),
 ]
-Risk = Annotated[
-    float | None,
-    typer.Option(
-        help="Probability with which an answer may be wrong by more than 5 m or 10 degrees, of "
-        "methods that predict it (search.risk); 1 believes every pose.",
-        min=1e-6,
-        max=1,
-        show_default="0.05",
-    ),
-]
 Undulation = Annotated[
     float | None,
     typer.Option(
@@ -173,20 +165,13 @@ def localize(
     from benchmark import sequence as sequences
     from benchmark.localize import localize as run
     from benchmark.localize import open_place
-    from benchmark.registry import create
 
     flown = _flown(images, video, srt, priors, sequence, rate)
     settings = parse_settings(overrides)
     config = sequences.sequence_config(settings) if video is not None or sequence else None
     calibration, projection = parse_camera(camera), parse_crs(crs)
     claim_folders([place, flown], cache)
-    localizer = create(method, settings)
-    if risk is not None:
-        if not hasattr(localizer.config, "search"):
-            raise InputError(f"{method} does not say how probable a pose is: leave out --risk")
-        if "search.risk" in settings:
-            raise InputError("--risk and --set search.risk are the same: give one of them")
-        localizer = create(method, settings | {"search.risk": risk})
+    localizer = create_at_risk(method, settings, risk)
     if config is None:
         located = run(
             open_place(place),

@@ -25,6 +25,17 @@ Settings = Annotated[
     ),
 ]
 
+Risk = Annotated[
+    float | None,
+    typer.Option(
+        help="Probability with which an answer may be wrong by more than 5 m or 10 degrees, of "
+        "methods that predict it (search.risk); 1 believes every pose.",
+        min=1e-6,
+        max=1,
+        show_default="0.05",
+    ),
+]
+
 Jobs = Annotated[
     int,
     typer.Option(
