@@ -92,7 +92,8 @@ def best_of(attempts: Sequence[Attempt]) -> tuple[Attempt, float]:
 
 def is_believed(attempts: Sequence[Attempt], options: SearchOptions) -> bool:
     """Return whether the likeliest of some attempts is right but for the risk that is taken."""
-    return bool(attempts) and best_of(attempts)[1] >= 1 - options.risk
+    best, probability = best_of(attempts)
+    return not best.failed and probability >= 1 - options.risk
 
 
 def is_answered(attempts: Sequence[Attempt], options: SearchOptions) -> bool:

@@ -99,7 +99,7 @@ class GlobalSearch:
                         # Seen from there, the image is turned and scaled better.
                         best, _ = best_of(attempts)
                         attempts.append(self.refine.near(query, best.pose, clock))
-                        return self._best(attempts, begin[0], clock)
+                        return self._best(attempts, place, clock)
                     advance(done)
         if self.places is None or not begin:
             return None
