@@ -219,7 +219,7 @@
           el("p", { class: "quiet" }, `Recall (%) at ${threshold()}, ${where()}, with its interval. Overlap, scale and angle are of the map photograph that sees most of the query; n counts queries.`),
           el("div", { class: "grid" }, data.axes.map((axis, k) => el("div", {}, el("h4", {}, axis.short), el("p", { class: "quiet" }, axis.title), difficulty(k)))), legendOf(true),
           el("details", {}, el("summary", {}, "As a table"), difficultyTable(runs))),
-        card("surest", "Surest first", `Percent right at ${threshold()} when only the queries that the method is surest of are believed; methods that predict none are left out.`,
+        card("surest", "Surest first", `Percent right at ${threshold()} when only the queries that the method is surest of are believed; methods that do not say so are left out.`,
           surestChart(labelOf, sure, (run) => c.runs[run].surest[state.threshold]), legend(labelOf, sure, true)),
         card("bounded", "Recall at bounded risk", `Percent of all queries found at each threshold by answers of which fewer than 1 % are wrong; ${where()}.`, scroll("Recall at bounded risk", el("table", {},
           el("thead", {}, el("tr", {}, el("th", { scope: "col", class: "word" }, "method"), data.thresholds.map((t) => el("th", { scope: "col" }, t.text)))),

@@ -269,7 +269,7 @@
         ? `Recall (%) at ${threshold} of all queries, when the prior is wrong by exactly so much; each method hears the same priors.`
         : "Recall against the error of the prior. Nothing measured yet: objconnect basin DATASET --method M --out RESULTS.",
       ...(withBasin.length ? [basin(b, withBasin), legend(labelOf(b), withBasin, true)] : [])),
-      card("surest", "Surest first", `Percent right at ${threshold} when only the queries that the method is surest of are believed; those without one come last.`,
+      card("surest", "Surest first", `Percent right at ${threshold} when only the queries that the method is surest of are believed; failed ones come last.`,
         surest(b), legend(labelOf(b), runs, true),
         el("p", { class: "quiet" }, `Normalised error squared (6 when covariances are honest) and share inside the 95 % ellipsoid: ${b.runs.map(honesty).join("; ")}.`)),
       card("heat", "Conditions", `Recall (%) at ${threshold}; a cell opens its worst query.`, heatMap(b)),
