@@ -69,11 +69,16 @@ class Evidence:
     curvature: float
 
     def terms(self) -> tuple[float, float, float]:
-        """Return the terms of the logistic regression: logarithms of the fields within bounds."""
+        """Return the terms of the logistic regression: logarithms of the fields within bounds.
+
+        A field that is no number is as bad as it can be.
+        """
+        halves = _MOST_CELLS if math.isnan(self.halves) else self.halves
+        # In this order, ``max`` leaves out what is no number.
         return (
-            math.log(max(self.height, _LEAST_HEIGHT)),
-            math.log(min(max(self.halves, _LEAST_CELLS), _MOST_CELLS)),
-            math.log(max(self.curvature, _LEAST_CURVATURE)),
+            math.log(max(_LEAST_HEIGHT, self.height)),
+            math.log(min(max(halves, _LEAST_CELLS), _MOST_CELLS)),
+            math.log(max(_LEAST_CURVATURE, self.curvature)),
         )
 
 
@@ -96,7 +101,8 @@ def _height(problem: Problem, pose: Pose, options: EvidenceOptions) -> float:
     level = few.levels[len(few.levels) // 2]
     projected = few.intrinsics.project(pose.transform(few.points))
     cells = (projected.xy / per_axis(level.stride, few.points))[0].float()
-    side = torch.arange(-options.reach_cells, options.reach_cells + 1e-6, options.step_cells)
+    most = int(options.reach_cells / options.step_cells + 1e-6)
+    side = options.step_cells * torch.arange(-most, most + 1).float()
     shifts = torch.cartesian_prod(side, side)
     gain, share = _shifted_gains(level, cells, projected.valid[0], shifts, problem)
     length = shifts.norm(dim=-1)

@@ -40,11 +40,19 @@ def test_the_shipped_model_tells_right_from_wrong() -> None:
     assert model.of_matches(0) == -math.inf
 
 
-@pytest.mark.parametrize("broken", [{"halves": math.inf}, {"height": 0.0}, {"curvature": 0.0}])
+@pytest.mark.parametrize(
+    "broken", [{field: bad} for field in vars(RIGHT) for bad in (math.inf, -math.inf, math.nan, 0.0)]
+)
 def test_evidence_without_a_bound_has_bounded_odds(broken: dict[str, float]) -> None:
-    model = read_acceptance(None)
     told = Evidence(**{**vars(WRONG), **broken})
-    assert math.isfinite(model.of_alignment(told))
+    assert math.isfinite(read_acceptance(None).of_alignment(told))
+
+
+@pytest.mark.parametrize("field", vars(RIGHT))
+def test_evidence_that_is_no_number_is_no_evidence(field: str) -> None:
+    model = read_acceptance(None)
+    told = Evidence(**{**vars(RIGHT), field: math.nan})
+    assert model.of_alignment(told) < model.of_alignment(CHANGED)
 
 
 @pytest.mark.parametrize("probability", [1e-6, 0.3, 0.999])

@@ -71,6 +71,13 @@ def test_a_query_that_looks_other_still_stands_out() -> None:
     assert changed.height > 10
 
 
+def test_the_pose_itself_is_among_the_shifts() -> None:
+    """Also where the reach is no multiple of the step."""
+    made = problem(texture(None), noise=0.2)
+    uneven = EvidenceOptions(reach_cells=25.0)
+    assert evidence(made, POSE, 0.7, uneven).height == told(made).height
+
+
 def test_a_picture_that_repeats_itself_stands_out_less() -> None:
     assert told(problem(texture(12))).height < 0.5 * told(problem(texture(None))).height
 
