@@ -64,7 +64,7 @@ def create_at_risk(method: str, settings: Mapping[str, Any], risk: float | None)
     localizer = create(method, settings)
     if risk is None:
         return localizer
-    if not hasattr(localizer.config, "search"):
+    if not hasattr(getattr(localizer.config, "search", None), "risk"):
         raise InputError(f"{method} does not say how probable a pose is: leave out --risk")
     if "search.risk" in settings:
         raise InputError("--risk and --set search.risk are the same: give one of them")

@@ -164,12 +164,14 @@ def test_the_risk_is_that_of_the_search(
     made_flight: Path, photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: list[dict[str, Any]] = []
-    config = SimpleNamespace(search=None)
+    predicting = SimpleNamespace(search=SimpleNamespace(risk=0.05))
+    silent = SimpleNamespace(search=SimpleNamespace())
 
     def create(name: str, overrides: dict[str, Any]) -> Remembering:
         given.append(overrides)
         localizer = Remembering({})
-        if name == "objconnect":
+        if name != "sift":
+            config = silent if name == "place" else predicting
             monkeypatch.setattr(localizer, "config", config)
         return localizer
 
@@ -177,6 +179,7 @@ def test_the_risk_is_that_of_the_search(
     out = tmp_path / "poses.txt"
     for words, message in (
         (["--method", "sift"], "sift does not say how probable a pose is: leave out --risk"),
+        (["--method", "place"], "place does not say how probable a pose is: leave out --risk"),
         (["--set", "search.risk=0.1"], "--risk and --set search.risk are the same"),
     ):
         answer = run(made_flight, photographs, out, "--risk", "0.02", *words)
