@@ -256,8 +256,8 @@ class FeaturemetricLocalizer:
     ) -> list[Attempt]:
         """Try starts; where no answer is believed, search once more and thoroughly.
 
-        That search begins at the same starts around a known pose, else at the likeliest pose,
-        unless this is wrong but for the risk.
+        Around a known pose, that search begins at the same starts; else at the likeliest pose, if
+        its probability is above the risk.
         """
         options = self.config.search
         attempts = self._tried(refine, query, chosen, begin, clock)

@@ -1,4 +1,4 @@
-"""Options of localizers by alignment: which starts are tried, and when a pose is accepted."""
+"""Options of localizers by alignment: which starts are tried, and when a pose is believed."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ class SearchOptions(Config):
         gt=0,
         le=1,
         description="A pose is believed where the probability that it is wrong, by more than 5 m "
-        "or 10 degrees, is at most this; of all answers far fewer are. A search goes on until "
-        "then; 1 believes every pose.",
+        "or 10 degrees, is at most this. It is a bound for each answer: of all answers far fewer "
+        "are wrong. A search goes on until a pose is believed. 1 believes every pose.",
     )
     most_sigma_m: float = Field(
         1.0,
         gt=0,
-        description="A pose is not answered whose position has a larger predicted standard "
-        "deviation, metres.",
+        description="An aligned pose is not answered where the predicted standard deviation of its "
+        "position is larger, metres.",
     )
     acceptance: AcceptanceModel | None = Field(
         None,
-        description="Model of the probability that a pose is right; None for that of the file "
-        "WEIGHTS.acceptance.yaml beside weights of your own, else that of the networks that come "
-        "with the project. python -m tests.benchmarks.acceptance finds it.",
+        description="Model of the probability that a pose is right. None reads it from the file "
+        "beside weights of your own (own.acceptance.yaml beside own.safetensors); without one it is "
+        "that of the networks that come with the project. python -m tests.benchmarks.acceptance finds it.",
     )
     evidence: EvidenceOptions = Field(
         EvidenceOptions(), description="How a pose is compared with others of the same query."
@@ -268,7 +268,7 @@ class FeaturemetricConfig(Config):
         description="Matches of SIFT features, which are tried before the search; None for none.",
     )
     search: SearchOptions = Field(
-        SearchOptions(), description="Which starts are tried, and when a pose is accepted."
+        SearchOptions(), description="Which starts are tried, and when a pose is believed."
     )
     starts: StartOptions = Field(
         StartOptions(), description="Which starting poses an incomplete prior gives."
