@@ -68,10 +68,8 @@ class AcceptanceModel(Config):
     aligned: AlignedModel
     matched: MatchedModel
 
-    def of_alignment(self, evidence: Evidence | None) -> float:
-        """Return the log odds of an aligned pose; minus infinity where alignment failed."""
-        if evidence is None:
-            return -math.inf
+    def of_alignment(self, evidence: Evidence) -> float:
+        """Return the log odds of an aligned pose."""
         model = self.aligned
         terms = evidence.terms()
         weights = (model.peak, model.halves, model.curvature)
@@ -123,15 +121,17 @@ def read_acceptance(weights: Path | None) -> AcceptanceModel:
     return load_config(AcceptanceModel, own if own is not None and own.is_file() else SHIPPED, {})
 
 
-def best_probability(poses: Sequence[tuple[Pose, float]]) -> tuple[int, float]:
+def best_probability(
+    poses: Sequence[tuple[Pose, float]], rivals: Sequence[tuple[Pose, float]] = ()
+) -> tuple[int, float]:
     """Return which of some poses is likeliest, and the probability that it is right.
 
-    At most one place is right, so that a second place that fits as well leaves a half to each.
-    Poses that are right together, because they are as near to each other as right poses are to the
-    truth, count as one.
+    At most one place is right. So where a second place is as likely, each has a half at most.
+    Poses as near to each other as right poses are to the truth are one place, and count once.
 
     Args:
         poses: poses with their log odds; one at least.
+        rivals: further poses with their log odds, which are not chosen from.
     """
     best = max(range(len(poses)), key=lambda k: poses[k][1])
     pose, own = poses[best]
@@ -139,7 +139,7 @@ def best_probability(poses: Sequence[tuple[Pose, float]]) -> tuple[int, float]:
         return best, 0.0
     distinct = [pose]
     total = 1.0 + math.exp(own)
-    for other, log_odds in sorted(poses, key=lambda each: -each[1]):
+    for other, log_odds in sorted([*poses, *rivals], key=lambda each: -each[1]):
         if log_odds > -math.inf and not any(is_same(other, each) for each in distinct):
             distinct.append(other)
             total += math.exp(log_odds)

@@ -21,6 +21,9 @@ from baselines.views import WarpedImage
 from scene.geometry.pose import Pose
 from scene.localizer import By, Estimate, Status, Stopwatch
 
+Rivals = Sequence[tuple[Pose, float]]
+"""Poses with their log odds, which attempts share one probability with."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -84,21 +87,28 @@ def judged(found: Found, options: SearchOptions) -> Attempt:
     return Attempt(view, alignment, around, share, told, options.acceptance.of_alignment(told))
 
 
-def best_of(attempts: Sequence[Attempt]) -> tuple[Attempt, float]:
+def best_of(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt, float]:
     """Return the likeliest of some attempts, and the probability that it is right."""
-    best, probability = best_probability([(each.pose, each.log_odds) for each in attempts])
+    poses = [(each.pose, each.log_odds) for each in attempts]
+    best, probability = best_probability(poses, rivals)
     return attempts[best], probability
 
 
-def is_believed(attempts: Sequence[Attempt], options: SearchOptions) -> bool:
-    """Return whether the likeliest of some attempts is right but for the risk that is taken."""
-    best, probability = best_of(attempts)
+def is_believed(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
+    """Return whether the likeliest of some attempts is right with a probability of 1 - risk.
+
+    Args:
+        attempts: what was tried.
+        options: the risk.
+        rivals: poses that were found otherwise.
+    """
+    best, probability = best_of(attempts, rivals)
     return not best.failed and probability >= 1 - options.risk
 
 
-def is_answered(attempts: Sequence[Attempt], options: SearchOptions) -> bool:
+def is_answered(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
     """Return whether the likeliest of some attempts is believed, and exact enough."""
-    best, probability = best_of(attempts)
+    best, probability = best_of(attempts, rivals)
     return not _why_not(best, probability, len(attempts), options)
 
 
@@ -108,6 +118,7 @@ def estimated(
     begun: By,
     options: SearchOptions,
     clock: Stopwatch,
+    rivals: Rivals = (),
 ) -> Estimate:
     """Return the likeliest of some attempts; where it is not believed, the first start.
 
@@ -117,8 +128,9 @@ def estimated(
         begun: what gave the first of them.
         options: the risk, and how covariances are calibrated.
         clock: the time that was taken.
+        rivals: poses that were found otherwise.
     """
-    best, probability = best_of(attempts)
+    best, probability = best_of(attempts, rivals)
     answer = Estimate(
         Status.OK,
         best.pose,
@@ -148,9 +160,8 @@ def _why_not(best: Attempt, probability: float, tried: int, options: SearchOptio
         return best.alignment.reason(0)
     which = "the aligned pose" if tried == 1 else f"the likeliest of {tried} aligned poses"
     if probability < 1 - options.risk:
-        return (
-            f"{which} is right with a probability of {probability:.2f}, below {1 - options.risk:g}"
-        )
+        shown = math.floor(100 * probability) / 100  # never rounded up to the bound
+        return f"{which} is right with a probability of {shown:.2f}, below {1 - options.risk:g}"
     if (sigma := sigma_m(best, options)) > options.most_sigma_m:
         return (
             f"{which} is at the right place, but its position is known to {sigma:.1f} m only, and "

@@ -1,6 +1,6 @@
 """Localization of an image of which no prior says all: by matches, by objects, by its place.
 
-Each way gives starts that are refined. The first pose that is sure ends the search.
+Each way gives starts that are refined. The first pose that is believed ends the search.
 """
 
 from __future__ import annotations
@@ -12,7 +12,14 @@ from typing import Protocol
 
 from baselines.align.options import SearchRadius
 from baselines.featuremetric.acceptance import best_probability, is_same, log_odds_of
-from baselines.featuremetric.attempt import Attempt, best_of, estimated, is_answered, is_believed
+from baselines.featuremetric.attempt import (
+    Attempt,
+    Rivals,
+    best_of,
+    estimated,
+    is_answered,
+    is_believed,
+)
 from baselines.featuremetric.options import SearchOptions
 from baselines.featuremetric.priors import may_be_at, says_where
 from baselines.featuremetric.references import ReferenceSource, Watch
@@ -20,7 +27,6 @@ from baselines.featuremetric.refiner import Refiner
 from baselines.place.finder import PlaceFinder
 from baselines.place.search import Candidate
 from baselines.starts import start_of, starts
-from scene.geometry.pose import Pose
 from scene.localizer import By, Estimate, MapPart, Query, Stopwatch
 from scene.maps.sparse_map import SparseMap
 from scene.runtime.progress import progress_within
@@ -84,8 +90,10 @@ class GlobalSearch:
             clock: takes the time.
         """
         attempts: list[Attempt] = []
+        rivals: Rivals = []
         if matched is not None and matched.cam_from_world is not None:
-            answer, attempts = self._near_matches(query, matched, matched.cam_from_world, clock)
+            rivals = [(matched.cam_from_world, log_odds_of(matched.probability))]
+            answer, attempts = self._near_matches(query, matched, rivals, clock)
             if answer is not None:
                 return answer
         options = self.refine.config.search
@@ -95,15 +103,15 @@ class GlobalSearch:
                 for done, place in enumerate(some, 1):
                     attempts.append(self.refine.near(query, place.pose, clock))
                     begin.append(place)
-                    if is_believed(attempts, options):
+                    if is_believed(attempts, options, rivals):
                         # Seen from there, the image is turned and scaled better.
                         best, _ = best_of(attempts)
                         attempts.append(self.refine.near(query, best.pose, clock))
-                        return self._best(attempts, place, clock)
+                        return self._best(attempts, place, clock, rivals)
                     advance(done)
         if self.places is None or not begin:
             return None
-        return self._best(attempts, begin[0], clock)
+        return self._best(attempts, begin[0], clock, rivals)
 
     def _places(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
         """Yield places where the query may be: the best ones of each finder before all others."""
@@ -121,26 +129,36 @@ class GlobalSearch:
         finders = [self._of_other, self._found_places]
         return finders if self.other.is_first else finders[::-1]
 
-    def _best(self, attempts: Sequence[Attempt], begin: Candidate, clock: Stopwatch) -> Estimate:
-        return estimated(attempts, [begin.pose], begin.by, self.refine.config.search, clock)
+    def _best(
+        self, attempts: Sequence[Attempt], begin: Candidate, clock: Stopwatch, rivals: Rivals
+    ) -> Estimate:
+        options = self.refine.config.search
+        return estimated(attempts, [begin.pose], begin.by, options, clock, rivals)
 
     def _near_matches(
-        self, query: Query, matched: Estimate, start: Pose, clock: Stopwatch
+        self, query: Query, matched: Estimate, rivals: Rivals, clock: Stopwatch
     ) -> tuple[Estimate | None, list[Attempt]]:
-        """Refine the pose of matches: return the answer where it is believed, and what was tried.
+        """Refine the pose of matches: return the answer if one is believed, and what was tried.
 
-        The aligned pose is the more exact one, and is answered where it is believed by itself.
+        At one place the aligned pose is the more exact one, and is answered if it is believed by
+        itself. Of two places the likelier one is answered, if at all.
+
+        Args:
+            query: the image.
+            matched: what matches say of it.
+            rivals: the pose of that alone.
+            clock: takes the time.
         """
         options = self.refine.config.search
         around = SearchRadius(options.matched_radius_m, options.matched_radius_deg)
+        start, _ = rivals[0]
         attempt = self.refine.near(query, start, clock, around)
-        both = [(attempt.pose, attempt.log_odds), (start, log_odds_of(matched.probability))]
-        best, probability = best_probability(both)
-        if probability < 1 - options.risk:
+        best, probability = best_probability([(attempt.pose, attempt.log_odds), *rivals])
+        same = is_same(attempt.pose, start)
+        if (same or best == 0) and is_answered([attempt], options, rivals):
+            return self._best([attempt], Candidate(start, 0.0, By.MATCHES), clock, rivals), []
+        if (best == 0 and not same) or probability < 1 - options.risk:
             return None, [attempt]
-        alike = best == 0 or is_same(attempt.pose, start)
-        if alike and is_answered([attempt], options):
-            return self._best([attempt], Candidate(start, 0.0, By.MATCHES), clock), []
         return replace(matched, seconds=clock.seconds, probability=probability), []
 
     def _of_other(self, query: Query, clock: Stopwatch) -> list[Candidate]:

@@ -35,13 +35,13 @@ def test_the_shipped_model_tells_right_from_wrong() -> None:
     model = read_acceptance(None)
     assert model.of_alignment(RIGHT) > model.of_alignment(CHANGED) > log_odds_of(0.95)
     assert model.of_alignment(WRONG) < log_odds_of(0.05)
-    assert model.of_alignment(None) == -math.inf
     assert model.of_matches(100) > log_odds_of(0.99) > log_odds_of(0.5) > model.of_matches(4)
     assert model.of_matches(0) == -math.inf
 
 
 @pytest.mark.parametrize(
-    "broken", [{field: bad} for field in vars(RIGHT) for bad in (math.inf, -math.inf, math.nan, 0.0)]
+    "broken",
+    [{field: bad} for field in vars(RIGHT) for bad in (math.inf, -math.inf, math.nan, 0.0)],
 )
 def test_evidence_without_a_bound_has_bounded_odds(broken: dict[str, float]) -> None:
     told = Evidence(**{**vars(WRONG), **broken})
@@ -75,6 +75,14 @@ def test_poses_of_one_place_count_once() -> None:
     many = [(pose(0.2), 4.0), (pose(0.1), 6.0), (pose(40), -1.0), (pose(40.3), -2.0)]
     best, probability = best_probability(many)
     assert best == 1 and probability == pytest.approx(once)
+
+
+def test_a_rival_takes_from_the_probability_but_is_not_chosen() -> None:
+    assert best_probability([(pose(0), 4.0)], [(pose(40), 4.0)])[1] < 0.5
+    best, probability = best_probability([(pose(0), 4.0)], [(pose(40), 9.0)])
+    assert best == 0 and probability < 0.01
+    alone = best_probability([(pose(0), 4.0)])
+    assert best_probability([(pose(0), 4.0)], [(pose(0.3), 9.0)]) == alone
 
 
 def test_where_all_failed_nothing_is_probable() -> None:
