@@ -1,9 +1,10 @@
-"""When a pose is believed: the probability that it is right, and the risk that is taken.
+"""The probability that a pose is right.
 
-A pose is right within 5 m and 10 degrees; how exact it is, its covariance says. Logistic regression
-gives the odds of an aligned pose from ratios of its query to itself (``evidence``), and those of a
-pose by matches from their number. At most one place of a map is right: the odds of several poses
-share one probability. ``python -m tests.benchmarks.acceptance`` finds the numbers.
+A pose is right within 5 m and 10 degrees; its covariance says how exact it is. Logistic regression
+gives the odds of an aligned pose from three figures of the query alone (``evidence``), and those of
+a pose by matches from the number of inliers. At most one place of a map is right, so the
+probabilities of poses at several places sum to at most 1. ``python -m tests.benchmarks.acceptance``
+finds the numbers.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def read_acceptance(weights: Path | None) -> AcceptanceModel:
         InputError: the file is no such model.
     """
     own = None if weights is None else acceptance_file(weights)
-    return load_config(AcceptanceModel, own if own is not None and own.is_file() else SHIPPED, {})
+    return load_config(AcceptanceModel, own if own is not None and own.exists() else SHIPPED, {})
 
 
 def best_probability(

@@ -1,9 +1,9 @@
-"""What tells a right pose from a wrong one: ratios of a query to itself.
+"""What tells a right pose from a wrong one: three figures that compare a query with itself.
 
-A cost says how alike a query and a map are, which light, season and renderer decide. These
-ratios do not: how far the gain at a pose stands out from that of the same picture shifted aside
-(the ratio of peak and sidelobes, Bolme et al., CVPR 2010), how near to each other two halves of the
-picture lead, and how steeply the cost rises around the pose.
+A cost says how alike a query and a map are, which light, season and renderer decide. These figures
+depend little on them: how far the gain at a pose stands out from that of the same picture shifted
+aside (the ratio of peak and sidelobes, Bolme et al., CVPR 2010), how far apart the poses are that
+two halves of the picture lead to, and how steeply the cost rises around the pose.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from baselines.align.sampling import per_axis
 from scene.config import Config
 from scene.geometry.pose import Pose
 
-# The terms of a regression have bounds: beyond them a pose is as sure, or as lost.
+# Bounds of the terms: beyond them a pose is no surer, and no worse.
 _LEAST_HEIGHT: Final = 0.1
 _LEAST_CURVATURE: Final = 0.03
 _LEAST_CELLS: Final = 0.02
@@ -38,9 +38,12 @@ class EvidenceOptions(Config):
 
     points: int = Field(256, ge=10, description="Points that are compared, spread over the image.")
     reach_cells: float = Field(
-        24.0, gt=0, description="Farthest shift along either axis, cells of the middle level."
+        24.0,
+        gt=0,
+        le=100,
+        description="Farthest shift along an axis, cells of the middle level.",
     )
-    step_cells: float = Field(3.0, gt=0, description="Cells between neighbouring shifts.")
+    step_cells: float = Field(3.0, ge=0.5, description="Cells between neighbouring shifts.")
     core_cells: float = Field(
         4.0, gt=0, description="Shifts shorter than this belong to the peak of the pose itself."
     )

@@ -35,14 +35,15 @@ class SearchOptions(Config):
     most_sigma_m: float = Field(
         1.0,
         gt=0,
-        description="An aligned pose is not answered where the predicted standard deviation of its "
-        "position is larger, metres.",
+        description="An aligned pose is not answered where its position has a larger predicted "
+        "standard deviation, metres.",
     )
     acceptance: AcceptanceModel | None = Field(
         None,
         description="Model of the probability that a pose is right. None reads it from the file "
-        "beside weights of your own (own.acceptance.yaml beside own.safetensors); without one it is "
-        "that of the networks that come with the project. python -m tests.benchmarks.acceptance finds it.",
+        "beside weights of your own (own.acceptance.yaml beside own.safetensors); without one it "
+        "is that of the networks that come with the project. "
+        "python -m tests.benchmarks.acceptance finds it.",
     )
     evidence: EvidenceOptions = Field(
         EvidenceOptions(), description="How a pose is compared with others of the same query."

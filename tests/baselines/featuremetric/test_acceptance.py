@@ -111,3 +111,7 @@ def test_weights_of_a_user_have_a_model_of_their_own(tmp_path: Path) -> None:
     acceptance_file(weights).write_text("aligned: 3")
     with pytest.raises(InputError, match="aligned"):
         read_acceptance(weights)
+    acceptance_file(weights).unlink()
+    acceptance_file(weights).mkdir()
+    with pytest.raises(InputError, match="cannot read"):
+        read_acceptance(weights)
