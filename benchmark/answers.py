@@ -179,7 +179,7 @@ class Located:
         if self.estimate.by is not None:
             known["by"] = self.estimate.by.value
         if self.estimate.probability is not None:
-            known["probability"] = round(self.estimate.probability, 4)
+            known["probability"] = round(self.estimate.probability, 6)
         return known
 
 

@@ -164,8 +164,8 @@ def _why_not(best: Attempt, probability: float, tried: int, options: SearchOptio
         return f"{which} is right with a probability of {shown:.2f}, below {1 - options.risk:g}"
     if (sigma := sigma_m(best, options)) > options.most_sigma_m:
         return (
-            f"{which} is at the right place, but its position is known to {sigma:.1f} m only, and "
-            f"search.most_sigma_m is {options.most_sigma_m:g}"
+            f"the position of {which} is known to {sigma:.1f} m only, and search.most_sigma_m is "
+            f"{options.most_sigma_m:g}"
         )
     return ""
 

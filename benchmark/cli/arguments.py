@@ -66,7 +66,8 @@ def create_at_risk(method: str, settings: Mapping[str, Any], risk: float | None)
         return localizer
     if not hasattr(getattr(localizer.config, "search", None), "risk"):
         raise InputError(f"{method} does not say how probable a pose is: leave out --risk")
-    if "search.risk" in settings:
+    search = settings.get("search")
+    if "search.risk" in settings or (isinstance(search, Mapping) and "risk" in search):
         raise InputError("--risk and --set search.risk are the same: give one of them")
     return create(method, {**settings, "search.risk": risk})
 

@@ -80,7 +80,7 @@ def test_poses_and_places(
     assert [rows[n]["status"] for n in QUERY_NAMES] == ["ok", "fallback", "failed"]
     assert [rows[n]["by"] for n in QUERY_NAMES] == ["matches", "prior", ""]
     assert float(rows["b.jpg"]["sigma_m"]) == pytest.approx(0.7)
-    assert [rows[n]["probability"] for n in QUERY_NAMES] == ["0.9877", "", ""]
+    assert [rows[n]["probability"] for n in QUERY_NAMES] == ["0.98765", "", ""]
     assert rows["f.jpg"]["reason"] == "3 matches, 4 are needed"
     place = Geodetic(*(float(rows["b.jpg"][k]) for k in ("latitude", "longitude", "altitude")))
     centre = enu_from_geodetic(place, ORIGIN)
@@ -181,6 +181,7 @@ def test_the_risk_is_that_of_the_search(
         (["--method", "sift"], "sift does not say how probable a pose is: leave out --risk"),
         (["--method", "place"], "place does not say how probable a pose is: leave out --risk"),
         (["--set", "search.risk=0.1"], "--risk and --set search.risk are the same"),
+        (["--set", "search={risk: 0.1}"], "--risk and --set search.risk are the same"),
     ):
         answer = run(made_flight, photographs, out, "--risk", "0.02", *words)
         assert answer.exit_code == 2 and message in answer.stderr
