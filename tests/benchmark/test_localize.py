@@ -15,6 +15,7 @@ from typer.testing import CliRunner, Result
 import benchmark.registry
 from benchmark.cli import app
 from benchmark.datasets.textfiles import read_poses
+from benchmark.localize import Answer
 from scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from scene.geometry.pose import Pose
 from scene.localizer import By, Estimate, Query, Status
@@ -188,3 +189,10 @@ def test_the_risk_is_that_of_the_search(
         assert len(answer.stderr.splitlines()) == 1
     run(made_flight, photographs, out, "--risk", "0.02")
     assert given[-1] == {"search.risk": 0.02}
+
+
+@pytest.mark.parametrize("probability", [0.98765, None])
+def test_the_journal_keeps_the_probability(probability: float | None) -> None:
+    estimate = Estimate(Status.OK, pose_at(1), np.eye(6), by=By.MATCHES, probability=probability)
+    line = Answer.of("b.jpg", "asked", estimate).model_dump_json()
+    assert Answer.model_validate_json(line).estimate().probability == probability
