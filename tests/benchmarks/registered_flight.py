@@ -44,6 +44,8 @@ _SCALES: Final = (0.7, 1.5)
 # Least share of a photograph that the picture must fill.
 _LEAST_FILLED: Final = 0.8
 _COARSER: Final = 8
+# Poses that are drawn for each photograph at most.
+_MOST_TRIES: Final = 100
 
 
 def changed(picture: Picture, rng: np.random.Generator, strength: float) -> Picture:
@@ -123,7 +125,9 @@ def make(given: argparse.Namespace) -> None:
     extent = np.array(mapped.shape[1::-1]) * given.metres
     cameras: list[str] = []
     poses: list[str] = []
-    while len(cameras) < given.number:
+    for _ in range(_MOST_TRIES * given.number):
+        if len(cameras) == given.number:
+            break
         pose = camera_pose(rng, extent, given.metres)
         seen = photograph(np.ascontiguousarray(other), pose, given.metres)
         if seen is None:
