@@ -292,8 +292,8 @@ def test_one_of_another_camera_and_one_of_elsewhere(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"mapper": "global"}, "leave out --poses, --gcp, --gcp-check and --mapper"),
-        ({"checks": ("A",)}, "leave out --poses, --gcp, --gcp-check and --mapper"),
+        ({"mapper": "global"}, "leave out --poses, --poses-frame, --gcp, --gcp-check and --mapper"),
+        ({"checks": ("A",)}, "leave out --poses, --poses-frame, --gcp, --gcp-check and --mapper"),
         ({"camera": Camera("PINHOLE", 400, 100, (300.0, 300.0, 200.0, 50.0))}, "of its shape"),
     ],
 )
