@@ -323,10 +323,10 @@ MUTANTS: Final = (
         (f"{_STARTS}::test_hypotheses_that_have_met_go_on_as_one",),
     ),
     Mutant(
-        "a fit no better than chance is an answer",
-        "baselines/featuremetric/options.py",
-        "0.93, gt=0",
-        "9.0, gt=0",
+        "a pose is answered whatever its probability",
+        "baselines/featuremetric/attempt.py",
+        "    if probability < 1 - options.risk:",
+        "    if probability < -options.risk:",
         (f"{_LOCALIZER}::test_a_picture_of_something_else_is_no_fix",),
     ),
 )
